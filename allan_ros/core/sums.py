@@ -1,0 +1,280 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`AllanSums`: all that is kept of an IMU's samples, as one addable value.
+
+Sample units: the phase theta is the running sum of the samples less the segment's first sample,
+and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u). tau0 only scales the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .batch import AXES
+from .errors import AllanError
+from .grid import counts, grid
+
+Floats = NDArray[np.float64]
+
+KEPT_SEGMENTS = 32
+"""How many of the longest segments keep their own signed sums and phase record."""
+
+LENGTH_CLASS_RATIO = 1.1
+"""Shorter segments are pooled with others of the same length within 10 %."""
+
+TAU0_TOLERANCE = 1e-3
+"""Sums whose sample periods differ by more than 0.1 % are of different streams."""
+
+
+class ImuIdentity(NamedTuple):
+    """Which IMU the samples came from."""
+
+    frame_id: str = ''
+    hardware_id: str = ''
+
+
+@dataclass(frozen=True)
+class SegmentRecord:
+    """What is kept of one segment beside its share of the sums: the evidence of its ramp.
+
+    Attributes
+    ----------
+    start_ns : int
+        Stamp of its first sample.
+    samples : int
+        How many samples it has.
+    signed : (factors, axes) float64 array
+        Sum of d for the first factors of the grid (those with m <= samples/2).
+    phase : (points, axes) float64 array
+        Phase at sample 0, ``phase_step``, 2 ``phase_step`` ... : at most 128 points.
+    phase_step : int
+        Samples between two phase points, a power of two.
+    """
+
+    start_ns: int
+    samples: int
+    signed: Floats
+    phase: Floats
+    phase_step: int
+
+    @cached_property
+    def order(self) -> tuple[int, int, int]:
+        """Longest first, then earliest: the order that decides which segments are kept."""
+        return (-self.samples, self.start_ns, self.phase_step)
+
+    @property
+    def length_class(self) -> int:
+        """Index of its length class: segments of one class differ by less than 10 %."""
+        return int(np.log(self.samples) / np.log(LENGTH_CLASS_RATIO))
+
+    def ols_ramp(self) -> Floats:
+        """Return the slope of the samples over the segment by least squares, per sample.
+
+        It is the fixed linear estimator by which pooled segments are freed of their ramp (the
+        32 longest get the efficient one when they are fitted). Zero with under three points.
+        """
+        return ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase
+
+
+def ols_ramp_weights(points: int, step: int) -> Floats:
+    """Return w such that w @ phase is the least-squares slope of the samples, per sample.
+
+    The interval means of the samples are (theta_{k+1} - theta_k)/step; w is the least-squares
+    slope of those on time, written in terms of theta. Exact for a pure ramp, 0 for a constant.
+
+    Returns
+    -------
+    (points,) float64 array
+        All zero when there are fewer than two intervals.
+    """
+    k = np.arange(points - 1, dtype=float)
+    k -= k.mean() if points > 1 else 0.0
+    spread = float(k @ k)
+    if spread == 0.0:
+        return np.zeros(points)
+    slope = k / (spread * step * step)
+    return np.concatenate([[0.0], slope]) - np.concatenate([slope, [0.0]])
+
+
+@dataclass(frozen=True)
+class LengthClass:
+    """Segments of one length within 10 %, pooled.
+
+    Attributes
+    ----------
+    index : int
+        floor(log(samples) / log(1.1)).
+    count, samples : int
+        How many segments, and their samples in all.
+    ramp_correction : (factors, axes) float64 array
+        What to add to the sums of d^2 to free these segments of their own ramps:
+        sum over segments of -2 m^2 r D + M m^4 r^2, with r = `SegmentRecord.ols_ramp`, D the
+        signed sum and M the count of the segment (the square of d - r m^2, less d^2).
+    """
+
+    index: int
+    count: int
+    samples: int
+    ramp_correction: Floats
+
+    @classmethod
+    def of(cls, segment: SegmentRecord) -> LengthClass:
+        """Return the class of one segment alone."""
+        n_m = len(segment.signed)
+        m, stride = (a[:n_m] for a in grid(_levels(n_m)))
+        r = segment.ols_ramp()
+        m2 = m.astype(float)[:, None] ** 2
+        number = counts(segment.samples, m, stride)[:, None]
+        correction = -2.0 * m2 * r * segment.signed + number * (m2 * r) ** 2
+        return cls(segment.length_class, 1, segment.samples, correction)
+
+    def __add__(self, other: LengthClass) -> LengthClass:
+        if self.index != other.index:
+            raise AllanError(f'length classes {self.index} and {other.index} do not add')
+        return LengthClass(
+            self.index,
+            self.count + other.count,
+            self.samples + other.samples,
+            _add_padded(self.ramp_correction, other.ramp_correction),
+        )
+
+
+@dataclass(frozen=True)
+class AllanSums:
+    """Running Allan sums of one stream; ``+`` adds those of another run of the same IMU.
+
+    Attributes
+    ----------
+    identity : ImuIdentity
+    axes : tuple of str
+        The axes that are present, in the order of `AXES`: the last dimension of the arrays.
+    count : (factors,) int64 array
+        Second differences summed at each factor of ``grid(levels)``.
+    sum_sq : (factors, axes) float64 array
+        Sum of d^2, in the unit of the samples squared (theta is a sum of samples).
+    segments : tuple of SegmentRecord
+        The 32 longest, longest first.
+    classes : tuple of LengthClass
+        All others, by length, shortest first.
+    elapsed_ns, intervals : int
+        Time between the first and last stamp of each segment, and the sample periods in it,
+        summed over the segments: tau0 is their quotient, refined with every sample.
+    """
+
+    identity: ImuIdentity
+    axes: tuple[str, ...]
+    count: NDArray[np.int64]
+    sum_sq: Floats
+    segments: tuple[SegmentRecord, ...] = ()
+    classes: tuple[LengthClass, ...] = ()
+    elapsed_ns: int = 0
+    intervals: int = 0
+
+    @classmethod
+    def empty(
+        cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
+    ) -> AllanSums:
+        """Return sums of nothing: the neutral element of ``+``."""
+        return cls(identity, axes, np.zeros(0, np.int64), np.zeros((0, len(axes))))
+
+    @property
+    def m(self) -> NDArray[np.int64]:
+        """Averaging factors in samples, (factors,)."""
+        return grid(_levels(len(self.count)))[0][: len(self.count)]
+
+    @property
+    def stride(self) -> NDArray[np.int64]:
+        """Samples between the starts of two second differences at each factor, (factors,)."""
+        return grid(_levels(len(self.count)))[1][: len(self.count)]
+
+    @property
+    def tau0(self) -> float | None:
+        """Sample period in seconds, or None before two samples have come."""
+        return self.elapsed_ns / self.intervals * 1e-9 if self.intervals else None
+
+    @property
+    def samples(self) -> int:
+        """Samples in all segments."""
+        return sum(s.samples for s in self.segments) + sum(c.samples for c in self.classes)
+
+    @property
+    def segment_count(self) -> int:
+        """How many segments there are."""
+        return len(self.segments) + sum(c.count for c in self.classes)
+
+    @property
+    def length_histogram(self) -> tuple[tuple[float, int], ...]:
+        """(mean samples, number) of the segments: kept ones one by one, then each class."""
+        kept = [(float(s.samples), 1) for s in self.segments]
+        return tuple(kept + [(c.samples / c.count, c.count) for c in reversed(self.classes)])
+
+    @property
+    def avar(self) -> Floats:
+        """Overlapping Allan variance at ``m``, (factors, axes), squared unit of the samples.
+
+        sum d^2 / (2 m^2 count): NIST SP 1065 eq. 11, pooled over segments. NaN without data.
+        """
+        m = self.m.astype(float)[:, None]
+        with np.errstate(invalid='ignore', divide='ignore'):
+            return self.sum_sq / (2.0 * m * m * self.count[:, None])
+
+    def __add__(self, other: AllanSums) -> AllanSums:
+        """Return the sums of both.
+
+        Raises
+        ------
+        AllanError
+            When the two are of different IMUs, axes, or sample periods (over 0.1 % apart).
+        """
+        self._refuse_strangers(other)
+        segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
+        classes = {c.index: c for c in self.classes}
+        for more in (*other.classes, *(LengthClass.of(s) for s in segments[KEPT_SEGMENTS:])):
+            have = classes.get(more.index)
+            classes[more.index] = more if have is None else have + more
+        return replace(
+            self,
+            count=_add_padded(self.count, other.count),
+            sum_sq=_add_padded(self.sum_sq, other.sum_sq),
+            segments=tuple(segments[:KEPT_SEGMENTS]),
+            classes=tuple(classes[i] for i in sorted(classes)),
+            elapsed_ns=self.elapsed_ns + other.elapsed_ns,
+            intervals=self.intervals + other.intervals,
+        )
+
+    def _refuse_strangers(self, other: AllanSums) -> None:
+        if self.identity != other.identity:
+            raise AllanError(
+                f'sums of {self.identity} and of {other.identity} do not add: '
+                'they are different IMUs, analyse them apart'
+            )
+        if self.axes != other.axes:
+            raise AllanError(
+                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} do not add: '
+                'analyse them apart'
+            )
+        a, b = self.tau0, other.tau0
+        if a and b and abs(a - b) > TAU0_TOLERANCE * a:
+            raise AllanError(
+                f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
+                f'{TAU0_TOLERANCE:.1%} apart, analyse them apart'
+            )
+
+
+def _levels(factors: int) -> int:
+    """Return how many levels of the grid hold that many factors (at least one)."""
+    return max(1, -(-(factors - 5) // 4))
+
+
+def _add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
+    """Return a + b along the first axis, the shorter one filled with zeros."""
+    if len(a) < len(b):
+        a, b = b, a
+    out = a.copy()
+    out[: len(b)] += b
+    return out
