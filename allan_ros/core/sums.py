@@ -157,6 +157,8 @@ class AllanSums:
         Second differences summed at each factor of ``grid(levels)``.
     sum_sq : (factors, axes) float64 array
         Sum of d^2, in the unit of the samples squared (theta is a sum of samples).
+    group_count, group_sum_sq : as count and sum_sq
+        The same over starts 0, m, 2m ... only: the paper's groups that do not overlap.
     segments : tuple of SegmentRecord
         The 32 longest, longest first.
     classes : tuple of LengthClass
@@ -170,6 +172,8 @@ class AllanSums:
     axes: tuple[str, ...]
     count: NDArray[np.int64]
     sum_sq: Floats
+    group_count: NDArray[np.int64]
+    group_sum_sq: Floats
     segments: tuple[SegmentRecord, ...] = ()
     classes: tuple[LengthClass, ...] = ()
     elapsed_ns: int = 0
@@ -180,7 +184,8 @@ class AllanSums:
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
         """Return sums of nothing: the neutral element of ``+``."""
-        return cls(identity, axes, np.zeros(0, np.int64), np.zeros((0, len(axes))))
+        none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
+        return cls(identity, axes, none, no_sums, none, no_sums)
 
     @property
     def m(self) -> NDArray[np.int64]:
@@ -219,9 +224,17 @@ class AllanSums:
 
         sum d^2 / (2 m^2 count): NIST SP 1065 eq. 11, pooled over segments. NaN without data.
         """
+        return self._variance(self.sum_sq, self.count)
+
+    @property
+    def group_avar(self) -> Floats:
+        """Allan variance over groups that do not overlap, as the paper computed it."""
+        return self._variance(self.group_sum_sq, self.group_count)
+
+    def _variance(self, sum_sq: Floats, count: NDArray[np.int64]) -> Floats:
         m = self.m.astype(float)[:, None]
         with np.errstate(invalid='ignore', divide='ignore'):
-            return self.sum_sq / (2.0 * m * m * self.count[:, None])
+            return sum_sq / (2.0 * m * m * count[:, None])
 
     def __add__(self, other: AllanSums) -> AllanSums:
         """Return the sums of both.
@@ -241,6 +254,8 @@ class AllanSums:
             self,
             count=_add_padded(self.count, other.count),
             sum_sq=_add_padded(self.sum_sq, other.sum_sq),
+            group_count=_add_padded(self.group_count, other.group_count),
+            group_sum_sq=_add_padded(self.group_sum_sq, other.group_sum_sq),
             segments=tuple(segments[:KEPT_SEGMENTS]),
             classes=tuple(classes[i] for i in sorted(classes)),
             elapsed_ns=self.elapsed_ns + other.elapsed_ns,
