@@ -52,9 +52,7 @@ def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return m[keep], stride[keep]
 
 
-def counts(
-    samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return how many second differences a segment of that many samples has at each factor.
 
     n samples make n + 1 phase points; starts are 0, stride, 2 stride .. n - 2 m.
