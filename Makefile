@@ -1,0 +1,68 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+PYTHON ?= python3
+PYTHON_FLOOR ?= python3.10
+DISTRO ?= jazzy
+VENV ?= .venv
+JOBS ?= 2
+
+FLOOR := .venv-floor
+# What Ubuntu 22.04 (ROS 2 Humble) ships.
+FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.* PyYAML==5.4.*
+
+# The ROS wheels mark a Python they have re-executed; a child in another venv must not inherit it.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+endif
+
+.PHONY: help venv demo test test-floor lint format bench clean
+
+help:  ## show this help
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
+	@echo '  (VENV=$(VENV) DISTRO=$(DISTRO) PYTHON=$(PYTHON) JOBS=$(JOBS) can be given)'
+
+venv: $(VENV)/.ready  ## create the environment, with rclpy wheels where they exist
+
+demo: $(VENV)/.ready  ## simulate the paper's IMU, analyse it, show found against true
+	$(VENV)/bin/python scripts/demo.py demo
+
+test: lint  ## lint, then run all tests
+	AMENT_PREFIX_PATH="$(abspath $(VENV)):$$AMENT_PREFIX_PATH" \
+		$(VENV)/bin/python -m pytest -q -n $(JOBS)
+
+lint: $(VENV)/.ready  ## check style and types
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+format: $(VENV)/.ready  ## put the code into the house style
+	$(VENV)/bin/ruff check --fix .
+	$(VENV)/bin/ruff format .
+
+bench: $(VENV)/.ready  ## run the benchmarks
+	@for file in bench/bench_*.py; do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
+
+test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy and scipy
+	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) test/core test/io test/cli
+
+clean:  ## remove environments and what was built
+	rm -rf $(VENV) $(FLOOR) build install log demo *.egg-info
+
+# The stamp is written last: an environment that was not finished, or whose Python is gone, is
+# made anew.
+ifneq ($(shell $(VENV)/bin/python -c 'print("runs")' 2>/dev/null),runs)
+.PHONY: $(VENV)/.ready
+endif
+$(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO)) && \
+		$(VENV)/bin/python -m pip install --quiet --editable ".[$$extras]"
+	touch $@
+
+$(FLOOR)/.ready: setup.py pyproject.toml
+	rm -rf $(FLOOR)
+	$(PYTHON_FLOOR) -m venv $(FLOOR)
+	$(FLOOR)/bin/python -m pip install --quiet --editable '.[test]' $(FLOOR_PINS)
+	touch $@

@@ -1,0 +1,38 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Prints the extras that `make venv` installs on this machine: ROS wheels where they exist.
+
+usage: venv_extras.py DISTRO
+"""
+
+import importlib.util
+import platform
+import sys
+
+
+def main() -> None:
+    """Print the extras on stdout, and on stderr why the nodes cannot run if they cannot."""
+    distro = sys.argv[1]
+    extras = ['test', 'lint']
+    if importlib.util.find_spec('rclpy'):
+        print('rclpy of the sourced ROS installation is used', file=sys.stderr)
+    elif (
+        platform.python_implementation() == 'CPython'
+        and (3, 10) <= sys.version_info[:2] <= (3, 13)
+        and sys.platform == 'linux'
+        and platform.machine() == 'x86_64'
+    ):
+        extras.append(distro)
+    else:
+        print(
+            f'no rclpy wheels for {platform.python_implementation()} '
+            f'{platform.python_version()} on {platform.machine()} {sys.platform}: everything but '
+            'the nodes is run; use CPython 3.10 to 3.13 on x86-64 Linux, or source a ROS 2 '
+            'installation, to run them too',
+            file=sys.stderr,
+        )
+    print(','.join(extras))
+
+
+if __name__ == '__main__':
+    main()

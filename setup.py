@@ -1,0 +1,62 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All metadata of the package, for colcon and pip alike.
+
+`pyproject.toml` holds no ``[project]`` table because colcon's ament_python build reads this file.
+"""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'allan_ros'
+
+
+def ros_wheels(distro):
+    """Return the wheels that bring rclpy and Fast DDS where no ROS is installed.
+
+    They exist for CPython 3.10 to 3.13 on x86-64 Linux only.
+    """
+    messages = ('diagnostic-msgs', 'rcl-interfaces', 'sensor-msgs', 'std-msgs', 'std-srvs')
+    return [f'ros-{distro}-rclpy[fastrtps]', *(f'ros-{distro}-{name}' for name in messages)]
+
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Allan variance of IMUs on ROS 2: five noise coefficients with honest intervals',
+    author='the allan_ros authors',
+    maintainer='the allan_ros authors',
+    maintainer_email='maintainers@users.noreply.h-seed-d8235d04.example',
+    license='Apache-2.0',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+        (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'matplotlib>=3.5',
+        'numpy>=1.21',
+        'PyYAML>=5.4',
+        'rosbags>=0.10',
+        'scipy>=1.8',
+    ],
+    extras_require={
+        'jazzy': ros_wheels('jazzy'),
+        'kilted': ros_wheels('kilted'),
+        # The tools are pinned, so that a lint that passes today passes next year.
+        'lint': ['mypy==2.4.1', 'ruff==0.17.5', 'types-PyYAML'],
+        'test': ['allantools==2024.6', 'hypothesis>=6.100', 'pytest>=7', 'pytest-xdist>=3'],
+    },
+    zip_safe=True,
+    entry_points={
+        'console_scripts': [
+            f'allan = {PACKAGE}.cli.main:console',
+        ],
+    },
+)

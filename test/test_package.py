@@ -1,0 +1,78 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The package as a whole: one version, a licence header everywhere, metadata where colcon looks."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import allan_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+
+HEADER = (
+    'Copyright 2026 the allan_ros authors',
+    'SPDX-License-Identifier: Apache-2.0',
+)
+
+WITH_HEADER = ('.py', '.toml', '.yaml', '.xml')
+
+
+def tracked_files() -> list[Path]:
+    """Return the files of the project, without what tools and runs leave behind."""
+    listed = subprocess.run(
+        ['git', 'ls-files', '--cached', '--others', '--exclude-standard'],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    names = listed.stdout.splitlines()
+    if listed.returncode:  # a source archive is not a git checkout
+        names = [
+            str(p.relative_to(ROOT))
+            for r in ('allan_ros', 'test')
+            for p in ROOT.glob(f'{r}/**/*.py')
+        ]
+    return [ROOT / name for name in names if (ROOT / name).is_file()]
+
+
+@pytest.mark.parametrize('words', HEADER)
+def test_every_source_file_says_whose_it_is(words: str) -> None:
+    files = [
+        path
+        for path in tracked_files()
+        if path.suffix in WITH_HEADER or path.name in ('Makefile', 'run')
+    ]
+    assert len(files) > 20
+    without = [
+        str(path.relative_to(ROOT))
+        for path in files
+        if words not in ''.join(path.read_text(encoding='utf-8').splitlines(True)[:5])
+    ]
+    assert without == []
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    manifest = ElementTree.parse(ROOT / 'package.xml').findtext('version')
+    (setup,) = re.findall(r"version='([^']+)'", (ROOT / 'setup.py').read_text(encoding='utf-8'))
+    assert allan_ros.__version__ == manifest == setup
+
+
+def test_metadata_is_where_colcon_reads_it() -> None:
+    # Either of these breaks `colcon build` or its --symlink-install.
+    assert '[project]' not in (ROOT / 'pyproject.toml').read_text(encoding='utf-8')
+    assert 'python_requires' not in (ROOT / 'setup.cfg').read_text(encoding='utf-8')
+
+
+def test_every_console_script_is_there() -> None:
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    scripts = re.findall(r"f'(allan\w*) = \{PACKAGE\}\.([\w.]+):(\w+)'", setup)
+    assert 'allan' in [name for name, _, _ in scripts]
+    for _, module, function in scripts:
+        source = ROOT / 'allan_ros' / (module.replace('.', '/') + '.py')
+        assert f'def {function}(' in source.read_text(encoding='utf-8')

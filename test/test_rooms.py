@@ -1,0 +1,121 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rooms of the house: who may import whom, and where ROS, files and print may be."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'allan_ros'
+
+MAY_IMPORT = {
+    'core': {'core'},
+    'io': {'core', 'io'},
+    'cli': {'core', 'io', 'cli'},
+    'nodes': {'core', 'io', 'nodes'},
+}
+
+ROS = {
+    'ament_index_python',
+    'builtin_interfaces',
+    'diagnostic_msgs',
+    'geometry_msgs',
+    'rcl_interfaces',
+    'rclpy',
+    'rosgraph_msgs',
+    'sensor_msgs',
+    'std_msgs',
+    'std_srvs',
+}
+
+CORE_LIBRARIES = {'numpy', 'scipy'}
+"""What `core` may import beside the standard library."""
+
+TOUCHES_THE_WORLD = {'datetime', 'io', 'logging', 'os', 'pathlib', 'shutil', 'subprocess', 'time'}
+"""Modules of the standard library that `core` does without: files and wall clocks."""
+
+FILES = sorted(path for room in MAY_IMPORT for path in (PACKAGE / room).rglob('*.py'))
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0]
+
+
+def imports_of(path: Path) -> Iterator[tuple[str, ...]]:
+    """Yield the absolute dotted name of everything the file imports, as parts."""
+    package = ('allan_ros', *path.relative_to(PACKAGE).parts[:-1])
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (tuple(alias.name.split('.')) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = (*base, *(node.module.split('.') if node.module else ()))
+            yield from ((*module, alias.name) for alias in node.names)
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(PACKAGE))
+
+
+@pytest.mark.parametrize('path', FILES, ids=named)
+def test_a_room_imports_only_the_rooms_below_it(path: Path) -> None:
+    rooms = {parts[1] for parts in imports_of(path) if parts[0] == 'allan_ros' and len(parts) > 1}
+    assert rooms & set(MAY_IMPORT) <= MAY_IMPORT[room_of(path)]
+
+
+@pytest.mark.parametrize('path', [f for f in FILES if room_of(f) != 'nodes'], ids=named)
+def test_only_the_nodes_know_ros(path: Path) -> None:
+    assert not {parts[0] for parts in imports_of(path)} & ROS
+
+
+@pytest.mark.parametrize('path', [f for f in FILES if room_of(f) == 'core'], ids=named)
+def test_core_is_arithmetic_only(path: Path) -> None:
+    tops = {parts[0] for parts in imports_of(path)} - {'allan_ros'}
+    assert not tops & TOUCHES_THE_WORLD
+    assert tops <= CORE_LIBRARIES | sys.stdlib_module_names
+
+
+@pytest.mark.parametrize('path', [f for f in FILES if room_of(f) in ('core', 'io')], ids=named)
+def test_below_the_shells_nothing_prints_or_exits(path: Path) -> None:
+    calls = {
+        ast.unparse(node.func)
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
+        if isinstance(node, ast.Call)
+    }
+    assert not calls & {'print', 'sys.exit', 'exit', 'quit'}
+
+
+def test_the_scan_sees_a_forbidden_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], 'PACKAGE', tmp_path)
+    file = tmp_path / 'core' / 'fit' / 'bad.py'
+    file.parent.mkdir(parents=True)
+    file.write_text(
+        'from ...io import documents\nfrom ..errors import AllanError\nimport rclpy.qos'
+    )
+    assert list(imports_of(file)) == [
+        ('allan_ros', 'io', 'documents'),
+        ('allan_ros', 'core', 'errors', 'AllanError'),
+        ('rclpy', 'qos'),
+    ]
+
+
+def test_help_imports_no_library() -> None:
+    program = (
+        'import sys\n'
+        'from allan_ros.cli.main import main\n'
+        'try:\n'
+        "    main(['--help'])\n"
+        'except SystemExit as stop:\n'
+        '    assert stop.code == 0\n'
+        'heavy = sorted({name.partition(".")[0] for name in sys.modules} & '
+        '{"numpy", "scipy", "matplotlib", "rosbags", "yaml", "rclpy"})\n'
+        'assert not heavy, heavy\n'
+    )
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
