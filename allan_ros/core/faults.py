@@ -1,0 +1,100 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What can be wrong with a simulated recording; needs only the standard library.
+
+`core.fault_effects` does what is written here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .errors import AllanError
+from .parameters import check, parameter
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Everything that can be wrong with a simulated IMU; by default nothing is.
+
+    Raises
+    ------
+    AllanError
+        When a value lies outside its range.
+    """
+
+    warmup_gyro: float = parameter(
+        0.0, 'offset at the start that decays as the sensor warms up', unit='rad/s'
+    )
+    warmup_accel: float = parameter(
+        0.0, 'offset at the start that decays as the sensor warms up', unit='m/s^2'
+    )
+    warmup_time: float = parameter(
+        300.0, 'time in which the warm-up offset decays to 1/e', unit='s', low=1e-3
+    )
+    gauss_markov_gyro: float = parameter(
+        0.0, 'standard deviation of an added Gauss-Markov noise', unit='rad/s', low=0.0
+    )
+    gauss_markov_accel: float = parameter(
+        0.0, 'standard deviation of an added Gauss-Markov noise', unit='m/s^2', low=0.0
+    )
+    gauss_markov_time: float = parameter(
+        300.0, 'correlation time of the added Gauss-Markov noise', unit='s', low=1e-6
+    )
+    vibration_gyro: float = parameter(
+        0.0, 'amplitude of a vibration line on each gyro axis', unit='rad/s', low=0.0
+    )
+    vibration_accel: float = parameter(
+        0.0, 'amplitude of a vibration line on each accelerometer axis', unit='m/s^2', low=0.0
+    )
+    vibration_frequency: float = parameter(
+        1.0, 'frequency of the vibration line', unit='Hz', low=1e-9
+    )
+    bumps: int = parameter(0, 'how many knocks, at random times', low=0)
+    bump_gyro: float = parameter(0.5, 'first amplitude of a knock', unit='rad/s', low=0.0)
+    bump_accel: float = parameter(5.0, 'first amplitude of a knock', unit='m/s^2', low=0.0)
+    bump_frequency: float = parameter(8.0, 'ringing of a knock', unit='Hz', low=1e-9)
+    bump_decay: float = parameter(
+        0.2, 'time in which the ringing decays to 1/e', unit='s', low=1e-6
+    )
+    motion: tuple[tuple[float, float], ...] = parameter(
+        (), 'spans of motion, each (start, length)', unit='s'
+    )
+    motion_gyro: float = parameter(0.5, 'amplitude of the motion', unit='rad/s', low=0.0)
+    motion_accel: float = parameter(1.0, 'amplitude of the motion', unit='m/s^2', low=0.0)
+    low_pass: float = parameter(
+        0.0, 'corner of a first-order low-pass filter in the sensor; 0: none', unit='Hz', low=0.0
+    )
+    accel_rate: float = parameter(
+        0.0,
+        'rate at which the accelerometer is read; its samples are held between; 0: every sample',
+        unit='Hz',
+        low=0.0,
+    )
+    lsb_gyro: float = parameter(0.0, 'step of the gyro values; 0: none', unit='rad/s', low=0.0)
+    lsb_accel: float = parameter(
+        0.0, 'step of the accelerometer values; 0: none', unit='m/s^2', low=0.0
+    )
+    gaps: tuple[tuple[float, float], ...] = parameter(
+        (), 'spans without samples, each (start, length)', unit='s'
+    )
+    drop: float = parameter(0.0, 'probability that a sample is lost', low=0.0, high=1.0)
+    jitter: float = parameter(
+        0.0, 'standard deviation of the stamps about the true times', unit='s', low=0.0
+    )
+    burst: float = parameter(
+        0.0,
+        'longest silence of a host that reads samples in bursts and stamps them then; 0: none',
+        unit='s',
+        low=0.0,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        for name in ('motion', 'gaps'):
+            for start, length in getattr(self, name):
+                if not (start >= 0.0 and length > 0.0):
+                    raise AllanError(
+                        f'{name}: a span of {length} s at {start} s: give a start of at least 0 '
+                        'and a positive length'
+                    )

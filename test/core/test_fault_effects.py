@@ -1,0 +1,141 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.faults import Faults
+from allan_ros.core.simulate import NoiseTerms, simulate_imu
+
+QUIET = [NoiseTerms(N=1e-4)] * 3
+SILENT = [NoiseTerms()] * 3
+RATE, SECONDS = 100.0, 100.0
+
+
+def record(faults=Faults(), noise=SILENT, seconds=SECONDS, rate=RATE):
+    batches = list(simulate_imu(seconds, rate, noise, noise, faults=faults, mean=np.zeros(6)))
+    return np.concatenate([b.stamps_ns for b in batches]) * 1e-9, np.concatenate(
+        [b.samples for b in batches]
+    )
+
+
+def test_a_fault_changes_nothing_but_itself():
+    _, clean = record(noise=QUIET)
+    _, dropped = record(Faults(drop=0.1, jitter=1e-3), noise=QUIET)
+    assert set(dropped[:, 0]) < set(clean[:, 0])
+    _, shaken = record(Faults(vibration_gyro=1.0), noise=QUIET)
+    assert np.array_equal(shaken[:, 3:], clean[:, 3:])
+
+
+def test_bumps_ring_at_their_frequency_and_decay():
+    faults = Faults(bumps=1, bump_accel=5.0, bump_gyro=0.5, bump_frequency=8.0, bump_decay=0.2)
+    _, y = record(faults)
+    for sensor, amplitude in ((y[:, :3], 0.5), (y[:, 3:], 5.0)):
+        size = np.sqrt((sensor**2).sum(axis=1))
+        first = np.argmax(size > 0)
+        assert size[first] == pytest.approx(amplitude)
+        period = round(RATE / 8.0 * 2)
+        assert size[first + period] == pytest.approx(amplitude * np.exp(-period / RATE / 0.2))
+    assert np.array_equal(np.argmax(y != 0, axis=0), [np.argmax(y[:, 0] != 0)] * 6)
+
+
+def test_motion_stays_in_its_spans():
+    t, y = record(Faults(motion=((10.0, 5.0), (50.0, 1.0)), motion_gyro=0.3, motion_accel=2.0))
+    inside = ((t >= 10) & (t < 15)) | ((t >= 50) & (t < 51))
+    assert not y[~inside].any()
+    assert 0.1 < np.abs(y[inside, :3]).max() <= 0.3
+    assert 0.7 < np.abs(y[inside, 3:]).max() <= 2.0
+
+
+def test_gaps_lose_exactly_their_seconds():
+    t, _ = record(Faults(gaps=((20.0, 2.5), (60.0, 10.0))))
+    steps = np.diff(t)
+    assert sorted(steps[steps > 0.011]) == pytest.approx([2.51, 10.01])
+    assert len(t) == SECONDS * RATE - 1250
+
+
+def test_drops_lose_their_share():
+    """Ten thousand samples at 5 %: 500 +- 22; the bound is 6 sigma (2e-9)."""
+    t, _ = record(Faults(drop=0.05))
+    assert abs(len(t) - 9500) < 6 * 22
+    assert t[0] == 0.0
+
+
+def test_jitter_has_its_standard_deviation():
+    """Ten thousand normals know their spread to 0.7 %; the bound is 5 sigma."""
+    t, _ = record(Faults(jitter=1e-3))
+    error = t - np.arange(len(t)) / RATE
+    assert error.std() == pytest.approx(1e-3, rel=0.036)
+
+
+def test_bursts_are_silences_made_up_for_by_what_follows():
+    t, _ = record(Faults(burst=0.5))
+    steps = np.diff(t)
+    assert len(t) == SECONDS * RATE
+    assert np.median(steps) == pytest.approx(0.002)
+    assert 0.3 < steps.max() <= 0.51
+    lag = t - t[0] - np.arange(len(t)) / RATE
+    assert lag.max() - lag.min() < 0.6  # late, but never losing count
+
+
+def test_low_pass_keeps_the_mean_and_takes_the_variance():
+    """Variance of white noise after a pole p is (1 - p)/(1 + p); bound 5 sigma of 3 x 10^4."""
+    _, raw = record(noise=QUIET)
+    _, slow = record(Faults(low_pass=20.0), noise=QUIET)
+    pole = np.exp(-2 * np.pi * 20.0 / RATE)
+    gain = slow.var(axis=0).mean() / raw.var(axis=0).mean()
+    assert gain == pytest.approx((1 - pole) / (1 + pole), rel=0.05)
+    np.testing.assert_allclose(slow.mean(axis=0), raw.mean(axis=0), atol=1e-6)
+
+
+def test_vibration_is_one_line():
+    t, y = record(Faults(vibration_frequency=7.0, vibration_gyro=0.2, vibration_accel=3.0))
+    spectrum = np.abs(np.fft.rfft(y, axis=0)) / (len(t) / 2)
+    line = round(7.0 * SECONDS)
+    np.testing.assert_allclose(spectrum[line], [0.2] * 3 + [3.0] * 3, rtol=1e-6)
+    spectrum[line] = 0
+    assert spectrum.max() < 1e-9
+
+
+def test_gauss_markov_has_its_variance_and_correlation_time():
+    """2000 s of T_c = 1 s and six axes: 6000 independent values, 2 % each way; bounds 5 sigma."""
+    faults = Faults(gauss_markov_gyro=0.3, gauss_markov_accel=0.3, gauss_markov_time=1.0)
+    _, y = record(faults, seconds=2000.0, rate=20.0)
+    assert y.var() == pytest.approx(0.09, rel=0.1)
+    assert (y[20:] * y[:-20]).mean() / y.var() == pytest.approx(np.exp(-1.0), abs=0.06)
+    assert np.abs(np.corrcoef(y.T) - np.eye(6)).max() < 0.2
+
+
+@pytest.mark.parametrize('rate', [25.0, 62.5, 99.0, 100.0, 1000.0])
+def test_accelerometer_is_held_between_its_readings(rate):
+    _, raw = record(noise=QUIET)
+    _, held = record(Faults(accel_rate=rate), noise=QUIET)
+    assert np.array_equal(held[:, :3], raw[:, :3])
+    fresh = 1 + np.count_nonzero(np.diff(held[:, 3]))
+    assert fresh == pytest.approx(min(rate, RATE) * SECONDS, abs=1)
+    # Every value is a true one, from no more than a reading ago.
+    longest = int(np.ceil(RATE / min(rate, RATE)))
+    age = np.array(
+        [list(raw[max(0, i - longest) : i + 1, 3][::-1]).index(held[i, 3]) for i in range(1000)]
+    )
+    assert age.max() <= longest - 1
+
+
+def test_rounding_puts_values_on_the_lattice():
+    _, y = record(Faults(lsb_gyro=1e-3, lsb_accel=0.02), noise=QUIET)
+    for sensor, lsb in ((y[:, :3], 1e-3), (y[:, 3:], 0.02)):
+        assert np.abs(sensor / lsb - np.round(sensor / lsb)).max() < 1e-9
+
+
+def test_warm_up_decays():
+    t, y = record(Faults(warmup_gyro=0.1, warmup_accel=-0.2, warmup_time=30.0))
+    np.testing.assert_allclose(y[:, 0], 0.1 * np.exp(-t / 30.0))
+    np.testing.assert_allclose(y[:, 5], -0.2 * np.exp(-t / 30.0))
+
+
+@pytest.mark.parametrize(
+    'bad', [{'drop': 1.5}, {'jitter': -1.0}, {'gaps': ((1.0, 0.0),)}, {'motion': ((-1.0, 2.0),)}]
+)
+def test_impossible_faults_are_refused(bad):
+    with pytest.raises(AllanError, match=next(iter(bad))):
+        Faults(**bad)
