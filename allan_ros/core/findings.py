@@ -73,3 +73,18 @@ _word(
     'the stamps say {measured:.4g} Hz, {declared:.4g} Hz was declared',
     'the stamps are believed; correct the declared rate or the clock of the driver',
 )
+
+# --- the recording: what the readers could not read to the end -----------------------------------
+_word(
+    'table_cut',
+    'warning',
+    '{path}: line {line}, the last, is cut off and left out',
+    'nothing to do unless more is missing; compare with the original',
+)
+_word(
+    'bag_cut',
+    'warning',
+    '{path}: is cut off after {read} of {size} bytes (the recorder was not stopped cleanly); '
+    'what is whole was read',
+    'stop the recorder with Ctrl-C and wait for it to end; "mcap recover" mends the file itself',
+)

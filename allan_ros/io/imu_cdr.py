@@ -1,0 +1,232 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`sensor_msgs/Imu` on the wire: whole batches of payloads to arrays and back, no message objects.
+
+Behind ``header.frame_id`` the message has a fixed layout, so payloads of equal length are one
+numpy array of records. Two wire forms are known:
+
+- ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second says the byte order),
+  then fields aligned to their size counted from there (OMG DDSI-RTPS 2.3, section 10;
+  CORBA 3.4 part 2, section 9.3).
+- ``ros1``: packed little-endian, with ``header.seq`` (https://wiki.ros.org/msg).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.batch import AXES, ImuBatch
+
+Encoding = Literal['cdr', 'ros1']
+
+NANOSECONDS = 10**9
+ABSENT = -1.0
+"""covariance[0] of a sensor that is not there (sensor_msgs/Imu.msg)."""
+ENCAPSULATION_BYTES = 4
+BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
+"""Second byte of the encapsulation: CDR_BE and CDR_LE."""
+_DOUBLE = 8
+_VECTORS = (
+    ('orientation', 4),
+    ('orientation_covariance', 9),
+    ('gyro', 3),
+    ('gyro_covariance', 9),
+    ('accel', 3),
+    ('accel_covariance', 9),
+)
+
+
+class MalformedMessage(Exception):
+    """A payload is not an Imu: ``index`` says which of the batch, the message why."""
+
+    def __init__(self, index: int, reason: str) -> None:
+        super().__init__(reason)
+        self.index = index
+
+
+@dataclass(frozen=True)
+class DecodedImus:
+    """The messages of one batch: stamps, axes, and which frame each names.
+
+    Attributes
+    ----------
+    stamps_ns : (n,) int64 array
+    samples : (n, 6) float64 array
+        rad/s and m/s^2 in the order of `AXES`; NaN where the message says the sensor is absent.
+    frame_ids : list of str
+        The distinct frames of the batch.
+    frames : (n,) integer array
+        The frame of each message, as an index into ``frame_ids``.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    samples: NDArray[np.float64]
+    frame_ids: list[str]
+    frames: NDArray[np.intp]
+
+
+@lru_cache(maxsize=256)
+def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
+    """Return the record layout of an Imu whose frame_id takes that many bytes on the wire.
+
+    Parameters
+    ----------
+    encoding : 'cdr' or 'ros1'
+    order : '<' or '>'
+    frame_bytes : int
+        As the length field says: with the closing NUL in CDR, without in ROS 1.
+    itemsize : int, optional
+        Length of the payload where it is longer than the message (padding at the end).
+
+    Raises
+    ------
+    ValueError
+        When ``itemsize`` is too small for the message.
+    """
+    fields: list[tuple[str, Any, int]] = []
+    if encoding == 'cdr':
+        start = ENCAPSULATION_BYTES
+        fields += [('encapsulation', ('u1', 4), 0)]
+        fields += [('sec', f'{order}i4', start)]
+    else:
+        start = 4
+        fields += [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
+    fields += [('nanosec', f'{order}u4', start + 4), ('frame_bytes', f'{order}u4', start + 8)]
+    fields += [('frame_id', ('u1', frame_bytes), start + 12)]
+    offset = start + 12 + frame_bytes
+    if encoding == 'cdr':
+        offset += -(offset - start) % _DOUBLE
+    for name, count in _VECTORS:
+        fields += [(name, (f'{order}f8', count), offset)]
+        offset += count * _DOUBLE
+    names, formats, offsets = zip(*fields)
+    return np.dtype(
+        {
+            'names': list(names),
+            'formats': list(formats),
+            'offsets': list(offsets),
+            'itemsize': itemsize or offset,
+        }
+    )
+
+
+def decode_imus(payloads: Sequence[bytes | memoryview], encoding: Encoding) -> DecodedImus:
+    """Decode serialized Imu messages, all at once where their layout is the same.
+
+    Raises
+    ------
+    MalformedMessage
+        Naming the first payload that cannot be an Imu.
+    """
+    n = len(payloads)
+    decoded = DecodedImus(
+        np.empty(n, np.int64), np.empty((n, len(AXES))), [], np.zeros(n, dtype=np.intp)
+    )
+    lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
+    for length in np.unique(lengths):
+        rows = np.flatnonzero(lengths == length)
+        same = payloads if len(rows) == n else [payloads[row] for row in rows.tolist()]
+        _decode_equal(b''.join(same), int(length), encoding, rows, decoded)
+    return decoded
+
+
+def _decode_equal(
+    joined: bytes, length: int, encoding: Encoding, rows: NDArray[np.intp], into: DecodedImus
+) -> None:
+    """Decode payloads of one length; those of another byte order or frame length apart."""
+    try:
+        head = np.frombuffer(joined, imu_dtype(encoding, '<', 0, length))
+    except ValueError as error:
+        raise MalformedMessage(int(rows[0]), f'{length} bytes are too few for an Imu') from error
+    # What decides the layout, as one integer: the byte order and the raw length field.
+    kind = head['frame_bytes'].astype(np.int64)
+    if encoding == 'cdr':
+        kind += (head['encapsulation'][:, 0].astype(np.int64) << 40) + (
+            head['encapsulation'][:, 1].astype(np.int64) << 32
+        )
+    for value in np.unique(kind):
+        chosen = kind == value
+        if chosen.all():
+            part, part_rows = joined, rows
+        else:
+            raw = np.frombuffer(joined, np.dtype((np.void, length)))
+            part, part_rows = raw[chosen].tobytes(), rows[chosen]
+        first = int(part_rows[0])
+        order, frame_bytes = _order_and_frame_bytes(int(value), encoding, first)
+        try:
+            dtype = imu_dtype(encoding, order, frame_bytes, length)
+        except (ValueError, OverflowError) as error:
+            raise MalformedMessage(
+                first, f'its frame_id of {frame_bytes} bytes does not fit {length} bytes'
+            ) from error
+        _fill(np.frombuffer(part, dtype), encoding, part_rows, into)
+
+
+def _order_and_frame_bytes(kind: int, encoding: Encoding, index: int) -> tuple[str, int]:
+    raw_length = (kind & 0xFFFFFFFF).to_bytes(4, 'little')
+    representation = kind >> 32
+    if encoding == 'ros1':
+        return '<', int.from_bytes(raw_length, 'little')
+    if representation == LITTLE_ENDIAN:
+        return '<', int.from_bytes(raw_length, 'little')
+    if representation == BIG_ENDIAN:
+        return '>', int.from_bytes(raw_length, 'big')
+    raise MalformedMessage(index, f'its encapsulation {representation:#06x} is not plain CDR')
+
+
+def _fill(
+    records: NDArray[Any], encoding: Encoding, rows: NDArray[np.intp], into: DecodedImus
+) -> None:
+    """Write the records of one layout to their rows."""
+    into.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
+    samples = np.concatenate([records['gyro'], records['accel']], axis=1)
+    samples = samples.astype(np.float64, copy=False)
+    for name, axes in (('gyro', slice(0, 3)), ('accel', slice(3, 6))):
+        first = records[f'{name}_covariance'][:, 0]
+        absent = (first == ABSENT) | np.isnan(first)
+        if absent.any():
+            samples[absent, axes] = np.nan
+    into.samples[rows] = samples
+
+    names = records['frame_id']
+    distinct, which = names[:1], np.zeros(len(rows), dtype=np.intp)
+    if (names != names[0]).any():
+        distinct, which = np.unique(names, axis=0, return_inverse=True)
+        which = which.reshape(-1)  # numpy 2.0 returned it as a column
+    for code, name in enumerate(distinct):
+        text = name.tobytes().rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+        if text not in into.frame_ids:
+            into.frame_ids.append(text)
+        into.frames[rows[which == code]] = into.frame_ids.index(text)
+
+
+def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
+    """Serialize a batch to one payload a sample, in one go.
+
+    Axes of a sensor that are all NaN are written as an absent sensor (zeros, covariance[0] -1), the
+    orientation always is.
+    """
+    frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
+    dtype = imu_dtype(encoding, order, len(frame))
+    records = np.zeros(len(batch), dtype)
+    if encoding == 'cdr':
+        records['encapsulation'][:, 1] = LITTLE_ENDIAN if order == '<' else BIG_ENDIAN
+    records['sec'], records['nanosec'] = np.divmod(batch.stamps_ns, NANOSECONDS)
+    records['frame_bytes'] = len(frame)
+    records['frame_id'] = np.array(list(frame), dtype=np.uint8)
+    records['orientation'][:, 3] = 1.0
+    records['orientation_covariance'][:, 0] = ABSENT
+    for name, axes in (('gyro', slice(0, 3)), ('accel', slice(3, 6))):
+        values = batch.samples[:, axes]
+        absent = np.asarray(np.isnan(values).all(axis=1))
+        records[name] = np.where(absent[:, None], 0.0, values)
+        records[f'{name}_covariance'][absent, 0] = ABSENT
+    joined = memoryview(records.tobytes())
+    size = dtype.itemsize
+    return [joined[start : start + size] for start in range(0, len(joined), size)]
