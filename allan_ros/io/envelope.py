@@ -1,0 +1,92 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The raw signal as a picture needs it: its lowest and highest value in each of many spans.
+
+Drawn so, a day at 1 kHz shows every knock and takes the memory of a few thousand numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.batch import AXES, ImuBatch
+
+MAX_BINS = 2048
+"""More spans than a plot has pixels across; when they are full, neighbours are joined."""
+
+
+class SignalEnvelope:
+    """Lowest and highest sample of every axis in spans of equal count, in constant memory.
+
+    The spans are counted in samples, so chunking changes nothing. NaN is passed over; a span with
+    nothing else is NaN.
+    """
+
+    def __init__(self) -> None:
+        self._step = 1
+        self._samples = 0
+        self._low = np.empty((MAX_BINS, len(AXES)))
+        self._high = np.empty((MAX_BINS, len(AXES)))
+        self._start_ns = np.empty((MAX_BINS, 2), np.int64)
+
+    def update(self, batch: ImuBatch) -> None:
+        """Take in the next samples."""
+        while len(batch):
+            room = MAX_BINS * self._step - self._samples
+            if not room:
+                self._join_neighbours()
+                continue
+            self._put(batch[:room])
+            batch = batch[room:]
+
+    @property
+    def bins(self) -> int:
+        """How many spans there are."""
+        return -(-self._samples // self._step)
+
+    @property
+    def low(self) -> NDArray[np.float64]:
+        """Lowest sample of each span, (bins, 6), SI."""
+        return self._low[: self.bins]
+
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """Highest sample of each span, (bins, 6), SI."""
+        return self._high[: self.bins]
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Start of each span since the first sample, (bins,), s.
+
+        By the header stamps, or by the time of recording where those do not advance.
+        """
+        header, record = self._start_ns[: self.bins].T
+        stamps = header if np.ptp(header) > 0 else record
+        seconds: NDArray[np.float64] = (stamps - stamps[:1]) * 1e-9
+        return seconds
+
+    def _put(self, batch: ImuBatch) -> None:
+        """Add samples that fit into the spans there are."""
+        first = self._samples
+        spans = (first + np.arange(len(batch))) // self._step
+        starts = np.flatnonzero(np.diff(spans, prepend=-1))
+        low = np.fmin.reduceat(batch.samples, starts)
+        high = np.fmax.reduceat(batch.samples, starts)
+        record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
+        start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
+        at = int(spans[0])
+        if first % self._step:  # the first span had begun before
+            low[0] = np.fmin(low[0], self._low[at])
+            high[0] = np.fmax(high[0], self._high[at])
+            start_ns[0] = self._start_ns[at]
+        filled = slice(at, at + len(starts))
+        self._low[filled], self._high[filled], self._start_ns[filled] = low, high, start_ns
+        self._samples += len(batch)
+
+    def _join_neighbours(self) -> None:
+        half = MAX_BINS // 2
+        self._low[:half] = np.fmin(self._low[::2], self._low[1::2])
+        self._high[:half] = np.fmax(self._high[::2], self._high[1::2])
+        self._start_ns[:half] = self._start_ns[::2]
+        self._step *= 2
