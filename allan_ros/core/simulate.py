@@ -26,6 +26,7 @@ from .errors import AllanError
 from .fault_effects import disturb_samples, disturb_stamps, lost_samples
 from .faults import Faults
 from .terms import NoiseTerms
+from .units import STANDARD_GRAVITY
 
 __all__ = ['NoiseTerms', 'simulate_axis', 'simulate_imu']
 
@@ -36,9 +37,6 @@ BATCH_SAMPLES = 32768
 
 ASYMPTOTIC_LAG = 20
 """From this lag on the series of `_flicker_autocovariance` is better than the difference."""
-
-STANDARD_GRAVITY = 9.80665
-"""m/s^2 (BIPM, The International System of Units, 9th ed.)."""
 
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
 """Mean of the six axes of an IMU that lies still and level, z up; rad/s and m/s^2."""
