@@ -1,0 +1,204 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Imu messages taken in lean: the queue of the subscription is drained by a timer, as raw bytes.
+
+One Python callback per message costs more than all the rest. So the subscription is kept out of
+the executor's wait set, and its queue is emptied by `ImuInput.drain` a few times a second with
+``take_message``, which is what rclpy's executors call, though undocumented. Where a client
+library lacks it, messages come by a plain raw callback instead: same bytes, same numbers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import Imu
+
+from ..core.batch import ImuBatch
+from ..io.imu_cdr import DecodedImus, MalformedMessage, decode_imus
+from .settings import InputSettings
+
+try:
+    from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+except ImportError:  # Humble
+    from rclpy.qos_event import SubscriptionEventCallbacks, UnsupportedEventTypeError
+
+DRAIN_LIMIT = 50_000
+"""Messages taken in one drain: a publisher that outruns us must not lock the node in it."""
+
+
+@dataclass
+class Reception:
+    """What happened to the messages before they were looked into.
+
+    Attributes
+    ----------
+    received : int
+        Messages taken.
+    skipped_numbers : int
+        Sequence numbers of the publishers that never came.
+    reported_lost : int
+        Messages that the middleware itself reported as lost.
+    malformed : int
+        Payloads that are not an Imu.
+    incompatible_qos : int
+        Publishers whose QoS does not fit, so that nothing comes from them.
+    """
+
+    received: int = 0
+    skipped_numbers: int = 0
+    reported_lost: int = 0
+    malformed: int = 0
+    incompatible_qos: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent and never came, by whichever of the two witnesses saw more."""
+        return max(self.skipped_numbers, self.reported_lost)
+
+
+class DrainedGroup(MutuallyExclusiveCallbackGroup):
+    """A callback group whose subscription is never executed, while its event handlers are."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Keep the subscription out of the executor's wait set."""
+        return not isinstance(entity, Subscription) and super().can_execute(entity)
+
+
+class ImuInput:
+    """The Imu messages of one topic, as batches.
+
+    Parameters
+    ----------
+    node : Node
+    topic : str
+        As given; remapping applies.
+    settings : InputSettings
+    """
+
+    def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
+        self.reception = Reception()
+        self._node = node
+        self._payloads: list[bytes] = []
+        self._received_ns: list[int] = []
+        self._last_number: dict[bytes, int] = {}
+        # Best effort connects to every publisher; reliable publishers still deliver in order.
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=settings.queue_depth,
+            reliability=ReliabilityPolicy.BEST_EFFORT,
+        )
+        self._subscription = self._subscribe(topic, qos, settings.plain_callback)
+        self.topic = self._subscription.topic_name
+        self.lean = not settings.plain_callback and self._can_drain()
+        if not self.lean and not settings.plain_callback:
+            node.destroy_subscription(self._subscription)
+            self._subscription = self._subscribe(topic, qos, True)
+
+    def _subscribe(self, topic: str, qos: QoSProfile, plain: bool) -> Subscription:
+        """Subscribe with as many of the event handlers as the middleware knows."""
+        events = {'message_lost': self._on_lost, 'incompatible_qos': self._on_incompatible}
+        while True:
+            try:
+                return self._node.create_subscription(
+                    Imu,
+                    topic,
+                    self._collect,
+                    qos,
+                    callback_group=MutuallyExclusiveCallbackGroup() if plain else DrainedGroup(),
+                    event_callbacks=SubscriptionEventCallbacks(**events),
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                    raw=True,
+                )
+            except UnsupportedEventTypeError:
+                events.popitem()
+
+    def drain(self) -> None:
+        """Empty the queue of the subscription."""
+        if not self.lean:
+            return
+        handle = self._subscription.handle
+        with handle:
+            for _ in range(DRAIN_LIMIT):
+                taken = handle.take_message(Imu, True)
+                if taken is None:
+                    return
+                self._collect(*taken)
+
+    def batches(self) -> Iterator[ImuBatch]:
+        """Yield what has been drained, decoded, in order; each batch has one frame_id."""
+        payloads, received = self._payloads, np.array(self._received_ns, np.int64)
+        self._payloads, self._received_ns = [], []
+        while payloads:
+            try:
+                yield from self._split(decode_imus(payloads, 'cdr'), received)
+                return
+            except MalformedMessage as error:
+                self.reception.malformed += 1
+                del payloads[error.index]
+                received = np.delete(received, error.index)
+
+    def publishers(self) -> tuple[str, ...]:
+        """Return the full names of the nodes that publish on the topic, one per publisher."""
+        known = self._node.get_publishers_info_by_topic(self.topic)
+        return tuple(f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in known)
+
+    def destroy(self) -> None:
+        """Leave the topic."""
+        self._node.destroy_subscription(self._subscription)
+
+    def _can_drain(self) -> bool:
+        """Return whether this client library lets a subscription be emptied by hand."""
+        try:
+            taken = self._subscription.handle.take_message(Imu, True)
+        except (AttributeError, TypeError):
+            return False
+        if taken is not None:
+            self._collect(*taken)
+        return True
+
+    def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
+        """Keep one payload and count what is missing before it."""
+        self.reception.received += 1
+        self._payloads.append(payload)
+        if info is None:  # the plain callback
+            self._received_ns.append(time.time_ns())
+            return
+        self._received_ns.append(info['received_timestamp'])
+        number = info.get('publication_sequence_number')
+        if number is None:  # Humble
+            return
+        gid = info.get('publisher_gid')
+        who = b'' if gid is None else gid['data']
+        missing = number - self._last_number.get(who, number - 1) - 1
+        self._last_number[who] = number
+        # Before Kilted nothing tells the messages of two publishers apart.
+        if missing > 0 and (gid is not None or self._node.count_publishers(self.topic) == 1):
+            self.reception.skipped_numbers += missing
+
+    def _split(self, decoded: DecodedImus, received: NDArray[np.int64]) -> Iterator[ImuBatch]:
+        """Yield the decoded messages in runs of one frame_id."""
+        edges = np.flatnonzero(np.diff(decoded.frames)) + 1
+        for start, stop in zip([0, *edges], [*edges, len(decoded.frames)]):
+            yield ImuBatch(
+                decoded.stamps_ns[start:stop],
+                decoded.samples[start:stop],
+                received[start:stop],
+                decoded.frame_ids[decoded.frames[start]],
+            )
+
+    def _on_lost(self, event: Any) -> None:
+        self.reception.reported_lost = event.total_count
+
+    def _on_incompatible(self, event: Any) -> None:
+        self.reception.incompatible_qos = event.total_count

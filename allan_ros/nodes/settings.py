@@ -1,0 +1,160 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes' own settings and their defaults; those of the segmenter live with it, in core.
+
+Every field becomes a ROS parameter ``<group>.<name>`` (see `parameters`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..core.errors import AllanError
+from ..core.parameters import check, parameter
+
+
+@dataclass(frozen=True)
+class InputSettings:
+    """How the Imu messages are taken in (group ``input``)."""
+
+    topics: tuple[str, ...] = parameter(
+        ('imu/data',), 'Imu topics to watch; the first is meant to be remapped', read_only=True
+    )
+    labels: tuple[str, ...] = parameter(
+        ('',),
+        'one short name per topic, used in topics, files and diagnostics; may be empty for one IMU',
+        read_only=True,
+    )
+    hardware_ids: tuple[str, ...] = parameter(
+        ('',), 'one serial number per topic; empty: the frame_id stands for it', read_only=True
+    )
+    queue_depth: int = parameter(
+        4000,
+        'messages the middleware may hold between two drains',
+        unit='messages',
+        low=1,
+        high=1_000_000,
+        read_only=True,
+    )
+    drain_period: float = parameter(
+        0.1, 'how often the queue is emptied', unit='s', low=0.005, high=1.0, read_only=True
+    )
+    update_period: float = parameter(
+        0.5,
+        'how often the drained messages are decoded and accumulated',
+        unit='s',
+        low=0.005,
+        high=10.0,
+        read_only=True,
+    )
+    stale_after: float = parameter(
+        2.0, 'silence after which the input is reported as an error', unit='s', low=0.1, high=3600.0
+    )
+    plain_callback: bool = parameter(
+        False,
+        'receive each message in a callback of its own (more CPU) instead of draining the queue',
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not self.topics or not all(self.topics):
+            raise AllanError('input.topics names no topic: give at least one, such as imu/data')
+        for name in ('labels', 'hardware_ids'):
+            given = getattr(self, name)
+            if given != ('',) and len(given) != len(self.topics):
+                raise AllanError(
+                    f'input.{name} has {len(given)} entries for {len(self.topics)} topics: '
+                    'give one for each, in the same order'
+                )
+        wrong = [label for label in self.labels if label and not label.isidentifier()]
+        if wrong:
+            raise AllanError(
+                f'input.labels has {wrong[0]!r}: use letters, digits and underscores, '
+                'not starting with a digit'
+            )
+        names = [label for _, label, _ in self.imus]
+        if len(set(names)) < len(names):
+            raise AllanError(f'input.labels {", ".join(names)} are not unique: name each IMU apart')
+
+    @property
+    def imus(self) -> tuple[tuple[str, str, str], ...]:
+        """(topic, label, hardware id) of each IMU; a label is made of the topic where needed."""
+        several = len(self.topics) > 1
+        made = tuple(t.strip('~/').replace('/', '_') if several else '' for t in self.topics)
+        given = self.labels if any(self.labels) else made
+        hardware = self.hardware_ids * (len(self.topics) if len(self.hardware_ids) == 1 else 1)
+        return tuple(zip(self.topics, given, hardware))
+
+
+@dataclass(frozen=True)
+class PublishSettings:
+    """How often the nodes speak (group ``publish``)."""
+
+    sums_period: float = parameter(
+        10.0, 'how often the running sums are published and fitted', unit='s', low=0.1, high=3600.0
+    )
+    diagnostics_period: float = parameter(
+        1.0, 'how often every diagnostic status is repeated', unit='s', low=0.1, high=60.0
+    )
+
+
+@dataclass(frozen=True)
+class CheckpointSettings:
+    """Where the sums survive a restart (group ``checkpoint``)."""
+
+    path: str = parameter(
+        '',
+        'checkpoint file; a folder when several IMUs are watched (<label>.json in it); '
+        'empty: keep none',
+        read_only=True,
+    )
+    period: float = parameter(
+        60.0, 'how often the checkpoint is written', unit='s', low=0.5, high=86400.0
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """When the sums are fitted and what the coefficients are held against (group ``estimator``)."""
+
+    method: str = parameter(
+        'gls', 'how the five terms are fitted', choices=('gls', 'relative', 'paper')
+    )
+    growth: float = parameter(
+        0.05, 'refit when the samples have grown by this fraction', low=0.0, high=10.0
+    )
+    sensor: str = parameter(
+        '',
+        'datasheet to compare with: a name in config/sensors or a file; empty: none',
+        read_only=True,
+    )
+    baseline: str = parameter(
+        '', 'results.json of a former run to compare with; empty: none', read_only=True
+    )
+    margin: float = parameter(
+        0.2,
+        'warn when the interval lies beyond the limit by more than this fraction',
+        low=0.0,
+        high=100.0,
+    )
+    recent_window: float = parameter(
+        600.0,
+        'length of the recent view that is held against the lifetime',
+        unit='s',
+        low=1.0,
+        high=604800.0,
+        read_only=True,
+    )
+
+
+GROUPS: dict[str, type] = {
+    'input': InputSettings,
+    'publish': PublishSettings,
+    'checkpoint': CheckpointSettings,
+    'estimator': EstimatorSettings,
+}
+"""Parameter group -> its settings; `segmenter` joins them where the sums are made."""

@@ -1,0 +1,213 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real nodes in real processes over real DDS, each test in a ROS domain of its own."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.core.batch import ImuBatch
+
+ROOT = Path(__file__).resolve().parents[2]
+DOMAINS = range(1, 101)
+"""Domains whose UDP ports stay below the ephemeral ones (docs.ros.org, The ROS_DOMAIN_ID)."""
+PATIENCE_S = 30.0
+"""How long anything may take before it counts as never: a loaded machine is slow."""
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Hold a ROS domain that no other test on this machine uses, and keep to this machine."""
+    for domain in DOMAINS:
+        lock = (Path(tempfile.gettempdir()) / f'allan_ros_test_domain_{domain}').open('w')
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
+        except BlockingIOError:
+            lock.close()
+    else:
+        raise RuntimeError('no free ROS domain')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    yield domain
+    lock.close()
+
+
+class Process:
+    """One node in a process of its own."""
+
+    def __init__(self, module: str, arguments: Iterable[str], log: Path) -> None:
+        self._log = log
+        with log.open('wb') as out:
+            self.popen = subprocess.Popen(
+                [sys.executable, '-m', f'allan_ros.nodes.{module}', *arguments],
+                env={
+                    **os.environ,
+                    'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
+                    'ROS_LOG_DIR': str(log.parent),
+                },
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+
+    @property
+    def output(self) -> str:
+        return self._log.read_text(errors='replace')
+
+    def wait(self) -> int:
+        """Return the exit code once it has ended."""
+        return self.popen.wait(PATIENCE_S)
+
+    def stop(self, *signals: int) -> int:
+        """Send signals (SIGTERM by default), one after the other, and return the exit code."""
+        for number in signals or (signal.SIGTERM,):
+            self.popen.send_signal(number)
+        return self.wait()
+
+
+class Graph:
+    """A ROS graph for one test: our processes, and a client node in this one."""
+
+    def __init__(self, folder: Path) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+
+        self.folder = folder
+        self._processes: list[Process] = []
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = Node('test_client', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.statuses: dict[str, Any] = {}
+        self.history: list[tuple[float, Any]] = []
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
+
+    def start(
+        self, module: str, *arguments: str, remap: dict[str, str] | None = None, **parameters: Any
+    ) -> Process:
+        """Start ``allan_ros.nodes.<module>``; ``a__b=1`` is the parameter ``a.b``."""
+        ros = [f'{old}:={new}' for old, new in (remap or {}).items()]
+        given = [a for pair in ros for a in ('-r', pair)]
+        for name, value in parameters.items():
+            given += ['-p', f'{name.replace("__", ".")}:={_yaml(value)}']
+        log = self.folder / f'{module}{len(self._processes)}.log'
+        process = Process(module, [*arguments, *(['--ros-args', *given] if given else [])], log)
+        self._processes.append(process)
+        return process
+
+    def until(self, holds: Callable[[], Any], patience: float = PATIENCE_S) -> Any:
+        """Spin until the condition holds and return its value."""
+        deadline = time.monotonic() + patience
+        while not (value := holds()):
+            if time.monotonic() > deadline:
+                logs = '\n'.join(f'--- {p.popen.args}\n{p.output}' for p in self._processes)
+                raise AssertionError(f'waited {patience} s in vain; {self.summary()}\n{logs}')
+            self._executor.spin_once(timeout_sec=0.05)
+        return value
+
+    def spin(self, seconds: float) -> None:
+        """Let time pass."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def status(self, ending: str) -> Any:
+        """Return the latest diagnostic status whose name ends so, or None."""
+        return next((s for name, s in self.statuses.items() if name.endswith(ending)), None)
+
+    def value(self, ending: str, key: str) -> str | None:
+        """Return one value of that status; the key may leave out its unit."""
+        status = self.status(ending)
+        pairs = status.values if status else ()
+        return next((v.value for v in pairs if v.key == key or v.key.startswith(f'{key} [')), None)
+
+    def summary(self) -> str:
+        return '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
+
+    def publisher(self, topic: str = 'imu/data', depth: int = 1000) -> Any:
+        """Return a reliable Imu publisher of raw messages that a subscriber has found."""
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import Imu
+
+        publisher = self.node.create_publisher(Imu, topic, QoSProfile(depth=depth))
+        self.until(publisher.get_subscription_count)
+        return publisher
+
+    def call(self, service: str) -> Any:
+        """Call a Trigger service and return its response."""
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, service)
+        self.until(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done)
+        return future.result()
+
+    def latched(self, topic: str) -> list[dict[str, Any]]:
+        """Subscribe to a latched String topic and return the list its documents go to."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import String
+
+        documents: list[dict[str, Any]] = []
+        qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(
+            String, topic, lambda m: documents.append(json.loads(m.data)), qos
+        )
+        return documents
+
+    def close(self) -> None:
+        for process in self._processes:
+            if process.popen.poll() is None:
+                process.popen.kill()
+                process.popen.wait()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.shutdown()
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            self.statuses[status.name] = status
+            self.history.append((time.monotonic(), status))
+
+
+def _yaml(value: Any) -> str:
+    return json.dumps(list(value) if isinstance(value, tuple) else value)
+
+
+@pytest.fixture
+def graph(ros_domain: int, tmp_path: Path) -> Iterator[Graph]:
+    """Yield a ROS graph that is torn down after the test."""
+    graph = Graph(tmp_path)
+    yield graph
+    graph.close()
+
+
+@pytest.fixture
+def still_imu() -> Callable[..., ImuBatch]:
+    """Return a maker of a still, white, level IMU with even stamps."""
+
+    def make(
+        n: int, rate: float = 200.0, start_ns: int = 10**18, seed: int = 1, frame_id: str = 'imu'
+    ) -> ImuBatch:
+        rng = np.random.default_rng(seed)
+        samples = rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (n, 6)) + [0, 0, 0, 0, 0, 9.8]
+        stamps = start_ns + np.round(np.arange(n) * (1e9 / rate)).astype(np.int64)
+        return ImuBatch(stamps, samples, frame_id=frame_id)
+
+    return make

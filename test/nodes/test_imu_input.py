@@ -1,0 +1,116 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The lean input path and its plain fallback bring the same messages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from allan_ros.core.batch import ImuBatch
+from allan_ros.io.imu_cdr import encode_imus
+from allan_ros.nodes.imu_input import ImuInput
+from allan_ros.nodes.settings import InputSettings
+
+LEAN, PLAIN = InputSettings(), InputSettings(plain_callback=True)
+
+
+def send(publisher, batch: ImuBatch) -> None:
+    for payload in encode_imus(batch, 'cdr'):
+        publisher.publish(bytes(payload))
+
+
+def receive(graph, imu_input: ImuInput, count: int) -> list[ImuBatch]:
+    batches: list[ImuBatch] = []
+
+    def enough() -> bool:
+        imu_input.drain()
+        batches.extend(imu_input.batches())
+        return sum(map(len, batches)) >= count
+
+    graph.until(enough)
+    return batches
+
+
+@pytest.mark.parametrize('settings', [LEAN, PLAIN], ids=['lean', 'plain'])
+def test_messages_come_whole_and_in_order(graph, still_imu, settings):
+    imu_input = ImuInput(graph.node, 'imu/data', settings)
+    assert imu_input.lean == (settings is LEAN)
+    publisher = graph.publisher()
+    sent = still_imu(300)
+    send(publisher, sent)
+    got = receive(graph, imu_input, len(sent))
+    assert np.array_equal(np.concatenate([b.stamps_ns for b in got]), sent.stamps_ns)
+    assert np.array_equal(np.concatenate([b.samples for b in got]), sent.samples)
+    assert {b.frame_id for b in got} == {'imu'}
+    received = np.concatenate([b.record_ns for b in got])
+    assert np.all(np.diff(received) >= 0) and received[0] > 10**18
+    assert imu_input.reception.received == len(sent)
+    assert imu_input.reception.lost == 0
+    assert imu_input.publishers() == ('/test_client',)
+
+
+def test_a_client_library_without_take_gets_the_plain_path(graph, still_imu, monkeypatch):
+    monkeypatch.setattr(ImuInput, '_can_drain', lambda self: False)
+    imu_input = ImuInput(graph.node, 'imu/data', LEAN)
+    assert not imu_input.lean
+    publisher = graph.publisher()
+    send(publisher, still_imu(50))
+    assert sum(map(len, receive(graph, imu_input, 50))) == 50
+
+
+def test_the_executor_never_runs_a_drained_subscription(graph, still_imu):
+    imu_input = ImuInput(graph.node, 'imu/data', LEAN)
+    publisher = graph.publisher()
+    send(publisher, still_imu(20))
+    graph.spin(0.5)
+    assert imu_input.reception.received == 0
+    imu_input.drain()
+    assert imu_input.reception.received == 20
+
+
+def test_what_a_full_queue_lost_is_counted(graph, still_imu):
+    imu_input = ImuInput(graph.node, 'imu/data', InputSettings(queue_depth=10))
+    publisher = graph.publisher()
+    send(publisher, still_imu(1))
+    receive(graph, imu_input, 1)
+    send(publisher, still_imu(100))
+    graph.spin(0.5)
+    imu_input.drain()
+    send(publisher, still_imu(1))
+    receive(graph, imu_input, 11)
+    reception = imu_input.reception
+    assert reception.received + reception.lost == 102
+    assert reception.lost >= 80
+
+
+def test_an_incompatible_publisher_is_counted(graph):
+    """Its event handler lives in the group whose subscription the executor must not run."""
+    from rclpy.parameter import Parameter
+
+    name = 'qos_overrides./imu/data.subscription.reliability'
+    graph.node._parameter_overrides[name] = Parameter(name, value='reliable')
+    imu_input = ImuInput(graph.node, 'imu/data', LEAN)
+
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import Imu
+
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    graph.node.create_publisher(Imu, 'imu/data', qos)
+    graph.until(lambda: imu_input.reception.incompatible_qos == 1)
+
+
+def test_absent_sensor_bad_payload_and_frames(graph, still_imu):
+    imu_input = ImuInput(graph.node, 'imu/data', LEAN)
+    publisher = graph.publisher()
+    gyro_only = still_imu(3, frame_id='left')
+    gyro_only.samples[:, 3:] = np.nan
+    send(publisher, gyro_only)
+    publisher.publish(b'\x00\x01\x00\x00garbage')
+    send(publisher, still_imu(2, frame_id='right'))
+    got = receive(graph, imu_input, 5)
+    assert [(b.frame_id, len(b)) for b in got] == [('left', 3), ('right', 2)]
+    assert np.isnan(got[0].samples[:, 3:]).all() and not np.isnan(got[0].samples[:, :3]).any()
+    assert imu_input.reception.malformed == 1
