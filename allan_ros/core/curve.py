@@ -53,6 +53,19 @@ class AllanCurve:
     ci_level: float = CI_LEVEL
 
 
+def sample_period(sums: AllanSums) -> float:
+    """Return tau0 in s.
+
+    Raises
+    ------
+    AllanError
+        When there are fewer than two samples, so that it is not known.
+    """
+    if sums.tau0 is None:
+        raise AllanError('there is no Allan curve of fewer than two samples: record some minutes')
+    return sums.tau0
+
+
 def allan_curve(sums: AllanSums) -> AllanCurve:
     """Return the curve of the factors that have data.
 
@@ -64,14 +77,39 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     AllanError
         When there are fewer than two samples, so that no sample period is known.
     """
-    if sums.tau0 is None:
-        raise AllanError('there is no Allan curve of fewer than two samples: record some minutes')
+    tau0 = sample_period(sums)
     some = sums.count > 0
     m, stride, avar = sums.m[some], sums.stride[some], sums.avar[some]
     types = noise_types_of_avar(m, avar, sums.samples)
+    degrees = degrees_of_freedom(sums, m, stride, types)
+    low, high = chi_squared_limits(avar, degrees)
+    tau = np.asarray(m * tau0, float)
+    return AllanCurve(sums.axes, m, tau, sums.count[some], np.sqrt(avar), low, high, degrees, types)
+
+
+def degrees_of_freedom(
+    sums: AllanSums, m: NDArray[np.int64], stride: NDArray[np.int64], types: NDArray[np.int64]
+) -> Floats:
+    """Return the equivalent degrees of freedom of variances pooled over the segments of the sums.
+
+    Parameters
+    ----------
+    sums : AllanSums
+        Its histogram of segment lengths is used.
+    m, stride : (factors,) int64 arrays
+        Averaging factors, and samples between starts: those of the grid, or m itself for groups
+        that do not overlap.
+    types : (factors, axes) int64 array
+        Noise type at each.
+
+    Returns
+    -------
+    (factors, axes) float64 array
+        NaN where no segment is long enough.
+    """
     lengths = [round(samples) for samples, _ in sums.length_histogram]
     number = [how_many for _, how_many in sums.length_histogram]
-    degrees = np.empty(avar.shape)
+    degrees = np.empty(types.shape)
     for i in range(len(m)):
         per_segment = np.array([counts(n, m[i], stride[i]) for n in lengths])
         of_type = {
@@ -79,6 +117,4 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
             for t in set(types[i].tolist())
         }
         degrees[i] = [of_type[t] for t in types[i].tolist()]
-    low, high = chi_squared_limits(avar, degrees)
-    tau = np.asarray(m * sums.tau0, float)
-    return AllanCurve(sums.axes, m, tau, sums.count[some], np.sqrt(avar), low, high, degrees, types)
+    return degrees

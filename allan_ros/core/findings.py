@@ -88,3 +88,25 @@ _word(
     'what is whole was read',
     'stop the recorder with Ctrl-C and wait for it to end; "mcap recover" mends the file itself',
 )
+
+# --- the fit: methods 'paper' and 'relative' -----------------------------------------------------
+_word(
+    'too_few_points',
+    'warning',
+    'the curve has {points} points, five terms need at least {needed}',
+    'record longer: an hour or more shows most terms',
+)
+_word(
+    'negative_coefficient',
+    'warning',
+    'plain least squares makes {terms} negative, which no noise can be: the scatter of the long '
+    'averaging times outweighs that term',
+    'use the default method gls, which keeps terms from going below zero and gives limits',
+)
+_word(
+    'overlap_gain',
+    'info',
+    'the same fit on overlapping groups gives {values}; its standard errors are {gains} times '
+    'smaller',
+    'method gls uses the overlapping groups and how they are correlated',
+)

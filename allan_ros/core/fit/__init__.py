@@ -2,6 +2,50 @@
 # SPDX-License-Identifier: Apache-2.0
 """From sums to the five coefficients: `fit_noise`."""
 
+from __future__ import annotations
+
+from importlib import import_module
+
+from ..errors import AllanError
+from ..sums import AllanSums
 from .values import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseFit, Sinusoid
 
-__all__ = ['TERMS', 'AxisFit', 'Coefficient', 'GaussMarkov', 'NoiseFit', 'Sinusoid']
+__all__ = [
+    'METHODS',
+    'TERMS',
+    'AxisFit',
+    'Coefficient',
+    'GaussMarkov',
+    'NoiseFit',
+    'Sinusoid',
+    'fit_noise',
+]
+
+METHODS = {
+    'gls': 'generalised least squares with the covariance of the curve: intervals and verdicts',
+    'relative': 'nonnegative least squares on relative residuals: no intervals',
+    'paper': 'plain least squares over groups that do not overlap, as Cong et al. 2019',
+}
+"""method -> what it does. Each is the module of that name here, with ``fit_<name>(sums)``."""
+
+
+def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseFit:
+    """Return the five terms of every axis of the sums.
+
+    Parameters
+    ----------
+    sums : AllanSums
+        Of one or many segments.
+    method : str
+        One of `METHODS`.
+
+    Raises
+    ------
+    AllanError
+        When the method is unknown, or there are fewer than two samples.
+    """
+    if method not in METHODS:
+        raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
+    # A method is imported when it is used: they are slow to load, and most runs use one.
+    fit: NoiseFit = getattr(import_module(f'.{method}', __name__), f'fit_{method}')(sums)
+    return fit

@@ -1,0 +1,149 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import math
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fit import TERMS, fit_noise
+from allan_ros.core.fit.paper import fit_polynomials, fitted_factors
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.sums import AllanSums
+from allan_ros.core.terms import term_avar
+from allan_ros.core.units import from_datasheet
+
+AXES = ('gyro_x', 'accel_z')
+TRUTH = NoiseTerms(Q=4e-6, N=7e-5, B=2.5e-5, K=2.6e-6, R=1e-7)
+
+
+def sums_of(y, rate=100.0):
+    engine = RunningAllan(axes=AXES)
+    engine.update(y, 0, round((len(y) - 1) * 1e9 / rate))
+    engine.end_segment()
+    return engine.sums
+
+
+@pytest.fixture(scope='module')
+def white():
+    """An hour of white noise at 100 Hz."""
+    rng = np.random.default_rng(2)
+    return sums_of(np.stack([simulate_axis(360000, 0.01, NoiseTerms(N=1e-3), rng)] * 2, axis=1))
+
+
+def with_curve(sums, variance):
+    """The sums with another curve, given as a function of tau, in groups and overlapped."""
+    v = variance(sums.m * sums.tau0)[:, None] * np.ones(len(sums.axes))
+    m2 = 2.0 * sums.m[:, None].astype(float) ** 2
+    return replace(
+        sums,
+        sum_sq=v * m2 * sums.count[:, None],
+        group_sum_sq=v * m2 * sums.group_count[:, None],
+    )
+
+
+def polynomial(terms, tau):
+    q, n, b, k, r = astuple(terms)
+    flicker = 2 * math.log(2) / math.pi * b * b
+    return 3 * q * q / tau**2 + n * n / tau + flicker + k * k * tau / 3 + r * r * tau**2 / 2
+
+
+def test_paper_finds_the_coefficients_of_its_polynomial(white):
+    fit = fit_noise(with_curve(white, lambda tau: polynomial(TRUTH, tau)), 'paper')
+    assert fit.method == 'paper'
+    for axis in AXES:
+        found = [fit.axes[axis].noise[term].value for term in TERMS]
+        np.testing.assert_allclose(found, astuple(TRUTH), rtol=1e-5)
+        assert all(fit.axes[axis].noise[term].ci95 is None for term in TERMS)
+
+
+def test_paper_gives_no_value_to_a_negative_coefficient_and_says_so(white):
+    k2 = TRUTH.K**2 / 3
+    bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) - 2 * k2 * tau)
+    fit = fit_noise(bent, 'paper')
+    walk = fit.axes['gyro_x'].noise['K']
+    assert (walk.value, walk.status) == (None, 'not_observable')
+    assert fit.axes['gyro_x'].noise['N'].value == pytest.approx(TRUTH.N, rel=1e-5)
+    said = [f for f in fit.findings if f.id == 'negative_coefficient']
+    assert [f.axes for f in said] == [('gyro_x',), ('accel_z',)]
+    assert 'makes K negative' in said[0].message
+
+
+def test_paper_stops_at_1300_s_and_needs_a_whole_group(white):
+    tau = white.m[fitted_factors(white)] * white.tau0
+    assert 1000 < tau[-1] <= 1300
+    short = sums_of(np.random.default_rng(0).standard_normal((3000, 2)))
+    assert short.m[fitted_factors(short)][-1] * short.tau0 <= 15.0
+
+
+def test_paper_says_what_overlapping_gains(white):
+    groups, overlapped = fit_polynomials(white)
+    gain = groups.error / overlapped.error
+    assert (gain > 1.0).all() and (gain < 3.0).all()
+    said = [f for f in fit_noise(white, 'paper').findings if f.id == 'overlap_gain']
+    assert [f.axes for f in said] == [('gyro_x',), ('accel_z',)]
+    n = math.sqrt(overlapped.value[1, 0]) * 180 / math.pi * 60
+    assert f'N {n:.4g} deg/sqrt(h)' in said[0].message
+    assert f'N {gain[1, 0]:.2f}' in said[0].message
+
+
+def test_stated_errors_of_the_paper_are_those_of_draws():
+    """Without the correlations the error of A_-1 is right within a factor two; 60 draws, 10 %."""
+    rng = np.random.default_rng(5)
+    fits = [
+        fit_polynomials(sums_of(rng.standard_normal((4000, 2)), rate=1.0))[0] for _ in range(60)
+    ]
+    spread = np.std([f.value[1] for f in fits])
+    stated = np.mean([f.error[1] for f in fits])
+    assert 0.5 < spread / stated < 2.0
+
+
+def test_relative_finds_the_terms_of_an_exact_curve(white):
+    def curve(tau):
+        return term_avar(tau / white.tau0, white.tau0, TRUTH).sum(axis=1)
+
+    fit = fit_noise(with_curve(white, curve), 'relative')
+    for axis in AXES:
+        found = [fit.axes[axis].noise[term].value for term in TERMS]
+        np.testing.assert_allclose(found, astuple(TRUTH), rtol=1e-6)
+
+
+def test_relative_never_goes_negative_and_leaves_out_what_is_not_there(white):
+    noise = fit_noise(white, 'relative').axes['gyro_x'].noise
+    assert noise['N'].value == pytest.approx(1e-3, rel=0.02)
+    absent = [term for term in TERMS if noise[term].value is None]
+    assert absent and all(noise[term].status == 'not_observable' for term in absent)
+    assert all(noise[term].value > 0 for term in set(TERMS) - set(absent))
+
+
+@pytest.mark.parametrize('method', ['paper', 'relative'])
+@pytest.mark.parametrize('sign', [1, -1])
+def test_a_ramp_keeps_its_sign(method, sign):
+    rng = np.random.default_rng(4)
+    terms = NoiseTerms(N=1e-4, R=sign * from_datasheet('R', 'gyro', 2000.0))
+    fit = fit_noise(sums_of(np.stack([simulate_axis(180000, 0.01, terms, rng)] * 2, 1)), method)
+    ramp = fit.axes['gyro_x'].noise['R']
+    assert ramp.value == pytest.approx(abs(terms.R), rel=0.1)
+    assert ramp.sign == sign
+
+
+@pytest.mark.parametrize('method', ['paper', 'relative'])
+def test_too_short_a_record_gives_no_values_and_says_so(method):
+    fit = fit_noise(sums_of(np.random.default_rng(0).standard_normal((6, 2))), method)
+    assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
+    assert {f.id for f in fit.findings} == {'too_few_points'}
+
+
+@pytest.mark.parametrize('method', ['paper', 'relative'])
+def test_constant_values_have_no_noise_to_name(method):
+    fit = fit_noise(sums_of(np.full((1000, 2), 9.81)), method)
+    assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
+
+
+def test_what_cannot_be_fitted_is_refused(white):
+    with pytest.raises(AllanError, match='choose one of gls, relative, paper'):
+        fit_noise(white, 'magic')
+    with pytest.raises(AllanError, match='fewer than two samples'):
+        fit_noise(AllanSums.empty(), 'paper')
