@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .errors import AllanError
 
-AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
+AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """The axes, in the order of the last dimension of every six-axis array."""
 
 SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}

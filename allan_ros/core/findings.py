@@ -60,18 +60,166 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     )
 
 
-# --- the stream: what the segmenter dropped, repaired or refused ---------------------------------
+# --- the stream: what was dropped, repaired or refused on the way to the sums ---------------------
 _word(
     'stamps_unusable',
     'warning',
     'header stamps are {what}; record time is used instead',
-    'let the driver fill header.stamp, or pass --stamps record to say that this is meant',
+    'let the driver fill header.stamp, or choose record time to say that this is meant',
+)
+_word(
+    'stamps_from_rate',
+    'warning',
+    'header stamps are {what} and there is no record time; samples are taken to come evenly at '
+    'the declared {rate:g} Hz',
+    'let the driver fill header.stamp: lost samples cannot be seen without it',
+)
+_word(
+    'stamps_missing',
+    'error',
+    'header stamps are {what} and there is no record time',
+    'let the driver fill header.stamp, or declare the rate',
+)
+_word(
+    'bursty_stamps',
+    'info',
+    'stamps come in bursts; samples are taken to be even at {rate:.4g} Hz',
+    'a sample lost here and there cannot be seen; stamp in the driver, or in the sensor, to do so',
 )
 _word(
     'rate_differs',
     'warning',
-    'the stamps say {measured:.4g} Hz, {declared:.4g} Hz was declared',
-    'the stamps are believed; correct the declared rate or the clock of the driver',
+    'the stamps say {measured:.5g} Hz, {declared:.5g} Hz was declared',
+    'the stamps are believed; correct the declared rate, or the clock that stamps',
+)
+_word(
+    'rate_changed',
+    'warning',
+    'the sample rate changed {times} times; the results are of the longest time at one rate',
+    'record at one rate: the noise of a digital sensor depends on it',
+)
+_word(
+    'frame_changed',
+    'warning',
+    'frame_id changed from "{before}" to "{after}"; the two are different IMUs',
+    'give each IMU a topic of its own; the results are of the one with the longest time',
+)
+_word(
+    'sensor_absent',
+    'info',
+    'no {sensor} in these messages (covariance[0] is -1, or not a number)',
+    'nothing to do if the IMU has none; else let the driver fill it in',
+)
+_word(
+    'sensor_all_zero',
+    'info',
+    'the {sensor} is zero throughout and is taken to be absent',
+    'set its covariance[0] to -1 in the driver, as the message asks for',
+)
+_word(
+    'zero_filled',
+    'warning',
+    '{share:.0%} of the messages have zeros for the {sensor}; only its own samples are used, at '
+    'their own rate',
+    'let the driver publish each sensor with its own samples, or set covariance[0] to -1 in the '
+    'other half',
+)
+_word(
+    'held',
+    'warning',
+    '{share:.0%} of the messages repeat the {sensor} sample before; only fresh samples are used, '
+    'at their own rate',
+    'nothing to do; a filter that takes all of them counts one sample several times',
+)
+_word(
+    'gaps',
+    'info',
+    'samples are missing: {lost} lost in all, {cuts} gaps cut the recording into segments',
+    'if it should have none, look at the queue depth of the recorder and the load of the machine',
+)
+_word(
+    'bridged',
+    'warning',
+    '{bridged} lost samples ({share:.2%}) were interpolated, which raises N by up to {bias:.2%}',
+    'use a deeper queue, or a reliable publisher, while recording',
+)
+_word(
+    'not_finite',
+    'warning',
+    '{count} samples are NaN or infinite and were dropped',
+    'look at the driver: a sensor does not measure infinity',
+)
+_word(
+    'duplicates',
+    'warning',
+    '{count} samples repeat the one before, stamp and all, and were dropped',
+    'look for two recorders or two publishers on one topic',
+)
+_word(
+    'backward_stamps',
+    'warning',
+    '{count} samples are stamped before the latest one and were dropped',
+    'look for two publishers on one topic, or a driver that stamps out of order',
+)
+_word(
+    'clock_jumps',
+    'warning',
+    'the clock was set back {count} times; no difference straddles such a step',
+    'stamp with a steady clock, or let the clock settle before recording',
+)
+_word(
+    'motion',
+    'info',
+    'the IMU moved for {share:.1%} of the time; only the still rest counts',
+    'let it rest for longer, or turn the motion gate off if it did rest',
+)
+_word(
+    'never_still',
+    'error',
+    'the IMU was never found still in {seconds:.0f} s',
+    'let it rest on a firm support; turn the motion gate off if it did rest',
+)
+_word(
+    'relearned',
+    'warning',
+    'the recording began in motion: what was gathered until the IMU came to rest was thrown away',
+    'begin with the IMU at rest',
+)
+_word(
+    'stuck',
+    'warning',
+    'an axis showed one value for {count} samples, which noise does not do; they were dropped',
+    'look at the sensor and its cable, and at the driver',
+)
+_word(
+    'saturated',
+    'warning',
+    '{count} samples stand at the end of the range',
+    'choose a wider range if the motion matters; a still IMU should never come near it',
+)
+_word(
+    'constant',
+    'error',
+    'every sample has the same value: there is no noise to measure',
+    'look at the driver: a real sensor always shows some noise',
+)
+_word(
+    'warm_up',
+    'warning',
+    'the mean drifts by {drift:.3g} {unit} in the first {minutes:.0f} min, far more than later',
+    'leave out the warm-up: skip at least {seconds:.0f} s at the start',
+)
+_word(
+    'short',
+    'warning',
+    'only {seconds:.3g} s of evidence',
+    'record longer: minutes show N, hours show B and K',
+)
+_word(
+    'nothing_left',
+    'error',
+    'no evidence is left of {received} samples',
+    'the other findings say what became of them',
 )
 
 # --- the recording: what the readers could not read to the end -----------------------------------

@@ -57,4 +57,5 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 
     n samples make n + 1 phase points; starts are 0, stride, 2 stride .. n - 2 m.
     """
-    return np.maximum((samples - 2 * m) // stride + 1, 0) * (2 * m <= samples)
+    number: NDArray[np.int64] = np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
+    return number

@@ -78,7 +78,8 @@ class SegmentRecord:
         It is the fixed linear estimator by which pooled segments are freed of their ramp (the
         32 longest get the efficient one when they are fitted). Zero with under three points.
         """
-        return ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase
+        slope: Floats = ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase
+        return slope
 
 
 def ols_ramp_weights(points: int, step: int) -> Floats:
@@ -234,7 +235,12 @@ class AllanSums:
     def _variance(self, sum_sq: Floats, count: NDArray[np.int64]) -> Floats:
         m = self.m.astype(float)[:, None]
         with np.errstate(invalid='ignore', divide='ignore'):
-            return sum_sq / (2.0 * m * m * count[:, None])
+            variance: Floats = sum_sq / (2.0 * m * m * count[:, None])
+        return variance
+
+    def __deepcopy__(self, memo: object) -> AllanSums:
+        """Return itself: a value never changes."""
+        return self
 
     def __add__(self, other: AllanSums) -> AllanSums:
         """Return the sums of both.

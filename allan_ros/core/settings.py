@@ -1,0 +1,69 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a user may set of the way from samples to sums, with its default, unit and range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .parameters import check, parameter
+
+
+@dataclass(frozen=True)
+class SegmenterSettings:
+    """How a stream is cut into segments that count as evidence."""
+
+    stamps: str = parameter(
+        'header',
+        'Which time the samples have: header stamps (record time takes their place when they are '
+        'all equal or zero) or the time of recording.',
+        choices=('header', 'record'),
+        read_only=True,
+    )
+    declared_rate: float = parameter(
+        0.0,
+        'Rate the IMU should have; only checked against the stamps. 0 checks nothing.',
+        unit='Hz',
+        low=0.0,
+        high=1e6,
+        read_only=True,
+    )
+    max_bridge: int = parameter(
+        3,
+        'Longest run of lost samples that is bridged by interpolation; a longer one cuts.',
+        unit='samples',
+        low=0,
+        high=100,
+        read_only=True,
+    )
+    motion_gate: bool = parameter(
+        True,
+        'Count only spans in which the IMU is still. Turn it off when the IMU is known to rest.',
+        read_only=True,
+    )
+    motion_ratio: float = parameter(
+        2.5,
+        'Standard deviation, in units of the noise floor, above which a window counts as motion.',
+        low=1.5,
+        high=100.0,
+        read_only=True,
+    )
+    rate_limit: float = parameter(
+        0.0087,
+        'Change of the mean angular rate that counts as turning (0.5 deg/s).',
+        unit='rad/s',
+        low=1e-5,
+        high=10.0,
+        read_only=True,
+    )
+    skip: float = parameter(
+        0.0,
+        'Time left out at the start while the IMU warms up.',
+        unit='s',
+        low=0.0,
+        high=1e6,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)

@@ -1,0 +1,128 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What there is to say of a stream, from its counts and its sums."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .clock import RATE_CHANGE
+from .findings import Finding, finding
+from .health import StreamHealth
+from .settings import SegmenterSettings
+from .sums import AllanSums, SegmentRecord
+
+TOLD_BRIDGED_SHARE = 1e-3
+"""Interpolated samples below this share are not worth a word."""
+
+BRIDGE_BIAS = 0.75
+"""N rises by this times the share of single samples that were interpolated: each neighbour of one
+counts 1.5 times, so the variance of a sum grows by 1.5 a lost sample, and N by half of that."""
+
+SHORT_S = 60.0
+"""Evidence below a minute does not even show N within a few percent at the 1 s line."""
+
+WARM_UP_S = 600.0
+"""The first minutes, in which electronics warm up, are looked at for a drift."""
+
+WARM_UP_SIGMAS = 6.0
+"""The drift that is told, in deviations between neighbouring spans of that length later on."""
+
+
+def stream_findings(
+    health: StreamHealth,
+    sums: tuple[AllanSums, ...],
+    settings: SegmenterSettings,
+    relearned: int,
+) -> list[Finding]:
+    """Return what a user should know of the stream, in the order of a reader's questions."""
+    counts = health.counts
+    found: list[Finding] = []
+    tau0 = sums[0].tau0 if sums else None
+    rate = 1.0 / tau0 if tau0 else health.rate_hz
+    declared = settings.declared_rate
+    if declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE:
+        found.append(finding('rate_differs', measured=rate, declared=declared))
+    if health.bursty and rate:
+        found.append(finding('bursty_stamps', rate=rate))
+    changes = counts.cuts['rate change']
+    if changes:
+        found.append(finding('rate_changed', times=changes))
+    for name, count in (
+        ('not_finite', counts.not_finite),
+        ('duplicates', counts.duplicate),
+        ('backward_stamps', counts.backward),
+        ('clock_jumps', counts.cuts['clock jump']),
+        ('stuck', counts.stuck),
+        ('saturated', counts.saturated),
+    ):
+        if count:
+            found.append(finding(name, count=count))
+    if counts.cuts['gap']:
+        found.append(finding('gaps', lost=counts.lost, cuts=counts.cuts['gap']))
+    if counts.bridged > TOLD_BRIDGED_SHARE * counts.received:
+        share = counts.bridged / counts.received
+        bias = BRIDGE_BIAS * share
+        found.append(finding('bridged', bridged=counts.bridged, share=share, bias=bias))
+    if relearned:
+        found.append(finding('relearned'))
+    if counts.moving and not counts.used and health.rate_hz:
+        found.append(finding('never_still', seconds=counts.moving / health.rate_hz))
+    elif counts.moving:
+        found.append(finding('motion', share=counts.moving / (counts.moving + counts.used)))
+    for each in sums:
+        found += _sums_findings(each)
+    if counts.received and not sums:
+        found.append(finding('nothing_left', received=counts.received))
+    return found
+
+
+def _sums_findings(sums: AllanSums) -> list[Finding]:
+    found: list[Finding] = []
+    if len(sums.count):
+        flat = tuple(np.array(sums.axes)[sums.sum_sq[0] == 0.0].tolist())
+        if flat:
+            found.append(finding('constant', flat))
+    seconds = sums.elapsed_ns * 1e-9
+    if seconds < SHORT_S:
+        found.append(finding('short', seconds=seconds))
+    first = min(sums.segments, key=lambda s: s.start_ns, default=None)
+    if first is not None and sums.tau0:
+        found += _warm_up(first, sums.tau0, sums.axes)
+    return found
+
+
+def _warm_up(segment: SegmentRecord, tau0: float, axes: tuple[str, ...]) -> list[Finding]:
+    """Return a finding for each axis whose mean drifts at the start far more than later on.
+
+    The means over spans of the coarse phase record are compared: the first span with the later
+    half, in units of the scatter between neighbouring spans of the later half.
+    """
+    span_s = segment.phase_step * tau0
+    per_span = max(1, round(0.25 * WARM_UP_S / span_s))
+    ends = segment.phase[::per_span]
+    means = np.diff(ends, axis=0) / (per_span * segment.phase_step)
+    late = means[len(means) // 2 :]
+    if len(late) < 6:
+        return []
+    scatter = np.sqrt((np.diff(late, axis=0) ** 2).mean(axis=0) / 2.0)
+    drift = means[0] - late.mean(axis=0)
+    found: list[Finding] = []
+    for i, axis in enumerate(axes):
+        if abs(drift[i]) > WARM_UP_SIGMAS * scatter[i] > 0.0 and (
+            abs(drift[i]) > WARM_UP_SIGMAS * abs(means[len(means) // 2, i] - late.mean(axis=0)[i])
+        ):
+            settled = np.abs(means[:, i] - late[:, i].mean()) < 2.0 * scatter[i]
+            seconds = span_s * per_span * max(1, int(np.argmax(settled)))
+            unit = 'rad/s' if axis.startswith('gyro') else 'm/s^2'
+            found.append(
+                finding(
+                    'warm_up',
+                    (axis,),
+                    drift=float(drift[i]),
+                    unit=unit,
+                    minutes=span_s * per_span / 60.0,
+                    seconds=seconds,
+                )
+            )
+    return found
