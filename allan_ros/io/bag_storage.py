@@ -1,0 +1,176 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the bag reader asks of every storage file, be it sqlite3, mcap or ROS 1."""
+
+from __future__ import annotations
+
+import bz2
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import AllanError
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+LZ4_MAGIC = b'\x04\x22\x4d\x18'
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of one storage file.
+
+    Attributes
+    ----------
+    id : int
+        Number inside that file.
+    name, type : str
+        Topic and message type, spelled ``package/msg/Name``.
+    encoding : str
+        Serialization of its messages: 'cdr', 'ros1', or one we cannot read.
+    schema_format, schema : str
+        Definition of the type: 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
+    """
+
+    id: int
+    name: str
+    type: str
+    encoding: str
+    schema_format: str = ''
+    schema: str = ''
+
+
+@dataclass
+class Block:
+    """Consecutive messages: when each was recorded (ns), and its serialized bytes."""
+
+    record_ns: NDArray[np.int64]
+    payloads: list[bytes | memoryview]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How far a file that was cut off could be read."""
+
+    read: int
+    size: int
+
+
+class Storage(Protocol):
+    """An open storage file."""
+
+    topics: list[Topic]
+    cut: Cut | None
+
+    def counts(self) -> dict[int, int]:
+        """Return topic id -> number of messages."""
+
+    def blocks(self, ids: set[int]) -> Iterator[Block]:
+        """Yield the messages of these topics in the order of their record time."""
+
+
+def damaged(path: Path, reason: object, remedy: str) -> AllanError:
+    """Return the error for a file whose insides are not what they should be."""
+    words = ' '.join(str(reason).split())[:160] or type(reason).__name__
+    return AllanError(f'{path}: cannot be read ({words}): {remedy}')
+
+
+def normal_type(name: str) -> str:
+    """Spell a type as ROS 2 does: ``sensor_msgs/Imu`` is ``sensor_msgs/msg/Imu``."""
+    package, *rest = name.split('/')
+    return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
+
+
+def decompress(data: bytes, compression: str) -> bytes:
+    """Return the bytes of a compressed chunk or message.
+
+    Raises
+    ------
+    ValueError
+        When the compression is unknown or the data are damaged.
+    """
+    if compression in ('', 'none'):
+        return data
+    if compression == 'bz2':
+        return _translated(OSError, bz2.decompress, data)
+    if compression == 'lz4':
+        import lz4.frame
+
+        return _translated(RuntimeError, lz4.frame.decompress, data)
+    if compression == 'zstd':
+        zstd = _zstd()
+        return _translated(zstd.ZstdError, zstd.decompress, data)
+    raise ValueError(f'compression {compression!r} is not known')
+
+
+def frame_compression(head: bytes | memoryview) -> str:
+    """Tell by its first bytes how a whole file or message is compressed; '' if it is not."""
+    start = bytes(head[:4])
+    return {ZSTD_MAGIC: 'zstd', LZ4_MAGIC: 'lz4'}.get(start, '')
+
+
+def open_decompressed(path: Path, compression: str) -> AbstractContextManager[IO[bytes]]:
+    """Open a compressed file for reading what it holds."""
+    opened: Any
+    if compression == 'zstd':
+        opened = _zstd().open(path, 'rb')
+    else:
+        import lz4.frame
+
+        opened = lz4.frame.open(path, 'rb')
+    file: AbstractContextManager[IO[bytes]] = opened
+    return file
+
+
+def decompression_errors() -> tuple[type[Exception], ...]:
+    """Return what the libraries raise on damaged data while a file is read."""
+    return (OSError, EOFError, RuntimeError, ValueError, _zstd().ZstdError)
+
+
+def _translated(error_type: type[Exception], function: Any, data: bytes) -> bytes:
+    try:
+        result: bytes = function(data)
+    except (error_type, EOFError, OSError, ValueError) as error:
+        raise ValueError(f'{error}') from error
+    return result
+
+
+def _zstd() -> Any:
+    """Return the zstd of the standard library (Python 3.14), or its backport."""
+    try:
+        from compression import zstd
+    except ImportError:
+        from backports import zstd
+    return zstd
+
+
+@dataclass
+class InOrder:
+    """Puts the messages of overlapping chunks in the order of their record time.
+
+    Feed the chunks by their start time; what lies before the start of the next one is complete.
+    Only the overlap is held back, so memory does not grow with the file.
+    """
+
+    _record_ns: list[int] = field(default_factory=list)
+    _payloads: list[bytes | memoryview] = field(default_factory=list)
+
+    def add(
+        self, record_ns: Iterable[int], payloads: Iterable[bytes | memoryview], until: int | None
+    ) -> Block:
+        """Take one chunk and return all messages recorded before ``until`` (None: all)."""
+        self._record_ns.extend(record_ns)
+        self._payloads.extend(payloads)
+        times = np.array(self._record_ns, dtype=np.int64)
+        payloads = self._payloads
+        if (times[1:] < times[:-1]).any():
+            order = np.argsort(times, kind='stable')
+            times = times[order]
+            payloads = [payloads[row] for row in order.tolist()]
+        ready = len(times) if until is None else int(np.searchsorted(times, until))
+        self._record_ns, self._payloads = times[ready:].tolist(), payloads[ready:]
+        return Block(times[:ready], payloads[:ready])

@@ -1,0 +1,262 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: find the Imu topic by its type, and stream its messages as batches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ..core.batch import ImuBatch
+from ..core.errors import AllanError
+from ..core.findings import finding
+from .bag_folder import BagFiles, bag_files, open_storage
+from .bag_storage import Block, Cut, Topic, decompress, frame_compression
+from .imu_cdr import DecodedImus, MalformedMessage, decode_imus
+from .imu_fields import IMU_TYPE, imu_fields, is_unknown, nested_decoder
+from .recordings import BATCH, ReadOptions, Recording, Report, SourceInfo
+
+ENCODINGS = ('cdr', 'ros1')
+"""Serializations we read."""
+LISTED = 10
+"""At most this many topics are named in a message."""
+
+Key = tuple[str, str]
+"""Topic name and type: what is one topic over all splits of a bag."""
+
+
+@dataclass
+class Survey:
+    """What topics a bag has, over all its files."""
+
+    topics: dict[Key, Topic] = field(default_factory=dict)
+    counts: dict[Key, int] = field(default_factory=dict)
+    storage: str = ''
+    cut: Cut | None = None
+
+    def listed(self, keys: Iterable[Key]) -> str:
+        """Name topics with their type, number of messages and foreign serialization."""
+        shown = []
+        for key in keys:
+            encoding = self.topics[key].encoding
+            foreign = '' if encoding in ENCODINGS else f', serialized as {encoding}'
+            shown.append(f'{key[0]} ({key[1]}, {self.counts.get(key, 0)}{foreign})')
+        more = f' and {len(shown) - LISTED} more' if len(shown) > LISTED else ''
+        return ', '.join(shown[:LISTED]) + more
+
+
+@dataclass(frozen=True)
+class ImuSource:
+    """The topic that is read, and the field of its messages that is the Imu (() for the whole)."""
+
+    key: Key
+    field: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What the user calls it: the topic, or topic:field."""
+        return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
+
+
+def open_bag(path: Path, options: ReadOptions) -> Recording:
+    """Open a bag as one recording of its Imu topic.
+
+    Raises
+    ------
+    AllanError
+        When it is no readable bag, or not exactly one Imu topic is meant.
+    """
+    bag = bag_files(path)
+    survey = _survey(bag)
+    source = _choose(path, survey, options.topic)
+    info = SourceInfo(str(path), source.label, source.key[1], survey.storage)
+    topic = survey.topics[source.key]
+    return Recording(info, survey.counts.get(source.key), partial(_read, bag, topic, source))
+
+
+def _survey(bag: BagFiles) -> Survey:
+    """Look into the files until every topic that holds messages has been seen."""
+    survey = Survey()
+    expected = None if bag.described is None else {k for k, d in bag.described.items() if d.count}
+    for file in bag.files:
+        with open_storage(file) as (storage, survey.storage):
+            counts = storage.counts() if bag.described is None else {}
+            for topic in storage.topics:
+                key = (topic.name, topic.type)
+                survey.topics.setdefault(key, topic)
+                survey.counts[key] = survey.counts.get(key, 0) + counts.get(topic.id, 0)
+            survey.cut = survey.cut or storage.cut
+        if expected is not None and expected <= set(survey.topics):
+            break
+    for key, described in (bag.described or {}).items():
+        if key in survey.topics:
+            survey.counts[key] = described.count
+            survey.topics[key] = replace(survey.topics[key], encoding=described.encoding)
+    return survey
+
+
+def _choose(path: Path, survey: Survey, wanted: str) -> ImuSource:
+    """Return the one Imu source that is meant."""
+    plain = [ImuSource(key) for key in survey.topics if key[1] == IMU_TYPE]
+    if wanted:
+        chosen = _named(path, survey, plain, wanted)
+    else:
+        candidates = [source for source in plain if survey.counts[source.key]] or plain
+        if not candidates:
+            nested = _nested(survey)
+            candidates = [source for source in nested if survey.counts[source.key]] or nested
+        if not candidates:
+            raise _no_imu(path, survey)
+        if len(candidates) > 1:
+            listed = ', '.join(f'{c.label} ({survey.counts[c.key]})' for c in candidates)
+            raise AllanError(
+                f'{path}: has {len(candidates)} Imu topics: {listed}: choose one with --topic'
+            )
+        chosen = candidates[0]
+    topic = survey.topics[chosen.key]
+    if topic.encoding not in ENCODINGS:
+        raise AllanError(
+            f'{path}: topic {chosen.label} is serialized as {topic.encoding!r}: only '
+            f'{" and ".join(ENCODINGS)} can be read; convert the bag with "ros2 bag convert"'
+        )
+    if not survey.counts[chosen.key]:
+        raise AllanError(
+            f'{path}: topic {chosen.label} holds no message: check that the driver was running '
+            'and record again'
+        )
+    return chosen
+
+
+def _named(path: Path, survey: Survey, plain: list[ImuSource], wanted: str) -> ImuSource:
+    """Return the source the user named, as topic or topic:field."""
+    name = wanted.lstrip('/')
+    there = [key for key in survey.topics if key[0].lstrip('/') == name.split(':')[0]]
+    fitting = [s for s in [*plain, *_nested(survey)] if s.label.lstrip('/') == name]
+    fitting += [s for s in _nested(survey) if not fitting and s.key in there and ':' not in name]
+    if len(fitting) == 1:
+        return fitting[0]
+    if len(fitting) > 1:
+        labels = ', '.join(source.label for source in fitting)
+        raise AllanError(f'{path}: topic {wanted} carries several Imus: choose one of {labels}')
+    if there:
+        topic = survey.topics[there[0]]
+        if is_unknown(topic):
+            raise AllanError(
+                f'{path}: topic {wanted} is of type {topic.type}, and the bag has no schema that '
+                'tells where an Imu is in it: record it as mcap, which stores the schemas'
+            )
+        raise AllanError(
+            f'{path}: topic {wanted} is of type {topic.type}, which carries no sensor_msgs/Imu: '
+            'choose another with --topic'
+        )
+    shown = survey.listed(source.key for source in plain) or survey.listed(survey.topics)
+    raise AllanError(f'{path}: has no topic {wanted}; it has {shown or "none"}: check --topic')
+
+
+def _nested(survey: Survey) -> list[ImuSource]:
+    """Return the Imus inside messages of other types."""
+    return [
+        ImuSource(key, path)
+        for key, topic in survey.topics.items()
+        if key[1] != IMU_TYPE and topic.schema
+        for path in imu_fields(topic)
+    ]
+
+
+def _no_imu(path: Path, survey: Survey) -> AllanError:
+    if not survey.topics and survey.cut:
+        return AllanError(
+            f'{path}: is cut off after {survey.cut.read} of {survey.cut.size} bytes and holds no '
+            'whole message: copy or record it again'
+        )
+    busiest = sorted(survey.topics, key=lambda key: -survey.counts.get(key, 0))
+    unknown = sum(is_unknown(topic) for topic in survey.topics.values())
+    schemas = f', {unknown} of them of unknown type without a schema' if unknown else ''
+    cut = (
+        f', and is cut off after {survey.cut.read} of {survey.cut.size} bytes' if survey.cut else ''
+    )
+    return AllanError(
+        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
+        f'{schemas}{cut}: record the topic of the IMU'
+    )
+
+
+def _read(bag: BagFiles, topic: Topic, source: ImuSource, report: Report) -> Iterator[ImuBatch]:
+    """Stream the chosen topic of all files, in order."""
+    decode: Callable[[Sequence[bytes | memoryview]], DecodedImus]
+    if source.field:
+        decode = nested_decoder(topic, source.field)
+    else:
+        decode = partial(decode_imus, encoding='ros1' if topic.encoding == 'ros1' else 'cdr')
+    for file in bag.files:
+        read = 0
+        with open_storage(file) as (storage, _):
+            if storage.cut:
+                report(finding('bag_cut', path=file, read=storage.cut.read, size=storage.cut.size))
+            same = (topic.name, topic.type, topic.encoding)
+            ids = {t.id for t in storage.topics if (t.name, t.type, t.encoding) == same}
+            for block in _gathered(storage.blocks(ids)) if ids else ():
+                try:
+                    decoded = decode(_plain(block.payloads))
+                except MalformedMessage as error:
+                    raise AllanError(
+                        f'{file}: message {read + error.index + 1} of {source.label} is no '
+                        f'{source.key[1]} ({error}): record it again'
+                    ) from error
+                yield from _batches(decoded, block)
+                read += len(block.payloads)
+
+
+def _gathered(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Join small blocks and part large ones, to about `BATCH` messages each."""
+    held: list[Block] = []
+    count = 0
+    for block in blocks:
+        held.append(block)
+        count += len(block.payloads)
+        while count >= BATCH:
+            joined = _joined(held)
+            yield Block(joined.record_ns[:BATCH], joined.payloads[:BATCH])
+            held = [Block(joined.record_ns[BATCH:], joined.payloads[BATCH:])]
+            count -= BATCH
+    if count:
+        yield _joined(held)
+
+
+def _joined(blocks: list[Block]) -> Block:
+    return Block(
+        np.concatenate([block.record_ns for block in blocks]),
+        [payload for block in blocks for payload in block.payloads],
+    )
+
+
+def _plain(payloads: list[bytes | memoryview]) -> list[bytes | memoryview]:
+    """Decompress messages that were compressed one by one, which their first bytes tell."""
+    compression = frame_compression(payloads[0])
+    if not compression:
+        return payloads
+    plain: list[bytes | memoryview] = []
+    for index, payload in enumerate(payloads):
+        try:
+            plain.append(decompress(bytes(payload), compression))
+        except ValueError as error:
+            raise MalformedMessage(index, f'{compression}: {error}') from error
+    return plain
+
+
+def _batches(decoded: DecodedImus, block: Block) -> Iterator[ImuBatch]:
+    """Yield the messages with a new batch wherever the frame changes."""
+    changes = np.flatnonzero(np.diff(decoded.frames)) + 1
+    edges = [0, *changes.tolist(), len(decoded.frames)]
+    for start, stop in pairwise(edges):
+        yield ImuBatch(
+            decoded.stamps_ns[start:stop],
+            decoded.samples[start:stop],
+            block.record_ns[start:stop],
+            decoded.frame_ids[decoded.frames[start]],
+        )
