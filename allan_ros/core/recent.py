@@ -1,0 +1,230 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recent view: what the running sums gained lately, held against what they had before.
+
+Running sums only grow, so the difference of two snapshots is the sums of the time between them:
+no phase is cut, and nothing is computed twice. Two variances at the same averaging time are
+compared by their ratio, which has an F distribution (both are scaled chi-squared with their
+equivalent degrees of freedom, NIST SP 1065 section 5.3.1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtri
+
+from .edf import edf
+from .errors import AllanError
+from .noise_type import noise_types_of_avar
+from .sums import AllanSums
+
+Floats = NDArray[np.float64]
+
+PARTS = 120
+"""Snapshots the window is divided into: the resolution of when a change began."""
+
+LONGEST_TAU_SHARE = 0.25
+"""Recent deviations are given up to a quarter of the window."""
+
+CONFIDENCE = 0.95
+
+MIN_EDF = 30.0
+"""Fewest degrees of freedom on either side of a change: then its ratio is known to 30 %."""
+
+LIKELIHOOD_RATIO = 30.0
+"""Twice the log likelihood ratio from which two levels are believed instead of one: chi-squared
+with one degree of freedom exceeds it once in 2e7, which leaves room for every split and axis."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A step in the noise of one axis at one averaging time.
+
+    Attributes
+    ----------
+    axis : str
+    m : int
+        Averaging factor in samples.
+    tau : float
+        Averaging time in s.
+    before, after : float
+        Allan deviation before and since the step, in the unit of the samples.
+    ratio_ci95 : (low, high)
+        95 % interval of after / before.
+    since_s : float
+        How long ago it began, in s.
+    evidence : float
+        Twice the log likelihood ratio of two levels against one.
+    """
+
+    axis: str
+    m: int
+    tau: float
+    before: float
+    after: float
+    ratio_ci95: tuple[float, float]
+    since_s: float
+    evidence: float
+
+    def beyond(self, margin: float) -> bool:
+        """Return whether the whole interval of the ratio lies beyond 1 by that fraction."""
+        low, high = self.ratio_ci95
+        return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
+
+
+@dataclass(frozen=True)
+class RecentCurve:
+    """Deviation over the window, and its ratio to that of all the time before.
+
+    ``m`` and ``tau`` are (factors,); ``adev`` and the ratio with its 95 % limits are
+    (factors, axes), NaN where there is no data on either side.
+    """
+
+    axes: tuple[str, ...]
+    m: NDArray[np.int64]
+    tau: Floats
+    adev: Floats
+    ratio: Floats
+    ratio_low: Floats
+    ratio_high: Floats
+
+
+@dataclass(frozen=True)
+class _Snapshot:
+    """Running sums at one time, of the factors that the window can hold."""
+
+    time_s: float
+    count: Floats
+    sum_sq: Floats
+
+
+class RecentView:
+    """Keeps snapshots of running sums over a window, and compares the two sides of each.
+
+    Parameters
+    ----------
+    window_s : float
+        Length of the recent view in s.
+    """
+
+    def __init__(self, window_s: float) -> None:
+        if not window_s > 0.0:
+            raise AllanError(f'a recent window of {window_s} s is none: give a positive number')
+        self._window_s = window_s
+        self._ring: deque[_Snapshot] = deque()
+        self._latest: _Snapshot | None = None
+        self._sums: AllanSums | None = None
+
+    def update(self, sums: AllanSums, time_s: float) -> None:
+        """Take the running sums as they are at a time; sums of another stream start anew."""
+        if not sums.tau0:
+            return
+        keep = sums.m * sums.tau0 <= LONGEST_TAU_SHARE * self._window_s
+        now = _Snapshot(time_s, sums.count[keep].astype(float), sums.sum_sq[keep])
+        if self._sums is None or not self._continues(sums, now):
+            self._ring.clear()
+        if not self._ring or time_s >= self._ring[-1].time_s + self._window_s / PARTS:
+            self._ring.append(now)
+        while len(self._ring) > 2 and self._ring[1].time_s <= time_s - self._window_s:
+            self._ring.popleft()
+        self._latest, self._sums = now, sums
+
+    def curve(self) -> RecentCurve | None:
+        """Return the deviation over the window; None before there is anything to compare."""
+        if self._latest is None or self._sums is None or len(self._ring) < 2:
+            return None
+        m, tau, dof = self._scale()
+        count, sum_sq = self._padded(self._ring[0])
+        all_count, all_sq = self._padded(self._latest)
+        scale = 2.0 * m[:, None].astype(float) ** 2
+        with np.errstate(invalid='ignore', divide='ignore'):
+            before = sum_sq / (scale * count)
+            after = (all_sq - sum_sq) / (scale * (all_count - count))
+        low, high = _ratio_limits(after, (all_count - count) * dof, before, count * dof)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            ratio = np.sqrt(after / before)
+        return RecentCurve(self._sums.axes, m, tau, np.sqrt(after), ratio, low, high)
+
+    def changes(self) -> list[Change]:
+        """Return the likeliest step at each axis and averaging time, where there surely is one."""
+        if self._latest is None or self._sums is None or len(self._ring) < 2:
+            return []
+        m, tau, dof = self._scale()
+        counts, squares = (np.stack(a) for a in zip(*map(self._padded, self._ring)))
+        all_count, all_sq = self._padded(self._latest)
+        nu = counts * dof, (all_count - counts) * dof, all_count * dof
+        scale = 2.0 * m[:, None].astype(float) ** 2
+        with np.errstate(invalid='ignore', divide='ignore'):
+            before = squares / (scale * counts)
+            after = (all_sq - squares) / (scale * (all_count - counts))
+            whole = all_sq / (scale * all_count)
+            evidence = nu[2] * np.log(whole) - nu[0] * np.log(before) - nu[1] * np.log(after)
+        enough = (nu[0] >= MIN_EDF) & (nu[1] >= MIN_EDF) & (before > 0.0) & (after > 0.0)
+        evidence = np.where(enough, evidence, -np.inf)
+        best = evidence.argmax(axis=0)
+        found = []
+        for f, a in np.argwhere(evidence.max(axis=0) > LIKELIHOOD_RATIO):
+            at = best[f, a], f, a
+            low, high = _ratio_limits(after[at], nu[1][at], before[at], nu[0][at])
+            found.append(
+                Change(
+                    self._sums.axes[a],
+                    int(m[f]),
+                    float(tau[f]),
+                    math.sqrt(before[at]),
+                    math.sqrt(after[at]),
+                    (float(low), float(high)),
+                    self._latest.time_s - self._ring[at[0]].time_s,
+                    float(evidence[at]),
+                )
+            )
+        return found
+
+    def _continues(self, sums: AllanSums, now: _Snapshot) -> bool:
+        """Return whether the sums are those of before, and more."""
+        before, latest = self._sums, self._latest
+        if before is None or latest is None or before.tau0 is None or sums.tau0 is None:
+            return False
+        n = len(latest.count)
+        return (
+            (before.identity, before.axes) == (sums.identity, sums.axes)
+            and n <= len(now.count)
+            and bool(np.all(now.count[:n] >= latest.count))
+            and now.time_s >= latest.time_s
+        )
+
+    def _scale(self) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Return m, tau and the degrees of freedom of one second difference (factors, axes)."""
+        assert self._latest is not None and self._sums is not None and self._sums.tau0
+        n = len(self._latest.count)
+        m, stride = self._sums.m[:n], self._sums.stride[:n]
+        types = noise_types_of_avar(m, self._sums.avar[:n], self._sums.samples)
+        dof = np.empty(types.shape)
+        for i, j in np.ndindex(types.shape):
+            number = max(int(self._latest.count[i]), 1)
+            dof[i, j] = edf(int(types[i, j]), int(m[i]), int(stride[i]), number) / number
+        return m, np.asarray(m * self._sums.tau0, float), dof
+
+    def _padded(self, snapshot: _Snapshot) -> tuple[Floats, Floats]:
+        """Return count (factors, 1) and sum_sq (factors, axes) with the factors of the latest."""
+        assert self._latest is not None
+        missing = len(self._latest.count) - len(snapshot.count)
+        count = np.pad(snapshot.count, (0, missing))[:, None]
+        return count, np.pad(snapshot.sum_sq, ((0, missing), (0, 0)))
+
+
+def _ratio_limits(
+    after: Floats, nu_a: Floats, before: Floats, nu_b: Floats
+) -> tuple[Floats, Floats]:
+    """Return the 95 % limits of the true ratio of two deviations from their F distribution."""
+    tail = (1.0 - CONFIDENCE) / 2.0
+    with np.errstate(invalid='ignore', divide='ignore'):
+        ratio = after / before
+        low = np.sqrt(ratio / fdtri(nu_a, nu_b, 1.0 - tail))
+        high = np.sqrt(ratio / fdtri(nu_a, nu_b, tail))
+    return low, high
