@@ -99,7 +99,8 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
     if spread == 0.0:
         return np.zeros(points)
     slope = k / (spread * step * step)
-    return np.concatenate([[0.0], slope]) - np.concatenate([slope, [0.0]])
+    weights: Floats = np.concatenate([[0.0], slope]) - np.concatenate([slope, [0.0]])
+    return weights
 
 
 @dataclass(frozen=True)

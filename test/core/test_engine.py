@@ -7,57 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.sums import TICK_NS, assert_identical, feed, sums_of
 
 from allan_ros.core.engine import BLOCK, RunningAllan, allan_table
 from allan_ros.core.errors import AllanError
 from allan_ros.core.grid import counts, grid_for
-from allan_ros.core.sums import AllanSums, ImuIdentity
-
-TICK_NS = 10_000_000
-
-
-def feed(engine, samples, chunks=None, first=0):
-    """Feed samples in chunks of the given lengths (cycled); stamps tick by 10 ms."""
-    at = 0
-    for i in range(len(samples)):
-        if at >= len(samples):
-            return
-        size = len(samples) if chunks is None else max(1, chunks[i % len(chunks)])
-        part = samples[at : at + size]
-        start = first + at * TICK_NS
-        engine.update(part, start, start + (len(part) - 1) * TICK_NS)
-        at += size
-
-
-def sums_of(samples, chunks=None, cuts=(), axes=None):
-    """Return the sums of samples cut into segments at the given rows."""
-    axes = axes or tuple(f'axis_{i}' for i in range(samples.shape[1]))
-    engine = RunningAllan(ImuIdentity('imu'), axes)
-    at = 0
-    for cut in (*sorted(cuts), len(samples)):
-        feed(engine, samples[at:cut], chunks, at * TICK_NS)
-        engine.end_segment()
-        at = cut
-    return engine.sums
-
-
-def assert_identical(a: AllanSums, b: AllanSums) -> None:
-    """Every number of the two is the same, bit for bit."""
-    for name in ('count', 'sum_sq', 'group_count', 'group_sum_sq'):
-        assert np.array_equal(getattr(a, name), getattr(b, name)), name
-    assert (a.identity, a.axes, a.elapsed_ns, a.intervals) == (
-        b.identity,
-        b.axes,
-        b.elapsed_ns,
-        b.intervals,
-    )
-    assert len(a.segments) == len(b.segments) and len(a.classes) == len(b.classes)
-    for x, y in zip(a.segments, b.segments):
-        assert (x.start_ns, x.samples, x.phase_step) == (y.start_ns, y.samples, y.phase_step)
-        assert np.array_equal(x.signed, y.signed) and np.array_equal(x.phase, y.phase)
-    for x, y in zip(a.classes, b.classes):
-        assert (x.index, x.count, x.samples) == (y.index, y.count, y.samples)
-        assert np.array_equal(x.ramp_correction, y.ramp_correction)
+from allan_ros.core.sums import ImuIdentity
 
 
 def nbs14(n):
