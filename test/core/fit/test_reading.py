@@ -58,7 +58,7 @@ def test_axis_x_of_the_paper():
     assert n.slope == pytest.approx(-0.5, abs=0.02)
     assert b.tau_high == pytest.approx(100, rel=0.35)
     assert abs(b.slope) < 0.15
-    assert '+'.join(r.term for r in late) == 'K+R'
+    assert [r.term for r in late] == ['K', 'K+R']
     assert late[-1].tau_high == pytest.approx(1300, rel=0.15)
     assert all(r.slope > 0.3 for r in late)
 
@@ -104,7 +104,8 @@ def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
     values[k] = 1.0
     (region,) = regions_of('gyro_x', *values)
     assert region.term == term
-    assert region.slope == pytest.approx(slope, abs=0.02)
+    # The slope of K at one sample is that of discrete steps, less than 1/2.
+    assert region.slope == pytest.approx(slope, abs=0.06 if term == 'K' else 0.02)
 
 
 def test_local_slopes_go_from_white_to_ramp():
