@@ -222,6 +222,87 @@ _word(
     'the other findings say what became of them',
 )
 
+# --- the nodes: what comes in, and what survives a restart ---------------------------------------
+_word(
+    'no_publisher',
+    'error',
+    'nothing publishes on {topic}',
+    'start the driver, or remap imu/data to its topic',
+)
+_word(
+    'input_silent',
+    'error',
+    'no message on {topic} for {seconds:.1f} s, though {publishers} publish there',
+    'look at the driver, its cable and its power, and at the network between',
+)
+_word(
+    'input_stopped',
+    'error',
+    'the last message on {topic} came {seconds:.1f} s ago, and its publisher is gone',
+    'start the driver again, and look at its log for why it ended',
+)
+_word(
+    'input_unusable',
+    'error',
+    'messages come on {topic}, but none was usable for {seconds:.1f} s',
+    'look at the values and stamps that the driver sends: the counts below say what is wrong',
+)
+_word(
+    'qos_incompatible',
+    'error',
+    '{count} publishers on {topic} offer less than this subscription asks for; nothing comes from '
+    'them',
+    'leave its reliability at best_effort in the QoS overrides',
+)
+_word(
+    'several_publishers',
+    'warning',
+    '{count} publishers on {topic}: {names}; their samples mix',
+    'give each IMU a topic of its own',
+)
+_word(
+    'messages_lost',
+    'warning',
+    '{lost} messages were lost on their way in the last minute, {share:.2%} of them',
+    'raise input.queue_depth, or look at the load of the machine and the network',
+)
+_word(
+    'sensor_stuck',
+    'warning',
+    'an axis has been showing one value: {count} samples in the last minute',
+    'look at the sensor and its cable, and at the driver',
+)
+_word(
+    'rate_changed_lately',
+    'warning',
+    'the sample rate changed to {rate:.5g} Hz within the last minute; its sums are kept apart',
+    'look at the settings of the driver: the noise of a digital sensor depends on its rate',
+)
+_word(
+    'run_began_anew',
+    'info',
+    'the stamps went back and stayed back; the sums of the run before are {kept}',
+    'nothing to do where a recording is looped: a second pass is no new evidence',
+)
+_word(
+    'checkpoint_refused',
+    'warning',
+    '{path} is left as it is, and nothing is saved: {reason}',
+    'give another checkpoint path, or move the file away',
+)
+_word(
+    'checkpoint_corrupt',
+    'warning',
+    '{path} is not whole and was renamed to {aside} ({reason})',
+    'nothing to do: the sums began anew; look at the disk if it happens again',
+)
+_word(
+    'checkpoint_unwritable',
+    'warning',
+    'the sums would not survive a restart: {reason}',
+    'writing is tried again at every period',
+)
+
 # --- the recording: what the readers could not read to the end -----------------------------------
 _word(
     'table_cut',
@@ -257,4 +338,12 @@ _word(
     'the same fit on overlapping groups gives {values}; its standard errors are {gains} times '
     'smaller',
     'method gls uses the overlapping groups and how they are correlated',
+)
+
+# --- the files: what could not be made of the results --------------------------------------------
+_word(
+    'file_left_out',
+    'warning',
+    '{file} is not written ({why})',
+    'the other files are complete',
 )

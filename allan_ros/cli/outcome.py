@@ -1,0 +1,91 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `analyze` and `merge` have in common: adding runs of one IMU, fitting, showing, writing."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..core.errors import AllanError
+from ..core.fit import METHODS
+from ..core.parameters import parameter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..core.sums import AllanSums
+    from ..io.envelope import SignalEnvelope
+    from ..io.results import Provenance
+
+
+@dataclass(frozen=True)
+class OutcomeSettings:
+    """How the sums are fitted and shown."""
+
+    method: str = parameter(
+        'gls',
+        'How the curve is fitted: generalised least squares with intervals, least squares with '
+        'relative weights, or as the paper did.',
+        choices=tuple(METHODS),
+    )
+    units: str = parameter(
+        'datasheet', 'Units shown: those of datasheets, or SI.', choices=('datasheet', 'si')
+    )
+
+
+@dataclass(frozen=True)
+class Run:
+    """The sums of one run with their name and provenance."""
+
+    name: str
+    sums: tuple[AllanSums, ...]
+    provenance: Provenance
+
+
+def add_runs(runs: Iterable[Run]) -> Run:
+    """Return all runs as one.
+
+    Raises
+    ------
+    AllanError
+        Naming the first run that is not of the same IMU as the ones before, and what differs.
+    """
+    first, *others = runs
+    sums = {s.axes: s for s in first.sums}
+    provenance = first.provenance
+    for run in others:
+        if {s.axes for s in run.sums} != set(sums):
+            raise AllanError(
+                f'{run.name} has {_axes_text(run.sums)} where {first.name} has '
+                f'{_axes_text(first.sums)}: analyse them apart'
+            )
+        try:
+            sums = {s.axes: sums[s.axes] + s for s in run.sums}
+        except AllanError as error:
+            raise AllanError(f'{run.name} does not go with {first.name}: {error}') from error
+        provenance = provenance + run.provenance
+    return Run(first.name, tuple(sums.values()), provenance)
+
+
+def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope] = ()) -> int:
+    """Fit the run, write its files where ``--output`` says, and print what was found."""
+    from ..io.results import analyse_sums
+    from .tables import print_results
+
+    results = analyse_sums(run.sums, run.provenance, args.method)
+    paths: list[Path] = []
+    if args.output:
+        from ..io.result_files import write_result_files
+
+        results, paths = write_result_files(args.output, results, run.sums, signals, args.units)
+    print_results(results, args.units)
+    if paths:
+        print(f'\nwritten to {args.output}: {", ".join(sorted(path.name for path in paths))}')
+    return 0
+
+
+def _axes_text(sums: Sequence[AllanSums]) -> str:
+    return ' and apart '.join(', '.join(s.axes) for s in sums)

@@ -1,0 +1,319 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON documents: `results.json` (``allan_ros/results/1``) and `sums.json`.
+
+What is not known is null beside its count, never NaN. Reading is strict: whatever is missing, of
+the wrong type or of another version is refused with the place where it stands.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..core.errors import AllanError
+from ..core.findings import Finding
+from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Sinusoid
+from ..core.fit.reading import Region
+from ..core.health import Counts, Span
+from ..core.sums import AllanSums, ImuIdentity
+from ..core.sums_document import sums_from_document, sums_to_document
+from ..core.units import SI_UNITS, sensor_of
+from .fields import Fields
+from .recordings import SourceInfo
+from .results import AxisCurve, AxisResult, Provenance, Results
+
+RESULTS_SCHEMA = 'allan_ros/results/1'
+SUMS_SCHEMA = 'allan_ros/sums_file/1'
+
+CURVE_CI_LEVEL = 0.683
+"""Confidence of the limits on a curve: one sigma, as NIST SP 1065 tabulates them."""
+
+LISTED_SPANS = 1000
+"""How many segments are listed, the longest; their number is always given."""
+
+MAX_BYTES = 64 * 2**20
+"""No document of ours comes near this; a larger file is not read."""
+
+
+def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
+    """Return the results as ``allan_ros/results/1``; without the curves it is the noise model."""
+    return {
+        'schema': RESULTS_SCHEMA,
+        'tool': _tool(),
+        'frame_id': results.identity.frame_id,
+        'hardware_id': results.identity.hardware_id,
+        'method': results.method,
+        'rate_hz': _finite(results.rate_hz),
+        'tau0_s': _finite(results.tau0),
+        'samples': results.samples,
+        'duration_s': _finite(results.duration_s),
+        'segment_count': results.segments,
+        **_provenance_to_document(results.provenance),
+        'findings': [asdict(f) for f in results.findings],
+        'axes': {
+            name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
+        },
+    }
+
+
+def results_from_document(document: object, where: str = 'results') -> Results:
+    """Return the results of a document of `results_to_document`.
+
+    Raises
+    ------
+    AllanError
+        Naming the field that is missing or wrong, or the version that is not known.
+    """
+    fields = Fields(document, where)
+    fields.schema(RESULTS_SCHEMA)
+    provenance = _provenance_from_document(fields)
+    axes = fields.fields('axes')
+    return Results(
+        ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
+        fields.text('method'),
+        fields.number('tau0_s'),
+        fields.integer('samples'),
+        fields.number('duration_s'),
+        fields.integer('segment_count'),
+        {name: _axis_from_document(axes.fields(name)) for name in axes},
+        provenance,
+        provenance.findings,
+    )
+
+
+def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> dict[str, Any]:
+    """Return the sums with their provenance beside them."""
+    return {
+        'schema': SUMS_SCHEMA,
+        'tool': _tool(),
+        **_provenance_to_document(provenance),
+        'findings': [asdict(f) for f in provenance.findings],
+        'sums': [sums_to_document(s) for s in sums],
+    }
+
+
+def sums_file_from_document(
+    document: object, where: str = 'sums'
+) -> tuple[tuple[AllanSums, ...], Provenance]:
+    """Return the sums and provenance of a document of `sums_file_to_document`.
+
+    Raises
+    ------
+    AllanError
+        Naming the field that is missing or wrong, or the version that is not known.
+    """
+    fields = Fields(document, where)
+    fields.schema(SUMS_SCHEMA)
+    return (
+        tuple(sums_from_document(s) for s in fields.sequence('sums')),
+        _provenance_from_document(fields),
+    )
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Return the document as text; a NaN in it is a bug and raises ValueError."""
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
+
+
+def read_json(path: str | os.PathLike[str]) -> object:
+    """Return what a JSON file holds.
+
+    Raises
+    ------
+    AllanError
+        When it is missing, too large, or not JSON.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise AllanError(f'{path}: has more than {MAX_BYTES} bytes: it is not a file of ours')
+        return json.loads(path.read_text(encoding='utf-8'))
+    except FileNotFoundError:
+        raise AllanError(f'{path}: no such file: check the path') from None
+    except OSError as error:
+        raise AllanError(f'{path}: cannot be read ({error.strerror})') from error
+    except (ValueError, RecursionError) as error:
+        raise AllanError(f'{path}: is not JSON ({error}): write it again') from None
+
+
+def _tool() -> dict[str, str]:
+    return {'name': 'allan_ros', 'version': __version__}
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
+    longest = sorted(provenance.spans, key=lambda span: -span.samples)[:LISTED_SPANS]
+    return {
+        'source': [asdict(s) for s in provenance.sources],
+        'segments': [s._asdict() for s in longest],
+        'counts': asdict(provenance.counts),
+        'settings': dict(provenance.settings),
+    }
+
+
+def _provenance_from_document(fields: Fields) -> Provenance:
+    return Provenance(
+        tuple(
+            SourceInfo(*(s.text(key) for key in ('path', 'topic', 'type', 'storage')))
+            for s in fields.each('source')
+        ),
+        tuple(
+            Span(s.integer('start_ns'), s.integer('samples'), s.number('duration_s'))
+            for s in fields.each('segments')
+        ),
+        tuple(_finding_from_document(f) for f in fields.each('findings')),
+        _counts_from_document(fields.fields('counts')),
+        fields.mapping('settings'),
+    )
+
+
+def _counts_from_document(fields: Fields) -> Counts:
+    cuts = fields.fields('cuts')
+    return Counts(
+        **{key: fields.integer(key) for key in fields if key != 'cuts'},
+        cuts=Counter({reason: cuts.integer(reason) for reason in cuts}),
+    )
+
+
+def _finding_from_document(fields: Fields) -> Finding:
+    return Finding(
+        fields.text('id'),
+        fields.choice('severity', ('info', 'warning', 'error')),  # type: ignore[arg-type]
+        fields.text('message'),
+        fields.text('remedy'),
+        tuple(str(axis) for axis in fields.sequence('axes')),
+    )
+
+
+def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, Any]:
+    fit, unit = axis.fit, SI_UNITS[sensor_of(name)]
+    document: dict[str, Any] = {
+        'unit': unit['B'],
+        'tau0_s': axis.tau0,
+        'noise': {t: _coefficient_to_document(fit.noise[t], unit[t]) for t in TERMS},
+        'misfit': _finite(fit.misfit),
+        'm_min': fit.m_min,
+        'gof_z': _finite(fit.gof_z),
+        'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
+        'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
+        'gauss_markov': asdict(fit.gauss_markov) if fit.gauss_markov else None,
+        'sinusoid': asdict(fit.sinusoid) if fit.sinusoid else None,
+        'reading': [asdict(region) for region in axis.regions],
+    }
+    if curves and axis.curve is not None:
+        document['curve'] = _curve_to_document(axis.curve)
+    return document
+
+
+def _axis_from_document(fields: Fields) -> AxisResult:
+    noise = fields.fields('noise')
+    misfit = fields.optional_number('misfit')
+    return AxisResult(
+        fields.number('tau0_s'),
+        AxisFit(
+            {t: _coefficient_from_document(noise.fields(t)) for t in TERMS},
+            math.nan if misfit is None else misfit,
+            fields.integer('m_min'),
+            fields.optional_number('gof_z'),
+            _gauss_markov_from_document(fields.optional_fields('gauss_markov')),
+            _sinusoid_from_document(fields.optional_fields('sinusoid')),
+        ),
+        _curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
+        tuple(
+            Region(r.number('tau_low'), r.number('tau_high'), r.text('term'), r.number('slope'))
+            for r in fields.each('reading')
+        ),
+    )
+
+
+def _gauss_markov_from_document(fields: Fields | None) -> GaussMarkov | None:
+    return (
+        None
+        if fields is None
+        else GaussMarkov(
+            fields.number('sigma'),
+            fields.interval('sigma_ci95'),
+            fields.number('correlation_time'),
+            fields.interval('correlation_time_ci95'),
+        )
+    )
+
+
+def _sinusoid_from_document(fields: Fields | None) -> Sinusoid | None:
+    return (
+        None
+        if fields is None
+        else Sinusoid(
+            fields.number('amplitude'),
+            fields.interval('amplitude_ci95'),
+            fields.number('frequency'),
+            fields.interval('frequency_ci95'),
+        )
+    )
+
+
+def _scaled(coefficient: Coefficient, factor: float) -> float | None:
+    """Return the value per sample where there is an estimate, else None."""
+    if coefficient.value is None or coefficient.status != 'estimated':
+        return None
+    return _finite(coefficient.value * factor)
+
+
+def _coefficient_to_document(c: Coefficient, unit: str) -> dict[str, Any]:
+    return {
+        'value': _finite(c.value),
+        'ci95': None if c.ci95 is None else [_finite(limit) for limit in c.ci95],
+        'upper95': _finite(c.upper95),
+        'status': c.status,
+        'unit': unit,
+        'sign': c.sign,
+    }
+
+
+def _coefficient_from_document(fields: Fields) -> Coefficient:
+    return Coefficient(
+        fields.optional_number('value'),
+        fields.optional_interval('ci95'),
+        fields.optional_number('upper95'),
+        fields.choice('status', ('estimated', 'not_observable')),  # type: ignore[arg-type]
+        fields.integer('sign', 0),
+    )
+
+
+def _curve_to_document(curve: AxisCurve) -> dict[str, Any]:
+    return {
+        'm': [int(m) for m in curve.m],
+        'tau': [float(tau) for tau in curve.tau],
+        'n': [int(n) for n in curve.n],
+        'adev': [_finite(v) for v in curve.adev],
+        'ci_low': [_finite(v) for v in curve.ci_low],
+        'ci_high': [_finite(v) for v in curve.ci_high],
+        'ci_level': CURVE_CI_LEVEL,
+    }
+
+
+def _curve_from_document(fields: Fields) -> AxisCurve:
+    columns = {key: fields.numbers(key) for key in ('m', 'tau', 'n', 'adev', 'ci_low', 'ci_high')}
+    if len({len(column) for column in columns.values()}) != 1:
+        raise AllanError(f'{fields.where}: its columns have different lengths')
+    return AxisCurve(
+        columns['m'].astype(np.int64),
+        columns['tau'],
+        columns['n'].astype(np.int64),
+        columns['adev'],
+        columns['ci_low'],
+        columns['ci_high'],
+    )

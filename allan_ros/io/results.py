@@ -1,0 +1,200 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`Results`: all that one analysis says, as the value every writer starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.batch import AXES
+from ..core.curve import AllanCurve, allan_curve
+from ..core.findings import Finding
+from ..core.fit import TERMS, AxisFit, NoiseFit, fit_noise
+from ..core.fit.reading import Region, read_curve
+from ..core.health import Counts, Span
+from ..core.sums import AllanSums, ImuIdentity
+from ..core.terms import NoiseTerms, term_avar
+from .recordings import SourceInfo
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where sums came from: what stands beside them in `sums.json` and `results.json`.
+
+    Attributes
+    ----------
+    sources : tuple of SourceInfo
+    spans : tuple of Span
+        The segments, in the order in which they were recorded.
+    findings : tuple of Finding
+        What was found while reading and segmenting.
+    counts : Counts
+        What became of the samples.
+    settings : mapping
+        The settings of the analysis, as plain values.
+    """
+
+    sources: tuple[SourceInfo, ...] = ()
+    spans: tuple[Span, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    counts: Counts = field(default_factory=Counts)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __add__(self, other: Provenance) -> Provenance:
+        """Return that of both; a finding both have is said once, the settings are the first's."""
+        counts = deepcopy(self.counts)
+        counts.add(other.counts)
+        return Provenance(
+            self.sources + other.sources,
+            tuple(sorted(self.spans + other.spans, key=lambda span: span.start_ns)),
+            tuple(dict.fromkeys(self.findings + other.findings)),
+            counts,
+            self.settings,
+        )
+
+
+@dataclass(frozen=True)
+class AxisCurve:
+    """The Allan deviation of one axis with its 68.3 % limits; all arrays are (factors,)."""
+
+    m: NDArray[np.int64]
+    tau: NDArray[np.float64]
+    n: NDArray[np.int64]
+    adev: NDArray[np.float64]
+    ci_low: NDArray[np.float64]
+    ci_high: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AxisResult:
+    """What is known of one axis.
+
+    Attributes
+    ----------
+    tau0 : float
+        Its sample period in s.
+    fit : AxisFit
+    curve : AxisCurve or None
+        None where only the coefficients were passed on.
+    regions : tuple of Region
+        Which noise rules in which range of tau.
+    """
+
+    tau0: float
+    fit: AxisFit
+    curve: AxisCurve | None = None
+    regions: tuple[Region, ...] = ()
+
+    def part_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the deviation each of the five terms makes at factors m, (factors, 5), SI."""
+        return np.sqrt(self._part_avar(m))
+
+    def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the deviation of the fit at factors m, (factors,), SI.
+
+        A ramp that is not observable is left out: its square would count its own scatter.
+        """
+        parts = self._part_avar(m)
+        if self.fit.noise['R'].status != 'estimated':
+            parts[:, TERMS.index('R')] = 0.0
+        total: NDArray[np.float64] = np.sqrt(parts.sum(axis=1))
+        return total
+
+    def _part_avar(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
+        values = {term: c.value or 0.0 for term, c in self.fit.noise.items()}
+        return term_avar(m, self.tau0, NoiseTerms(**values))
+
+
+@dataclass(frozen=True)
+class Results:
+    """One analysis of one IMU.
+
+    Attributes
+    ----------
+    identity : ImuIdentity
+    method : str
+        How the curve was fitted.
+    tau0, samples, duration_s, segments : float, int, float, int
+        Sample period, samples, their time in all, and segments of the sensor with the most
+        samples; an axis that ticks differently has its own tau0.
+    axes : mapping of axis name to AxisResult
+        In the order of `AXES`; an absent sensor is absent.
+    provenance : Provenance
+    findings : tuple of Finding
+        Those of the provenance, then those of the fit.
+    """
+
+    identity: ImuIdentity
+    method: str
+    tau0: float
+    samples: int
+    duration_s: float
+    segments: int
+    axes: Mapping[str, AxisResult]
+    provenance: Provenance
+    findings: tuple[Finding, ...]
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate in Hz."""
+        return 1.0 / self.tau0
+
+
+def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
+    """Fit the sums of one IMU and return all that is known of it.
+
+    Parameters
+    ----------
+    sums : sequence of AllanSums
+        One with all axes, or one for each sensor when they tick at different rates.
+
+    Raises
+    ------
+    AllanError
+        When there is too little data to compute anything.
+    """
+    curves = [allan_curve(s) for s in sums]
+    fits = [fit_noise(s, method) for s in sums]
+    axes = dict(_axis_results(zip(curves, fits)))
+    longest = max(sums, key=lambda s: s.samples)
+    tau0 = longest.tau0 or float('nan')
+    return Results(
+        longest.identity,
+        method,
+        tau0,
+        longest.samples,
+        longest.samples * tau0,
+        longest.segment_count,
+        {name: axes[name] for name in AXES if name in axes},
+        provenance,
+        tuple(dict.fromkeys((*provenance.findings, *(f for fit in fits for f in fit.findings)))),
+    )
+
+
+def _axis_results(
+    fitted: Iterable[tuple[AllanCurve, NoiseFit]],
+) -> Iterable[tuple[str, AxisResult]]:
+    for curve, fit in fitted:
+        for i, name in enumerate(curve.axes):
+            yield (
+                name,
+                AxisResult(
+                    fit.tau0,
+                    fit.axes[name],
+                    AxisCurve(
+                        curve.m,
+                        curve.tau,
+                        curve.n,
+                        curve.adev[:, i],
+                        curve.ci_low[:, i],
+                        curve.ci_high[:, i],
+                    ),
+                    tuple(read_curve(curve, name, fit.axes[name])),
+                ),
+            )
