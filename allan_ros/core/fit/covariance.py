@@ -1,0 +1,286 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the points of an Allan table of a finite record vary together under the noise model.
+
+For Gaussian noise the covariance of two Allan variances is a sum over lags (Isserlis 1918):
+
+    Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
+
+with C_ij(s) the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i), d_j(u)/(sqrt2 m_j)
+and cnt_ij(s) the number of pairs at lag s in the record. C is linear in (q, w, b, k), so the sum
+is ten matrices weighted by products of powers: they depend on the length of the record only.
+
+cnt is piecewise linear in s, so it takes just the running sums of C_k C_l and of s C_k C_l at four
+lags. And the grid repeats itself every octave: the pair (2^a m, 2^a m') at lags 2^a s has the C of
+(m, m') at lags s up to a power of 2^a. One table of running sums, of pairs whose smaller factor
+stands on level 0, hence serves every pair of every record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..grid import FIRST_FACTORS, LEVEL_FACTORS, counts, grid
+from .model import DIFFERENCE, Floats, walk_from_cubic
+
+Ints = NDArray[np.int64]
+
+TERM_PAIRS = tuple((a, b) for a in range(4) for b in range(a, 4))
+"""The ten products of powers a covariance is made of: q q, q w, q b, .. k k."""
+
+EXACT_POINTS = 14
+"""Lag panels up to this long are summed point by point, longer ones by quadrature."""
+
+EXACT_PANELS = 5
+"""Panels summed point by point on each side of the three lags where C is not smooth."""
+
+PANEL_RATIO = 4
+"""Growth of the smooth panels away from those lags."""
+
+TAIL = 128
+"""Flicker differences are uncorrelated (C^2 < 1e-8) beyond this many times m_i + m_j."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
+_KEY = np.int64(1) << 52
+"""Distance between the search keys of two rows: more than any lag."""
+
+_SMOOTH_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+@dataclass(frozen=True)
+class PairSums:
+    """Sums over all pairs of differences of one record, in sample units.
+
+    Attributes
+    ----------
+    samples : int
+        Length of the record.
+    m, count : (factors,) int64 arrays
+        The factors m <= samples/2 and their numbers of differences.
+    squares : (10, pairs) float64 array
+        2 sum_s cnt C_k C_l for the `TERM_PAIRS`, at the pairs i <= j of `numpy.triu_indices`;
+        k != l counted twice, so that Cov(V_i, V_j) = sum p_k p_l squares_kl / (M_i M_j).
+    singles : (4, pairs) float64 array
+        sum_s cnt C_k: the covariance of the sums of d_i/(sqrt2 m_i) and of d_j/(sqrt2 m_j).
+    """
+
+    samples: int
+    m: Ints
+    count: Ints
+    squares: Floats
+    singles: Floats
+
+
+def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
+    """Return C_ij(s) of unit white noise, flicker and cubic walk, (3, ...).
+
+    1/(2 m_i m_j) sum_ab c_a c_b G(s + a m_i - b m_j) with G = -|t|/2, t^2 ln|t|/(2 pi), |t|^3/12.
+    """
+    out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
+    for a, ca in enumerate(DIFFERENCE):
+        for b, cb in enumerate(DIFFERENCE):
+            t = np.abs(s + (a * mi - b * mj))
+            square = t * t
+            out[0] += ca * cb * t
+            out[1] += ca * cb * square * np.log(np.maximum(t, 1e-9) / mj)
+            out[2] += ca * cb * square * t
+    out[0] *= -0.5
+    out[1] /= 2.0 * np.pi
+    out[2] /= 12.0
+    return np.asarray(out / (2.0 * mi * mj))
+
+
+def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
+    """Return the six products C_k C_l and the three C_k at lags s, (9, ...)."""
+    c = lag_covariance(s, mi, mj)
+    return np.stack([*(c[a] * c[b] for a, b in _SMOOTH_PAIRS), *c])
+
+
+def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
+    """Return the sums over lags a..b, ends halved, of the products and of s times them.
+
+    Point by point up to `EXACT_POINTS`, else the integral by Gauss-Legendre.
+
+    Parameters
+    ----------
+    mi, mj, a, b : (n,) arrays
+        Whole numbers, a <= b.
+
+    Returns
+    -------
+    (2, 9, n) float64 array
+    """
+    width = (b - a)[:, None]
+    k = np.arange(EXACT_POINTS + 1)
+    exact = width <= EXACT_POINTS
+    ones = (k <= width) - 0.5 * (k == 0) - 0.5 * (k == width)
+    s = a[:, None] + np.where(exact, np.minimum(k, width), width * (1.0 + _NODES) / 2.0)
+    weight = np.where(exact, ones * (width > 0), _WEIGHTS * width / 2.0)
+    f = _products(s, mi[:, None], mj[:, None])
+    return np.stack([np.einsum('fnk,nk->fn', f, weight), np.einsum('fnk,nk->fn', f, weight * s)])
+
+
+def _edges(mi: int, mj: int) -> Ints:
+    """Return panel borders: dense where C is not smooth (near s = b m_j - a m_i), then sparse."""
+    span = EXACT_POINTS * EXACT_PANELS
+    near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
+    reach = [span]
+    while reach[-1] < 2 * mj:
+        reach.append(reach[-1] * PANEL_RATIO)
+    around = np.concatenate([near, reach, np.negative(reach)])
+    tail = [2 * (mi + mj) * PANEL_RATIO**e for e in range(4)] + [TAIL * (mi + mj)]
+    centre = mj - mi
+    lags = [around + b * mj - mi for b in range(3)]
+    lags.append(centre + np.array([*tail, *np.negative(tail)]))
+    return np.unique(np.concatenate(lags)).astype(np.int64)
+
+
+class _LagTable:
+    """Running sums over lags for every pair whose smaller factor stands on level 0."""
+
+    def __init__(self, factors: int) -> None:
+        first = len(FIRST_FACTORS) + len(LEVEL_FACTORS)
+        m = grid(max(1, -(-(factors - len(FIRST_FACTORS)) // len(LEVEL_FACTORS))))[0][:factors]
+        self.row = np.full((first, factors), -1)
+        rows = [(i, j) for i in range(min(first, factors)) for j in range(i, factors)]
+        self.row[tuple(np.array(rows).T)] = np.arange(len(rows))
+        self.mi = m[[i for i, _ in rows]].astype(float)
+        self.mj = m[[j for _, j in rows]].astype(float)
+        edges = [_edges(int(a), int(b)) for a, b in zip(self.mi, self.mj)]
+        size = np.array([len(e) for e in edges])
+        owner = np.repeat(np.arange(len(rows)), size)
+        self.edge = np.concatenate(edges)
+        self.key = owner * _KEY + self.edge
+        self.low = np.array([e[0] for e in edges])
+        self.high = np.array([e[-1] for e in edges])
+        last = np.cumsum(size) - 1
+        inner = np.setdiff1d(np.arange(len(owner)), last)
+        panels = _panel_sums(
+            self.mi[owner[inner]],
+            self.mj[owner[inner]],
+            self.edge[inner].astype(float),
+            self.edge[inner + 1].astype(float),
+        )
+        self.sums = np.zeros((2, panels.shape[1], len(owner)))
+        starts = last - size + 1
+        for r, (a, z) in enumerate(zip(starts, last)):
+            np.cumsum(panels[:, :, a - r : z - r], axis=2, out=self.sums[:, :, a + 1 : z + 1])
+
+    def up_to(self, row: Ints, lag: Ints) -> Floats:
+        """Return the running sums up to each lag (the last point halved), (2, 9, n)."""
+        lag = np.clip(lag, self.low[row], self.high[row])
+        at = np.searchsorted(self.key, row * _KEY + lag, side='right') - 1
+        start = self.edge[at].astype(float)
+        rest = _panel_sums(self.mi[row], self.mj[row], start, lag.astype(float))
+        return np.asarray(self.sums[:, :, at] + rest)
+
+
+@lru_cache(maxsize=2)
+def _lag_table(octaves: int) -> _LagTable:
+    return _LagTable(len(FIRST_FACTORS) + len(LEVEL_FACTORS) * octaves)
+
+
+@lru_cache(maxsize=48)
+def pair_sums(samples: int) -> PairSums:
+    """Return the pair sums of a record of that many samples; the last 48 are remembered."""
+    octaves = max(1, samples.bit_length() - 3)
+    m, stride = grid(octaves)
+    keep = 2 * m <= samples
+    m, stride = m[keep], stride[keep]
+    count = counts(samples, m, stride)
+    i, j = np.triu_indices(len(m))
+    squares, singles = _smooth_sums(_lag_table(octaves), i, j, stride, count)
+    _add_quantization(squares, singles, i, j, m, stride, count)
+    return PairSums(samples, m, count, squares, singles)
+
+
+def _smooth_sums(
+    table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
+) -> tuple[Floats, Floats]:
+    """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs), none of q yet.
+
+    Going up from the first lag, cnt rises from 1 by one every s_j samples to M_j at lag 0, stays,
+    and falls again to 1 at the last. A stair is a straight line half a step below its edges plus
+    what the Euler-Maclaurin formula leaves at the two ends of the line: for steps of
+    ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` = (ratio - 1/ratio)/12.
+    """
+    level = np.maximum(i - len(FIRST_FACTORS), 0) // len(LEVEL_FACTORS)
+    row = table.row[i - len(LEVEL_FACTORS) * level, j - len(LEVEL_FACTORS) * level]
+    mi, mj = table.mi[row], table.mj[row]
+    ratio = stride[j] // stride[i]
+    fall = (1.0 - 1.0 / ratio) / 2.0
+    start = -(count[j] - 1) * ratio
+    end = count[i] - 1
+    lags = np.stack([start, np.zeros_like(start), end + start, end])
+    sums = table.up_to(np.tile(row, len(lags)), lags.ravel()).reshape(2, 9, len(lags), -1)
+    steps0, steps1 = np.moveaxis(np.diff(sums, axis=2), 2, 1)
+    f = (
+        ((count[j] - fall) * steps0[0] + steps1[0] / ratio)
+        + count[j] * steps0[1]
+        + ((end / ratio + 1.0 - fall) * steps0[2] - steps1[2] / ratio)
+    )
+    # Where a step is longer than m_i, C is not smooth over it and the end terms do not hold.
+    bend = np.where(ratio <= mi, (ratio - 1.0 / ratio) / 12.0, fall / 2.0)
+    outer, inner = (1.0 - fall) / 2.0 + bend, fall / 2.0 - bend
+    for lag, weight in zip(lags, (outer, inner, inner, outer)):
+        f += weight * _products(lag.astype(float), mi, mj)
+    return _assemble(f, 2.0 ** -level.astype(float))
+
+
+def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Return the sums over C_k C_l and C_k of the four terms from those of the smooth parts.
+
+    On level a lags and factors are 2^a times those of the table: there the white C is 2^-a, the
+    flicker C once and the cubic C 2^a times that of the table (`scale` is 2^-a).
+    """
+    nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
+        [scale**2, scale, np.ones_like(scale), np.ones_like(scale), 1 / scale, scale**-2]
+    )
+    n, b, c = f[6:] * np.stack([scale, np.ones_like(scale), 1 / scale])
+    zero = np.zeros_like(nn)
+    products = {
+        (1, 1): nn,
+        (1, 2): nb,
+        (1, 3): walk_from_cubic(nn, nc),
+        (2, 2): bb,
+        (2, 3): walk_from_cubic(nb, bc),
+        (3, 3): walk_from_cubic(walk_from_cubic(nn, nc), walk_from_cubic(nc, cc)),
+    }
+    squares = [(2.0 if a == b else 4.0) * products.get((a, b), zero) for a, b in TERM_PAIRS]
+    return np.stack(squares), np.stack([zero, n, b, walk_from_cubic(n, c)])
+
+
+def _add_quantization(
+    squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
+) -> None:
+    """Add what q brings: white phase is correlated at the nine lags b m_j - a m_i only."""
+    mi, mj = m[i], m[j]
+    norm = 2.0 * mi.astype(float) * mj
+    lags = [
+        (ca * cb, b * mj - a * mi)
+        for a, ca in enumerate(DIFFERENCE)
+        for b, cb in enumerate(DIFFERENCE)
+    ]
+    for weight, lag in lags:
+        pairs = _pairs_at(lag, (count[i] - 1) * stride[i], (count[j] - 1) * stride[j], stride[j])
+        pairs *= weight / norm
+        # Lags coincide where m_j/m_i is 1 or 2: there all their weights meet.
+        here = sum(other * (lag == at) for other, at in lags) / norm
+        smooth = lag_covariance(lag.astype(float), mi.astype(float), mj.astype(float))
+        white, flicker, cubic = smooth
+        squares[0] += 2.0 * pairs * here
+        for n, c in enumerate((white, flicker, walk_from_cubic(white, cubic)), start=1):
+            squares[n] += 4.0 * pairs * c
+        singles[0] += pairs
+
+
+def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
+    """Return how many starts of j have a start of i lag samples later (a multiple of s_i)."""
+    first = np.maximum(0, -lag)
+    last = np.minimum(end_j, end_i - lag)
+    number = last // stride_j + (-first) // stride_j + 1
+    return np.where(last >= first, np.maximum(number, 0), 0).astype(float)

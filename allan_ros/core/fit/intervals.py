@@ -1,0 +1,156 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Intervals by inverting the score test: the values that the table does not contradict.
+
+To try a value c of one power, hold it, refit the others, and ask how far the free estimate lies
+from c in its standard deviations *at that fit*: z(c) = (p - c)/se(c). The 95 % interval is where
+|z| < 1.96 (Rao 1948). The usual estimate +- 1.96 se takes se at the estimate, which for K of a
+short record is too small whenever the estimate is: its intervals miss the truth in 9 to 13 % of
+records instead of 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .active_set import RIDGE
+from .evidence import Table
+from .model import Floats
+from .solve import ALL, Q, solve, weights_at, white_floor, whiten
+
+Z_TWO_SIDED = 1.96
+"""Normal quantile of 97.5 %."""
+
+Z_ONE_SIDED = 1.645
+"""Normal quantile of 95 %: where the upper limit of an unseen term lies."""
+
+Z_DETECT = 2.33
+"""Normal quantile of 99 %: a term that is 0 passes for one in 1 % of records."""
+
+ROUNDS = 3
+"""Rounds of the fit at a held value; it starts from its neighbour's."""
+
+ENOUGH = 0.01
+"""How near z must come to its target: half a percent of the half-width."""
+
+EVALUATIONS = 25
+"""Bound on each half of the search for an end, which takes four to eight in all."""
+
+
+@dataclass(frozen=True)
+class PowerInterval:
+    """What the table says of one power: z at zero, and its two ends or its upper limit."""
+
+    z_zero: float
+    low: float
+    high: float
+    upper: float
+
+    @property
+    def observable(self) -> bool:
+        """Whether zero is rejected."""
+        return self.z_zero > Z_DETECT
+
+
+class Score:
+    """z(c) of one power, its neighbours refitted."""
+
+    def __init__(self, table: Table, term: int, power: Floats, misfit: float = 0.0) -> None:
+        self.table = table
+        self.term = term
+        self.misfit = misfit
+        self._start = power
+        self.estimate = 0.0
+        self.deviation = 0.0
+
+    def __call__(self, c: float) -> float:
+        """Return z(c); `estimate` and `deviation` are those at that fit."""
+        signed = self.term != Q
+        fit = solve(
+            self.table,
+            self._start,
+            fixed={self.term: c},
+            signed=signed,
+            rounds=ROUNDS,
+            misfit=self.misfit,
+        )
+        self._start = fit.power
+        active = [a for a in ALL if a == self.term or fit.power[a] != 0.0]
+        columns = np.column_stack([self.table.terms[:, active], self.table.avar])
+        white = whiten(weights_at(self.table, fit.power, self.misfit), columns)
+        at = active.index(self.term)
+        value, variance = _estimate(white[:, :-1], white[:, -1], at)
+        self.estimate, self.deviation = value, float(np.sqrt(variance))
+        return (value - c) / self.deviation
+
+
+def _estimate(design: Floats, target: Floats, at: int) -> tuple[float, float]:
+    """Return the unconstrained least-squares value of one column, and its variance."""
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
+    unit = design / size
+    covariance = np.linalg.inv(unit.T @ unit + RIDGE * np.eye(len(size)))
+    value = float((covariance @ (unit.T @ target))[at]) / size[at]
+    return value, float(covariance[at, at]) / size[at] ** 2
+
+
+def power_interval(table: Table, term: int, power: Floats, misfit: float = 0.0) -> PowerInterval:
+    """Return the interval of one power about a fit of the table."""
+    score = Score(table, term, power, misfit)
+    z_zero = score(0.0)
+    deviation = max(score.deviation, white_floor(table))
+    middle = max(power[term], score.estimate, 0.0)
+    if z_zero > Z_DETECT:
+        score(middle)
+        deviation = score.deviation
+        high = cross(score, -Z_TWO_SIDED, middle, middle + 2.0 * deviation, np.inf)
+        low = cross(score, Z_TWO_SIDED, middle, middle - 2.0 * deviation, 0.0)
+        return PowerInterval(z_zero, low, high, high)
+    # An estimate below zero counts as zero: the limit is then what the record could have shown.
+    upper = cross(
+        lambda c: score(c) - min(score.estimate, 0.0) / score.deviation,
+        -Z_ONE_SIDED,
+        0.0,
+        middle + 2.0 * deviation,
+        np.inf,
+    )
+    return PowerInterval(z_zero, 0.0, upper, upper)
+
+
+def cross(
+    z: Callable[[float], float], target: float, inner: float, outer: float, limit: float
+) -> float:
+    """Return where a falling z meets the target, beyond ``inner`` on the side of ``outer``.
+
+    It is the limit where z does not before. False position with halving (Illinois; Dowell &
+    Jarratt, BIT 11 (1971)) once the root is between two points; the outer one moves away until
+    it is.
+    """
+    side = 1.0 if limit > inner else -1.0
+    a, fa = inner, side * (z(inner) - target)
+    if fa <= 0.0:
+        return inner
+    b = side * min(side * outer, side * limit)
+    fb = side * (z(b) - target)
+    for _ in range(EVALUATIONS):
+        if fb <= 0.0 or b == limit:
+            break
+        a, fa = b, fb
+        b = side * min(side * (inner + 2.0 * (b - inner)), side * limit)
+        fb = side * (z(b) - target)
+    if fb > 0.0:
+        return limit
+    for _ in range(EVALUATIONS):
+        c = (a * fb - b * fa) / (fb - fa) if fb != fa else (a + b) / 2.0
+        fc = side * (z(c) - target)
+        if abs(fc) < ENOUGH:
+            return c
+        if (fc > 0.0) == (fb > 0.0):
+            fa = fa / 2.0
+        else:
+            a, fa = b, fb
+        b, fb = c, fc
+    return b

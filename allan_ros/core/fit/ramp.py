@@ -1,0 +1,139 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The ramp of a segment, estimated from its coarse phase record, and what removing it does.
+
+The second differences of the coarse phase over the square of its step are estimates of the ramp r
+(in sample units) with stationary noise. Their best linear unbiased combination (Aitken 1935) is
+
+    r = 1' S^-1 z / 1' S^-1 1        var r = 1 / 1' S^-1 1
+
+with S the Toeplitz covariance of z under the noise model. Any such r is linear in the phase,
+``weights @ phase``. Taking r m^2 out of every difference d leaves a table whose expectation is
+still linear in the powers, for any fixed weights and exactly:
+
+    E V'_i = E V_i - sqrt2 m_i Cov(S_i, r) + m_i^2 Var(r) / 2
+
+where S_i is the mean of d/(sqrt2 m_i). `RampEffect` holds both, per unit power.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, toeplitz
+
+from ..engine import PHASE_POINTS
+from ..grid import counts, grid_for
+from .model import DIFFERENCE, RANDOM_TERMS, Floats, phase_covariance, walk_from_cubic
+
+_FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)
+"""Second differences of theta have the fourth difference of its covariance."""
+
+
+@dataclass(frozen=True)
+class RampGeometry:
+    """What the noise of the ramp of a segment of some length is made of.
+
+    Attributes
+    ----------
+    points, step : int
+        Of its coarse phase record.
+    m : (factors,) int64 array
+    bends : (4, points - 2) float64 array
+        Covariance at lag 0, 1, .. of the second differences of the coarse phase, per unit power.
+    cross : (4, factors, points) float64 array
+        Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit power.
+    """
+
+    points: int
+    step: int
+    m: NDArray[np.int64]
+    bends: Floats
+    cross: Floats
+
+    def best_weights(self, power: Floats) -> Floats | None:
+        """Return the weights on the phase of the best estimate of r; None under three points."""
+        z = self.points - 2
+        row = np.maximum(power, 0.0) @ self.bends
+        if z < 1 or not row[0] > 0.0:
+            return None
+        solution = cho_solve(cho_factor(toeplitz(row / row[0]), check_finite=False), np.ones(z))
+        return self._on_phase(solution / solution.sum())
+
+    def _on_phase(self, on_bends: Floats) -> Floats:
+        """Return weights on the phase from weights on its second differences."""
+        return np.asarray(np.convolve(on_bends, DIFFERENCE) / float(self.step) ** 2)
+
+    def effect(self, weights: Floats) -> RampEffect:
+        """Return what removing the ramp of these weights does to the table."""
+        on_bends = _bends_of(weights)
+        variance = np.array([on_bends @ toeplitz(row) @ on_bends for row in self.bends])
+        return RampEffect(self.cross @ weights, variance)
+
+
+@dataclass(frozen=True)
+class RampEffect:
+    """Covariance of a ramp estimate with the signed means S_i (4, factors), and its variance (4,).
+
+    Both per unit power.
+    """
+
+    cross: Floats
+    variance: Floats
+
+
+def _bends_of(weights: Floats) -> Floats:
+    """Return weights w on second differences with ``weights`` = their weights on the phase."""
+    return np.asarray(np.cumsum(np.cumsum(weights))[:-2])
+
+
+@lru_cache(maxsize=48)
+def ramp_geometry(samples: int) -> RampGeometry:
+    """Return the geometry of a segment of that many samples; the last 48 are remembered."""
+    step = 1
+    while samples // step >= PHASE_POINTS:
+        step *= 2
+    points = samples // step + 1
+    m, stride = grid_for(samples)
+    lags = np.arange(-2, max(points, 3), dtype=np.float64) * step
+    bends = np.stack(
+        [np.convolve(g, _FOURTH_DIFFERENCE, mode='valid') for g in phase_covariance(lags)]
+    )
+    cross = _cross(m, stride, counts(samples, m, stride), np.arange(points) * step)
+    return RampGeometry(points, step, m, bends[:, : points - 2], cross)
+
+
+def _cross(
+    m: NDArray[np.int64], stride: NDArray[np.int64], count: NDArray[np.int64], at: NDArray[np.int64]
+) -> Floats:
+    """Return the covariances of S_i with the phase ``at`` some samples, (4, factors, points).
+
+    The mean over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x): as the integral over
+    each start's s for the smooth G, start by start for white phase.
+    """
+    out = np.zeros((len(RANDOM_TERMS), len(m), len(at)))
+    end = (count - 1) * stride
+    for a, c in enumerate(DIFFERENCE):
+        start = at[None, :] - (a * m)[:, None]
+        met = (start >= 0) & (start <= end[:, None]) & (start % stride[:, None] == 0)
+        out[0] += c * met
+        half = stride / 2.0
+        upper, lower = (end + half)[:, None] - start, -half[:, None] - start
+        out[1:] += c * (_integral(upper, at[-1]) - _integral(lower, at[-1])) / stride[:, None]
+    return np.asarray(out / (np.sqrt(2.0) * m * count)[:, None])
+
+
+def _integral(t: Floats, unit: float) -> Floats:
+    """Return the integrals from 0 to t of the generalised covariances of w, b and k, (3, ...).
+
+    Lags in the logarithm are taken in a unit: what that adds to G, a multiple of t^2, vanishes.
+    """
+    white = -t * np.abs(t) / 4.0
+    cube = t**3
+    with np.errstate(divide='ignore', invalid='ignore'):
+        log = np.where(t == 0.0, 0.0, np.log(np.abs(t) / unit))
+    flicker = cube * (log / 3.0 - 1.0 / 9.0) / (2.0 * np.pi)
+    return np.stack([white, flicker, walk_from_cubic(white, cube * np.abs(t) / 48.0)])

@@ -1,0 +1,138 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Iterated generalised least squares on an Allan table: the powers that fit it best.
+
+The covariance of the table depends on the powers, so the fit alternates: weights from the powers,
+powers from the weights (Davidian & Carroll, JASA 82 (1987)). Minimising over the powers inside the
+covariance as well would be biased.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from .active_set import nonnegative_least_squares
+from .evidence import EMPTY_ROW, Table
+from .model import RANDOM_TERMS, Floats
+
+JITTER = 1e-4
+"""Added to the correlation matrix of the table before it is factored: neighbouring factors are
+almost one and the same number, and the covariance is only known to about this."""
+
+TOLERANCE = 1e-3
+"""Relative change of the powers at which the iteration stops: far below their errors."""
+
+ROUNDS = 5
+"""Rounds of the point fit; it settles in three to four."""
+
+NOISE_FLOOR = 1e-6
+"""White noise assumed at least, relative to the least that the table could hide."""
+
+Q, N = RANDOM_TERMS.index('Q'), RANDOM_TERMS.index('N')
+ALL = tuple(range(len(RANDOM_TERMS)))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Powers (4,), and the whitened table they solve: ``design @ power`` is near ``target``."""
+
+    power: Floats
+    design: Floats
+    target: Floats
+
+
+def first_guess(table: Table) -> Floats:
+    """Return powers from relative weights, sqrt(n/m) / V: good enough to begin with."""
+    weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
+    return nonnegative_least_squares(table.terms * weight[:, None], table.avar * weight)
+
+
+def whitener(covariance: Floats) -> tuple[Floats, Floats]:
+    """Return the lower Cholesky factor of the correlation matrix, and the deviations."""
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation)
+    jitter = JITTER
+    while True:
+        correlation[np.diag_indices_from(correlation)] = 1.0 + jitter
+        try:
+            return cholesky(correlation, lower=True, check_finite=False), deviation
+        except np.linalg.LinAlgError:
+            jitter *= 10.0
+
+
+def whiten(covariance: Floats, columns: Floats) -> Floats:
+    """Return the columns in units in which the table has unit covariance."""
+    lower, deviation = whitener(covariance)
+    return np.asarray(
+        solve_triangular(lower, columns / deviation[:, None], lower=True, check_finite=False)
+    )
+
+
+def solve(
+    table: Table,
+    power: Floats,
+    *,
+    fixed: Mapping[int, float] | None = None,
+    columns: tuple[int, ...] = ALL,
+    signed: bool = False,
+    rounds: int = ROUNDS,
+    misfit: float = 0.0,
+) -> Solution:
+    """Return the powers that fit the table.
+
+    Parameters
+    ----------
+    table : Table
+    power : (4,) float64 array
+        Where to begin.
+    fixed : mapping of term index to power, optional
+        Terms that are held.
+    columns : tuple of int
+        Terms that may be other than 0.
+    signed : bool
+        Whether q may be negative (a low-pass filter looks like that).
+    rounds : int
+        At most so many.
+    misfit : float
+        Fractional error of the model, added to the covariance as (misfit V_model)^2.
+    """
+    held = dict(fixed or {})
+    free = [c for c in columns if c not in held]
+    negative = tuple(free.index(c) for c in (Q,) if signed and c in free)
+    now = np.array([held.get(c, power[c] if c in columns else 0.0) for c in ALL])
+    offset = sum((table.terms[:, c] * v for c, v in held.items()), np.zeros(len(table.m)))
+    both = np.column_stack([table.terms, table.avar - offset])
+    white = both
+    for _ in range(rounds):
+        white = whiten(weights_at(table, now, misfit), both)
+        new = np.zeros(len(ALL))
+        new[free] = nonnegative_least_squares(white[:, free], white[:, -1], negative)
+        for c, v in held.items():
+            new[c] = v
+        settled = np.all(np.abs(new - now) <= TOLERANCE * np.abs(now))
+        now = new
+        if settled:
+            break
+    design = white[:, :-1]
+    return Solution(now, design, white[:, -1] + sum(design[:, c] * v for c, v in held.items()))
+
+
+def white_floor(table: Table) -> float:
+    """Return the w below which white noise makes no difference to the table."""
+    positive = table.avar > 0.0
+    return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
+
+
+def weights_at(table: Table, power: Floats, misfit: float) -> Floats:
+    """Return the covariance of the table at powers that leave no factor without any noise."""
+    p = np.maximum(power, 0.0)
+    p[N] = max(p[N], white_floor(table))
+    covariance = table.covariance(p)
+    model = table.terms @ p
+    diagonal = np.maximum(np.diag(covariance), EMPTY_ROW * model**2) + (misfit * model) ** 2
+    covariance[np.diag_indices_from(covariance)] = diagonal
+    return covariance

@@ -1,0 +1,104 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.fit.gls import fit_gls
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.units import from_datasheet
+
+TAU0 = 0.01
+
+
+def sums_of(*segments, axes=('gyro_x',)):
+    engine = RunningAllan(axes=axes)
+    start = 0
+    for y in segments:
+        rows = np.reshape(y, (len(y), -1))
+        engine.update(rows, start, start + round((len(rows) - 1) * TAU0 * 1e9))
+        engine.end_segment()
+        start += round(2 * len(rows) * TAU0 * 1e9)
+    return engine.sums
+
+
+def noise_of(sums):
+    return fit_gls(sums).axes[sums.axes[0]].noise
+
+
+def numbers(coefficient):
+    return (coefficient.value, coefficient.upper95, *(coefficient.ci95 or ()))
+
+
+def same(noise, other, factor=1.0):
+    """Whether the second noise is ``factor`` times the first, verdicts and all, to rounding."""
+    return all(
+        a.status == b.status
+        and [x is None for x in numbers(a)] == [x is None for x in numbers(b)]
+        and all(
+            x is None or y == pytest.approx(factor * x, rel=1e-4)
+            for x, y in zip(numbers(a), numbers(b))
+        )
+        for a, b in ((noise[term], other[term]) for term in noise)
+    )
+
+
+@pytest.mark.parametrize(
+    'samples',
+    [
+        [],
+        [np.zeros(1)],
+        [np.arange(2.0)],
+        [np.zeros(1000)],
+        [np.arange(1000.0)],
+        [np.random.default_rng(1).normal(size=10)],
+        [np.random.default_rng(1).normal(size=3)] * 40,
+        [np.r_[np.zeros(500), np.ones(500)]],
+    ],
+    ids=['none', 'one', 'two', 'constant', 'ramp', 'ten', 'many short', 'step'],
+)
+def test_poor_records_are_answered_without_numbers_that_are_none(samples):
+    for coefficient in noise_of(sums_of(*samples)).values():
+        assert all(x is None or (np.isfinite(x) and x >= 0.0) for x in numbers(coefficient))
+        assert coefficient.status == 'estimated' or coefficient.ci95 is None
+
+
+def test_constant_axis_does_not_disturb_its_neighbour():
+    rng = np.random.default_rng(3)
+    white = simulate_axis(20000, TAU0, NoiseTerms(N=1e-3), rng)
+    both = fit_gls(sums_of(np.column_stack([np.full(20000, 9.8), white]), axes=('x', 'y')))
+    alone = fit_gls(sums_of(white, axes=('y',)))
+    assert all(c.value is None for c in both.axes['x'].noise.values())
+    assert same(both.axes['y'].noise, alone.axes['y'].noise)
+
+
+def test_scaled_samples_scale_the_fit():
+    rng = np.random.default_rng(4)
+    y = simulate_axis(30000, TAU0, NoiseTerms(N=1e-3, K=2e-4), rng)
+    one, other = noise_of(sums_of(y)), noise_of(sums_of(1e-6 * y))
+    assert same(one, other, 1e-6)
+
+
+def test_an_offset_and_a_ramp_change_only_the_ramp():
+    rng = np.random.default_rng(5)
+    y = simulate_axis(100000, TAU0, NoiseTerms(N=1e-3, B=3e-4), rng)
+    ramp = 0.02 * TAU0 * np.arange(len(y))
+    plain, moved = noise_of(sums_of(y)), noise_of(sums_of(9.8 + y + ramp))
+    for term in 'QNBK':
+        assert moved[term].status == plain[term].status
+        assert same({term: plain[term]}, {term: moved[term]})
+    assert moved['R'].status == 'estimated'
+    assert moved['R'].sign == 1
+    low, high = moved['R'].ci95
+    assert low <= 0.02 <= high
+
+
+def test_opposite_ramps_of_two_spans_are_no_walk():
+    rng = np.random.default_rng(6)
+    truth = NoiseTerms(N=from_datasheet('N', 'gyro', 0.242), B=from_datasheet('B', 'gyro', 5.2))
+    rate = from_datasheet('R', 'gyro', 76.0)
+    spans = [
+        simulate_axis(360000, TAU0, truth, rng) + sign * rate * TAU0 * np.arange(360000)
+        for sign in (1.0, -1.0)
+    ]
+    assert noise_of(sums_of(*spans))['K'].status == 'not_observable'
