@@ -81,6 +81,9 @@ class Fields:
         found: Mapping[str, Any] = self._get(key, dict, 'an object')
         return found
 
+    def holds_object(self, key: str) -> bool:
+        return isinstance(self._document.get(key), dict)
+
     def fields(self, key: str) -> Fields:
         return Fields(self.mapping(key), f'{self.where}.{key}')
 

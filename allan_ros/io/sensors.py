@@ -10,6 +10,7 @@ carries a note, so that no good sensor is blamed for an ambiguous datasheet.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,12 +113,19 @@ def read_yaml(path: Path) -> Any:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise AllanError(f'{path}: over {MAX_BYTES} bytes, this is no file of settings')
-        return yaml.safe_load(path.read_text(encoding='utf-8'))
+        return yaml.load(path.read_text(encoding='utf-8'), _Loader)
     except OSError as error:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
     except (UnicodeDecodeError, yaml.YAMLError) as error:
         where = ' '.join(str(error).split())
         raise AllanError(f'{path}: is not YAML ({where[:120]}): mend it there') from error
+
+
+# YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
+_Loader: Any = type('_Loader', (yaml.SafeLoader,), {})
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
+)
 
 
 def _folders() -> list[Path]:

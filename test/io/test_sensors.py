@@ -73,6 +73,12 @@ def test_a_minimum_becomes_the_coefficient(load, stated_as, factor):
     assert limit.value == pytest.approx(10e-6 * 9.80665 * factor, rel=1e-4)
 
 
+@pytest.mark.parametrize('number', ['3e-1', '0.3', '3.0E-01', '+3e-01'])
+def test_numbers_mean_what_people_mean(load, number):
+    text = yaml.safe_dump(arw(value='?')).replace("'?'", number)
+    assert load(text).limits['gyro']['N'].value == pytest.approx(0.3 * DEGREE / 60)
+
+
 def arw(**change):
     return sheet(gyro={'arw': {'value': 1.0, 'unit': 'deg/sqrt(h)'} | change})
 

@@ -1,0 +1,187 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write a recording of an IMU whose noise is known, and its truth beside it.
+
+The five noises are exact in level. Say them by a preset, a datasheet or a file, and change single
+ones with --gyro, --accel, --gyro-x ..., in datasheet units:
+
+  gyro   Q urad   N deg/sqrt(h)   B deg/h   K deg/h^1.5   R deg/h^2
+  accel  Q um/s   N m/s/sqrt(h)   B ug      K ug/sqrt(h)  R ug/h
+
+  allan simulate bag --preset paper
+  allan simulate imu.csv --gyro N=0.3,B=7 --gyro-z K=30 --accel N=0.02 --hours 1 --drop 0.001
+
+OUT is an mcap bag, or what its suffix says: .bag (ROS 1), .csv, .tsv, .npz.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from ..core.errors import AllanError
+from ..core.faults import Faults
+from ..core.presets import PRESETS
+from .options import add_settings, settings_of
+from .progress import Progress
+
+if TYPE_CHECKING:
+    from ..core.batch import ImuBatch
+    from ..core.terms import NoiseTerms
+
+HOUR = 3600.0
+
+NANO = 1e9
+
+START = 1_577_836_800.0
+"""First stamp, s: 2020-01-01 00:00 UTC, so that the same command gives the same file."""
+
+NOISE_OPTIONS = ('gyro', 'gyro_x', 'gyro_y', 'gyro_z', 'accel', 'accel_x', 'accel_y', 'accel_z')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this verb; defaults of the faults are those of `Faults`."""
+    parser.add_argument('output', metavar='OUT', help='the recording to write')
+    noise = parser.add_argument_group('noise')
+    base = noise.add_mutually_exclusive_group()
+    base.add_argument('--preset', choices=list(PRESETS), help='a known IMU; paper: ADIS16475-3')
+    base.add_argument('--sensor', metavar='NAME', help='N and B of a datasheet: a name or a file')
+    base.add_argument('--spec', metavar='FILE', help='YAML of axes and terms, or a truth file')
+    for name in NOISE_OPTIONS:
+        noise.add_argument(
+            f'--{name.replace("_", "-")}',
+            dest=name,
+            type=_terms,
+            metavar='N=..,B=..',
+            help=f'terms of {name}' if '_' in name else f'terms of all three {name} axes',
+        )
+    length = parser.add_argument_group('recording')
+    length.add_argument('--hours', type=float, default=2.0, help='how long (default 2)')
+    length.add_argument(
+        '--rate', type=float, default=100.0, help='samples per second (default 100)'
+    )
+    length.add_argument('--seed', type=int, default=0, help='of the random numbers (default 0)')
+    length.add_argument(
+        '--start', type=float, default=START, metavar='S', help='first stamp (default 2020-01-01)'
+    )
+    length.add_argument('--frame-id', default='imu_link', metavar='TEXT')
+    length.add_argument('--topic', default='/imu/data', metavar='TEXT')
+    length.add_argument(
+        '--storage', metavar='NAME', help='mcap, sqlite3, ros1, csv or npz (default: by suffix)'
+    )
+    length.add_argument(
+        '--compression', default='none', metavar='NAME', help='none, chunk, message, file ...'
+    )
+    length.add_argument('--overwrite', action='store_true', help='replace a recording')
+    add_settings(parser, 'faults', Faults, without=['motion', 'gaps'])
+    spans = parser.add_argument_group('faults in spans of time')
+    for name, what in (('motion', 'the IMU moves'), ('gaps', 'samples are missing')):
+        spans.add_argument(
+            f'--{name}',
+            type=_span,
+            action='append',
+            default=[],
+            metavar='START:LENGTH',
+            help=f'{what} for LENGTH seconds; may be given again',
+        )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, write the recording and then its truth."""
+    noise = noise_of(args)
+    faults = settings_of(Faults, args, motion=tuple(args.motion), gaps=tuple(args.gaps))
+    if args.seed < 0:
+        raise AllanError(f'--seed is {args.seed}: give 0 or more')
+    # Imported here, so that --help needs no numpy.
+    from ..core.simulate import simulate_imu
+    from ..io.truth import write_truth
+    from ..io.writing import write_recording
+
+    seconds = args.hours * HOUR
+    terms = list(noise.values())
+    batches = simulate_imu(
+        seconds,
+        args.rate,
+        terms[:3],
+        terms[3:],
+        seed=args.seed,
+        faults=faults,
+        start_ns=round(args.start * NANO),
+        frame_id=args.frame_id,
+    )
+    written = write_recording(
+        args.output,
+        _watched(batches, round(seconds * args.rate)),
+        storage=args.storage,
+        compression=args.compression,
+        topic=args.topic,
+        overwrite=args.overwrite,
+    )
+    truth = write_truth(
+        args.output, noise, seconds=seconds, rate=args.rate, seed=args.seed, faults=faults
+    )
+    print(f'{args.output}: {written} samples, {seconds:g} s at {args.rate:g} Hz; truth in {truth}')
+    return 0
+
+
+def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
+    """Return axis -> terms in SI, from the base and the options that change single terms.
+
+    Raises
+    ------
+    AllanError
+        When nothing is said of the noise, or what is said is impossible.
+    """
+    from ..core.batch import AXES
+    from ..core.terms import NoiseTerms
+    from ..core.units import SI_UNITS
+    from ..io.fields import Fields
+    from ..io.sensors import load_sensor
+    from ..io.truth import read_noise, with_noise
+
+    changes = {name: getattr(args, name) for name in NOISE_OPTIONS if getattr(args, name)}
+    noise = {axis: NoiseTerms() for axis in AXES}
+    if args.spec:
+        noise = read_noise(args.spec)
+    elif args.preset:
+        noise = with_noise(noise, Fields({**PRESETS[args.preset]}, f'--preset {args.preset}'))
+    elif args.sensor:
+        limits = load_sensor(args.sensor).limits
+        stated = {
+            sensor: {
+                term: {'value': limit.value, 'unit': SI_UNITS[sensor][term]}
+                for term, limit in of_sensor.items()
+            }
+            for sensor, of_sensor in limits.items()
+        }
+        noise = with_noise(noise, Fields(stated, f'--sensor {args.sensor}'))
+    elif not changes:
+        raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
+    return with_noise(noise, Fields(changes, 'noise'))
+
+
+def _watched(batches: Iterator[ImuBatch], samples: int) -> Iterator[ImuBatch]:
+    """Yield the batches under a progress bar."""
+    with Progress('writing', samples) as progress:
+        for batch in batches:
+            yield batch
+            progress.advance(len(batch))
+
+
+def _terms(text: str) -> dict[str, float]:
+    """Return term -> number of ``N=0.3,B=7``."""
+    try:
+        pairs = [part.split('=') for part in text.split(',')]
+        return {term.strip(): float(value) for term, value in pairs}
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r}: terms are given as N=0.3,B=7') from None
+
+
+def _span(text: str) -> tuple[float, float]:
+    """Return (start, length) in s of ``60:2.5``."""
+    try:
+        start, length = text.split(':')
+        return float(start), float(length)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r}: a span is given as START:LENGTH') from None

@@ -1,0 +1,140 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Known noise: specifications to simulate from, and the truth kept beside a simulated recording.
+
+A specification is YAML or JSON: a map from axes to terms, each a number in the datasheets' unit or
+``{value, unit}``. ``gyro`` or ``accel`` stands for its three axes, a single axis goes before it:
+
+    gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
+    gyro_z: {N: 0.4}
+
+The truth of a recording is such a specification, in SI, under the key ``noise``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from ..core.batch import AXES
+from ..core.errors import AllanError
+from ..core.faults import Faults
+from ..core.terms import NoiseTerms
+from ..core.units import SI_UNITS, from_datasheet, sensor_of, to_si
+from .atomic import write_atomic
+from .fields import Fields
+from .sensors import read_yaml
+
+SCHEMA = 'allan_ros/truth/1'
+
+SUFFIX = '.truth.json'
+"""Beside the recording: ``name.mcap`` has its truth in ``name.mcap.truth.json``."""
+
+AxesNoise = dict[str, NoiseTerms]
+
+
+def truth_path(recording: str | os.PathLike[str]) -> Path:
+    """Return where the truth of a recording stands."""
+    path = Path(recording)
+    return path.with_name(path.name + SUFFIX)
+
+
+def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
+    """Return axis -> true terms of a specification or of the truth of a recording, in SI.
+
+    Axes that are not named have no noise.
+
+    Raises
+    ------
+    AllanError
+        Naming the place in the file that is wrong.
+    """
+    fields = Fields(read_yaml(Path(path)), str(path))
+    if 'noise' in fields:
+        fields.schema(SCHEMA)
+        fields = fields.fields('noise')
+    return with_noise({axis: NoiseTerms() for axis in AXES}, fields)
+
+
+def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
+    """Return the noise with what a specification states in its place, in SI.
+
+    Raises
+    ------
+    AllanError
+        When the specification names an unknown axis, term or unit, or an impossible value.
+    """
+    for name in stated:
+        if name not in (*SI_UNITS, *AXES):
+            raise AllanError(
+                f'{stated.where}: {name!r} is unknown, use gyro, accel or {", ".join(AXES)}'
+            )
+    return {
+        axis: replace(
+            noise[axis],
+            **{
+                term: value
+                for name in (sensor_of(axis), axis)
+                if name in stated
+                for term, value in _terms(stated.fields(name), sensor_of(axis)).items()
+            },
+        )
+        for axis in AXES
+    }
+
+
+def _terms(stated: Fields, sensor: str) -> dict[str, float]:
+    """Return term -> SI value of one axis or sensor."""
+    values: dict[str, float] = {}
+    for term in stated:
+        if term not in SI_UNITS[sensor]:
+            known = ', '.join(SI_UNITS[sensor])
+            raise AllanError(f'{stated.where}: {term!r} is unknown, use {known}')
+        if stated.holds_object(term):
+            quantity = stated.fields(term)
+            value, unit = quantity.number('value'), quantity.text('unit')
+            try:
+                values[term] = to_si(value, unit, SI_UNITS[sensor][term])
+            except AllanError as error:
+                raise AllanError(f'{quantity.where}: {error}') from error
+        else:
+            values[term] = from_datasheet(term, sensor, stated.number(term))
+    try:
+        NoiseTerms(**values)
+    except AllanError as error:
+        raise AllanError(f'{stated.where}: {error}') from error
+    return values
+
+
+def write_truth(
+    recording: str | os.PathLike[str],
+    noise: Mapping[str, NoiseTerms],
+    *,
+    seconds: float,
+    rate: float,
+    seed: int,
+    faults: Faults,
+) -> Path:
+    """Write the truth beside a recording, whole or not at all, and return its path."""
+    changed = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
+    document: dict[str, Any] = {
+        'schema': SCHEMA,
+        'seconds': seconds,
+        'rate_hz': rate,
+        'seed': seed,
+        'faults': changed,
+        'noise': {
+            axis: {
+                term: {'value': value, 'unit': SI_UNITS[sensor_of(axis)][term]}
+                for term, value in asdict(terms).items()
+            }
+            for axis, terms in noise.items()
+        },
+    }
+    path = truth_path(recording)
+    write_atomic(path, json.dumps(document, indent=1) + '\n')
+    return path

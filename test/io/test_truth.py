@@ -1,0 +1,61 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import json
+
+import pytest
+
+from allan_ros.core.batch import AXES
+from allan_ros.core.errors import AllanError
+from allan_ros.core.faults import Faults
+from allan_ros.core.terms import NoiseTerms
+from allan_ros.core.units import from_datasheet
+from allan_ros.io.truth import read_noise, truth_path, write_truth
+
+
+@pytest.fixture
+def read(tmp_path):
+    def from_text(text):
+        path = tmp_path / 'spec.yaml'
+        path.write_text(text)
+        return read_noise(path)
+
+    return from_text
+
+
+def test_a_sensor_stands_for_its_axes_and_an_axis_goes_before_it(read):
+    noise = read('gyro: {N: 0.3, B: {value: 7, unit: deg/h}}\ngyro_z: {N: 0.4, R: -2}\n')
+    assert tuple(noise) == AXES
+    n, b = (from_datasheet(t, 'gyro', v) for t, v in (('N', 0.3), ('B', 7)))
+    assert noise['gyro_x'] == noise['gyro_y'] == NoiseTerms(N=n, B=b)
+    n, r = (from_datasheet(t, 'gyro', v) for t, v in (('N', 0.4), ('R', -2)))
+    assert noise['gyro_z'] == NoiseTerms(N=n, B=b, R=r)
+    assert noise['accel_x'] == NoiseTerms()
+
+
+def test_truth_comes_back_to_the_last_bit(tmp_path):
+    noise = {axis: NoiseTerms(Q=1e-7 / 3, N=i + 0.1, R=-i) for i, axis in enumerate(AXES)}
+    faults = Faults(drop=0.25, gaps=((1.0, 2.0),))
+    path = write_truth(tmp_path / 'a.csv', noise, seconds=9.5, rate=100.0, seed=4, faults=faults)
+    assert path == truth_path(tmp_path / 'a.csv') == tmp_path / 'a.csv.truth.json'
+    assert read_noise(path) == noise
+    document = json.loads(path.read_text())
+    assert document['faults'] == {'drop': 0.25, 'gaps': [[1.0, 2.0]]}
+    assert (document['seconds'], document['rate_hz'], document['seed']) == (9.5, 100.0, 4)
+
+
+@pytest.mark.parametrize(
+    'text, said',
+    [
+        ('gyros: {N: 1}', "'gyros' is unknown, use gyro, accel or gyro_x"),
+        ('gyro: {n: 1}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
+        ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number, not below 0'),
+        ('gyro: {N: .inf}', r'gyro.N is inf: a finite number'),
+        ('gyro: {N: {value: 1}}', r'gyro.N: unit is missing'),
+        ('gyro: {N: {value: 1, unit: ug}}', r"gyro.N: unit 'ug' does not fit"),
+        ('gyro: 3', r'gyro is 3: an object is expected'),
+        ('schema: other/1\nnoise: {}', "schema is 'other/1'"),
+    ],
+)
+def test_a_bad_specification_is_refused_with_its_place(read, text, said):
+    with pytest.raises(AllanError, match=said):
+        read(text)
