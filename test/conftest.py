@@ -9,6 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.sums import AllanSums
+from allan_ros.core.terms import NoiseTerms
+from allan_ros.io.recordings import SourceInfo
+from allan_ros.io.results import Provenance, Results, analyse_sums
+
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
 
@@ -30,3 +37,29 @@ def shared_data() -> Path:
     if not (shared / 'data').is_dir():
         pytest.skip('skipped: no shared data')
     return shared / 'data'
+
+
+GYRO = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6)
+ACCEL = NoiseTerms(N=2e-4, B=4e-5)
+
+
+@pytest.fixture(scope='session')
+def small_run() -> tuple[AllanSums, Provenance]:
+    """Return the sums of 20 simulated minutes at 50 Hz, and where they came from."""
+    accumulator = ImuAccumulator(hardware_id='unit 7')
+    for batch in simulate_imu(1200.0, 50.0, [GYRO] * 3, [ACCEL] * 3, seed=5, start_ns=10**18):
+        accumulator.update(batch)
+    accumulator.end()
+    known = accumulator.result()
+    source = SourceInfo('runs/one.mcap', '/imu/data', 'sensor_msgs/msg/Imu', 'mcap')
+    (sums,) = known.sums
+    return sums, Provenance(
+        (source,), known.spans, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
+    )
+
+
+@pytest.fixture(scope='session')
+def small_results(small_run: tuple[AllanSums, Provenance]) -> Results:
+    """Return what the default method says of `small_run`."""
+    sums, provenance = small_run
+    return analyse_sums([sums], provenance)

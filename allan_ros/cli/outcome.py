@@ -71,7 +71,13 @@ def add_runs(runs: Iterable[Run]) -> Run:
 
 
 def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope] = ()) -> int:
-    """Fit the run, write its files where ``--output`` says, and print what was found."""
+    """Fit the run, write its files where ``--output`` says, and print what was found.
+
+    Returns
+    -------
+    int
+        Exit code: 1 where nothing could be computed, else 0.
+    """
     from ..io.results import analyse_sums
     from .tables import print_results
 
@@ -84,7 +90,8 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
     print_results(results, args.units)
     if paths:
         print(f'\nwritten to {args.output}: {", ".join(sorted(path.name for path in paths))}')
-    return 0
+    known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
+    return 0 if any(c.value is not None for c in known) else 1
 
 
 def _axes_text(sums: Sequence[AllanSums]) -> str:

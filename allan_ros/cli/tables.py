@@ -109,6 +109,8 @@ def _table_lines(
 
 def _reading_lines(results: Results, width: int) -> Iterator[str]:
     for axis, result in results.axes.items():
+        if not result.regions:
+            continue
         reading = ', '.join(region_text(region) for region in result.regions)
         yield from textwrap.wrap(
             f'{axis:{len("accel_x")}}  {reading}', max(width - 1, 40), subsequent_indent=' ' * 9

@@ -159,7 +159,7 @@ def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
     return {
         'source': [asdict(s) for s in provenance.sources],
         'segments': [s._asdict() for s in longest],
-        'counts': asdict(provenance.counts),
+        'counts': {**vars(provenance.counts), 'cuts': dict(provenance.counts.cuts)},
         'settings': dict(provenance.settings),
     }
 

@@ -111,7 +111,10 @@ class Fields:
     def _number(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self._wrong(key, value, 'a number')
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:  # JSON integers have no bound
+            number = math.inf
         if not math.isfinite(number):
             raise self._wrong(key, value, 'a finite number')
         return number

@@ -124,6 +124,10 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
     curve, unit = result.curve, shown_unit(axis, 'B', units)
     assert curve is not None
     adev, low, high = (unit.factor * a for a in (curve.adev, curve.ci_low, curve.ci_high))
+    panel.set_ylabel(f'{axis.replace("_", " ")}\nAllan deviation [{unit.name}]')
+    if not np.any(adev > 0.0):
+        panel.text(0.5, 0.5, 'no noise to show', ha='center', transform=panel.transAxes)
+        return
     panel.set_xscale('log')
     panel.set_yscale('log', nonpositive='mask')
     panel.fill_between(curve.tau, low, high, color='0.8', lw=0, label='68 % limits')
@@ -145,7 +149,6 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
         )
     total = unit.factor * result.total_adev(curve.m)
     panel.plot(curve.tau, total, color='black', lw=1.0, label='fit', zorder=1.9)
-    panel.set_ylabel(f'{axis.replace("_", " ")}\nAllan deviation [{unit.name}]')
     panel.grid(which='major', color='0.88', lw=0.6)
     panel.legend(fontsize=7, loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False)
 

@@ -1,0 +1,208 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""results.json and sums.json: nothing is lost on the way, nothing wrong is believed."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.findings import Finding
+from allan_ros.core.fit import Coefficient, GaussMarkov, Sinusoid
+from allan_ros.core.health import Span
+from allan_ros.core.sums_document import sums_to_document
+from allan_ros.io.documents import (
+    read_json,
+    results_from_document,
+    results_to_document,
+    sums_file_from_document,
+    sums_file_to_document,
+    to_json,
+)
+from allan_ros.io.results import Provenance, Results
+
+
+def through_text(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the document as another program reads it: strictly, so that NaN is an error."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f'{constant} in JSON')
+
+    read: dict[str, Any] = json.loads(to_json(document), parse_constant=refuse)
+    return read
+
+
+def test_results_survive_the_round_trip(small_results: Results) -> None:
+    finding = Finding('short', 'warning', 'only 3 s', 'record longer', ('gyro_x', 'accel_z'))
+    results = replace(
+        small_results,
+        findings=(finding,),
+        provenance=replace(small_results.provenance, findings=(finding,)),
+    )
+    document = through_text(results_to_document(results))
+    again = through_text(results_to_document(results_from_document(document)))
+    assert again == document
+
+
+def test_the_fields_that_others_rely_on_are_there(small_results: Results) -> None:
+    document = through_text(results_to_document(small_results))
+    assert document['schema'] == 'allan_ros/results/1'
+    assert document['source'] == [
+        {
+            'path': 'runs/one.mcap',
+            'topic': '/imu/data',
+            'type': 'sensor_msgs/msg/Imu',
+            'storage': 'mcap',
+        }
+    ]
+    assert document['samples'] == 60_000
+    assert document['rate_hz'] == pytest.approx(50.0)
+    assert document['tau0_s'] == pytest.approx(0.02)
+    assert document['duration_s'] == pytest.approx(1200.0)
+    assert document['segments'][0]['start_ns'] == 10**18
+    axis = document['axes']['gyro_z']
+    assert axis['unit'] == 'rad/s'
+    assert axis['curve']['ci_level'] == 0.683
+    columns = {len(axis['curve'][key]) for key in ('m', 'tau', 'n', 'adev', 'ci_low', 'ci_high')}
+    assert len(columns) == 1
+    assert axis['noise']['N']['unit'] == 'rad/s/sqrt(Hz)'
+    assert axis['noise']['N']['status'] == 'estimated'
+    low, high = axis['noise']['N']['ci95']
+    assert low < axis['noise']['N']['value'] < high
+    assert set(axis['noise']) == set('QNBKR')
+    assert {'misfit', 'm_min'} <= set(axis)
+
+
+def test_per_sample_levels_are_those_of_the_rate(small_results: Results) -> None:
+    axis = results_to_document(small_results, curves=False)['axes']['gyro_x']
+    assert 'curve' not in axis
+    assert axis['white_std_per_sample'] == pytest.approx(
+        axis['noise']['N']['value'] * math.sqrt(50.0)
+    )
+
+
+def test_what_is_not_known_is_null(small_results: Results) -> None:
+    axis = small_results.axes['gyro_x']
+    noise = {**axis.fit.noise, 'K': Coefficient(None, None, math.inf, 'not_observable')}
+    curve = replace(axis.curve, ci_high=np.full(len(axis.curve.m), math.nan))
+    unknown = replace(axis, fit=replace(axis.fit, noise=noise, misfit=math.nan), curve=curve)
+    results = replace(small_results, axes={'gyro_x': unknown})
+    document = through_text(results_to_document(results))['axes']['gyro_x']
+    assert document['noise']['K']['value'] is None
+    assert document['noise']['K']['upper95'] is None
+    assert document['walk_std_per_sample'] is None
+    assert document['misfit'] is None
+    assert set(document['curve']['ci_high']) == {None}
+
+
+def test_extra_terms_survive(small_results: Results) -> None:
+    axis = small_results.axes['accel_y']
+    fit = replace(
+        axis.fit,
+        gauss_markov=GaussMarkov(1e-4, (9e-5, 1.1e-4), 300.0, (200.0, 500.0)),
+        sinusoid=Sinusoid(1e-3, (9e-4, 1.1e-3), 25.0, (24.9, 25.1)),
+    )
+    results = replace(small_results, axes={'accel_y': replace(axis, fit=fit)})
+    again = results_from_document(through_text(results_to_document(results)))
+    assert again.axes['accel_y'].fit.gauss_markov == fit.gauss_markov
+    assert again.axes['accel_y'].fit.sinusoid == fit.sinusoid
+
+
+def test_of_many_segments_the_longest_are_listed(small_results: Results) -> None:
+    spans = tuple(Span(i, i + 1, float(i + 1)) for i in range(1500))
+    results = replace(
+        small_results,
+        segments=1500,
+        provenance=replace(small_results.provenance, spans=spans),
+    )
+    document = results_to_document(results)
+    assert document['segment_count'] == 1500
+    assert [s['samples'] for s in document['segments']] == list(range(1500, 500, -1))
+
+
+def test_sums_survive_the_round_trip_bit_for_bit(small_run) -> None:
+    sums, provenance = small_run
+    document = through_text(sums_file_to_document([sums], provenance))
+    (again,), its_provenance = sums_file_from_document(document)
+    assert sums_to_document(again) == sums_to_document(sums)
+    assert its_provenance == provenance
+
+
+def spoiled(document: dict[str, Any], path: tuple[str | int, ...], value: object) -> Any:
+    """Return a copy with one field replaced, or taken out when the value is `KeyError`."""
+    copied = copy.deepcopy(document)
+    place: Any = copied
+    for key in path[:-1]:
+        place = place[key]
+    if value is KeyError:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return copied
+
+
+@pytest.mark.parametrize(
+    ('path', 'value', 'said'),
+    [
+        (('schema',), 'allan_ros/results/9', 'allan_ros/results/9'),
+        (('tau0_s',), KeyError, 'tau0_s is missing'),
+        (('tau0_s',), True, 'a number'),
+        (('samples',), 1.5, 'an integer'),
+        (('axes', 'gyro_x', 'noise', 'N'), KeyError, 'N is missing'),
+        (('axes', 'gyro_x', 'noise', 'N', 'value'), 'big', 'axes.gyro_x.noise.N.value'),
+        (('axes', 'gyro_x', 'noise', 'N', 'value'), 10**400, 'axes.gyro_x.noise.N.value'),
+        (('axes', 'gyro_x', 'noise', 'N', 'ci95'), [1.0], 'a pair of numbers'),
+        (('axes', 'gyro_x', 'noise', 'N', 'status'), 'perhaps', 'one of estimated'),
+        (('axes', 'gyro_x', 'curve', 'm'), [1], 'different lengths'),
+        (('source',), [3], r'source\[0\]'),
+        (('axes',), [], 'an object'),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_a_wrong_field_is_named(
+    small_results: Results, path: tuple[str | int, ...], value: object, said: str
+) -> None:
+    document = through_text(results_to_document(small_results))
+    with pytest.raises(AllanError, match=said):
+        results_from_document(spoiled(document, path, value))
+
+
+@pytest.mark.parametrize('document', [None, [], 3, 'x', {}, {'schema': 'allan_ros/results/1'}])
+def test_what_is_no_sums_file_is_refused(document: object) -> None:
+    with pytest.raises(AllanError):
+        sums_file_from_document(document)
+
+
+@pytest.mark.parametrize(
+    ('content', 'said'),
+    [('', 'is not JSON'), ('{"a": ', 'is not JSON'), ('[' * 100_000, 'is not JSON')],
+)
+def test_a_file_that_is_not_json_is_said(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / 'sums.json'
+    path.write_text(content)
+    with pytest.raises(AllanError, match=said):
+        read_json(path)
+
+
+def test_a_missing_file_is_said(tmp_path: Path) -> None:
+    with pytest.raises(AllanError, match='no such file'):
+        read_json(tmp_path / 'sums.json')
+
+
+def test_a_finding_of_two_runs_is_said_once(small_run) -> None:
+    _, provenance = small_run
+    one = replace(provenance, findings=(Finding('a', 'info', 'm', 'r'),))
+    both = one + one
+    assert both.findings == one.findings
+    assert len(both.sources) == 2
+    assert both.counts.received == 2 * provenance.counts.received
+    assert provenance.counts.received == 60_000
+    assert Provenance() + Provenance() == Provenance()

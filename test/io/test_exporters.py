@@ -1,0 +1,122 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files for filters: the right axis, the right unit, never a value that a reader refuses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fit import Coefficient
+from allan_ros.io.exporters import TARGETS, ExportOptions, export
+from allan_ros.io.results import Results
+
+
+def with_coefficient(results: Results, axis: str, term: str, coefficient: Coefficient) -> Results:
+    had = results.axes[axis]
+    fit = replace(had.fit, noise={**had.fit.noise, term: coefficient})
+    return replace(results, axes={**results.axes, axis: replace(had, fit=fit)})
+
+
+@pytest.fixture
+def results(small_results: Results) -> Results:
+    """Return results with levels that are easy to tell apart."""
+    known = small_results
+    for i, axis in enumerate(known.axes):
+        n, k = 1e-4 * (i + 1), 1e-6 * (i + 1)
+        known = with_coefficient(known, axis, 'N', Coefficient(n, (0.9 * n, 1.1 * n)))
+        known = with_coefficient(known, axis, 'K', Coefficient(k, (0.9 * k, 1.1 * k)))
+    return known
+
+
+def kalibr(results: Results, folder: Path, options: ExportOptions = ExportOptions()) -> dict:
+    return yaml.safe_load(export(results, 'kalibr', folder, options).read_text())
+
+
+def test_kalibr_reads_continuous_levels_of_the_worst_axis(results: Results, tmp_path: Path) -> None:
+    assert kalibr(results, tmp_path) == {
+        'accelerometer_noise_density': pytest.approx(6e-4),
+        'accelerometer_random_walk': pytest.approx(6e-6),
+        'gyroscope_noise_density': pytest.approx(3e-4),
+        'gyroscope_random_walk': pytest.approx(3e-6),
+        'rostopic': '/imu/data',
+        'update_rate': pytest.approx(50.0),
+    }
+
+
+def test_the_mean_is_of_the_variances_and_inflation_multiplies(
+    results: Results, tmp_path: Path
+) -> None:
+    read = kalibr(results, tmp_path, ExportOptions('mean', 10.0, topic='/imu7'))
+    assert read['gyroscope_noise_density'] == pytest.approx(
+        10.0 * 1e-4 * math.sqrt((1 + 4 + 9) / 3.0), rel=1e-5
+    )
+    assert read['rostopic'] == '/imu7'
+
+
+def test_the_header_states_convention_unit_rate_rule_and_interval(
+    results: Results, tmp_path: Path
+) -> None:
+    text = export(results, 'kalibr', tmp_path, ExportOptions(inflate=5.0)).read_text()
+    head = [line for line in text.splitlines() if line.startswith('#')]
+    for words in (
+        'continuous time',
+        'rad/s/sqrt(Hz)',
+        'm/s^3/sqrt(Hz)',
+        '50.000 Hz',
+        'axis rule: worst',
+        'inflation: x5',
+        'gyro_z 0.0003000, 95 % interval 0.0002700 .. 0.0003300',
+    ):
+        assert any(words in line for line in head), words
+
+
+def test_a_walk_that_is_not_observable_is_written_as_its_limit(
+    results: Results, tmp_path: Path
+) -> None:
+    hidden = with_coefficient(
+        results, 'gyro_y', 'K', Coefficient(None, None, 7e-6, 'not_observable')
+    )
+    path = export(hidden, 'kalibr', tmp_path)
+    assert yaml.safe_load(path.read_text())['gyroscope_random_walk'] == pytest.approx(7e-6)
+    assert 'gyro_y not observable: 95 % upper limit 7.00e-06' in path.read_text()
+    with pytest.raises(AllanError, match='K of gyro_y is not observable'):
+        export(hidden, 'kalibr', tmp_path, ExportOptions(strict=True))
+
+
+@pytest.mark.parametrize(
+    'coefficient',
+    [
+        Coefficient(None),
+        Coefficient(0.0),
+        Coefficient(None, None, 0.0, 'not_observable'),
+        Coefficient(None, None, math.inf, 'not_observable'),
+    ],
+)
+def test_nothing_is_written_that_is_not_positive_and_finite(
+    results: Results, tmp_path: Path, coefficient: Coefficient
+) -> None:
+    with pytest.raises(AllanError, match='neither a value nor a limit'):
+        export(with_coefficient(results, 'accel_x', 'K', coefficient), 'kalibr', tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_absent_sensor_is_said(results: Results, tmp_path: Path) -> None:
+    gyro = {name: axis for name, axis in results.axes.items() if name.startswith('gyro')}
+    with pytest.raises(AllanError, match='no accel'):
+        export(replace(results, axes=gyro), 'kalibr', tmp_path)
+
+
+def test_an_unknown_target_is_answered_with_the_known(results: Results, tmp_path: Path) -> None:
+    with pytest.raises(AllanError, match=', '.join(TARGETS)):
+        export(results, 'klibr', tmp_path)
+
+
+def test_options_out_of_range_are_refused() -> None:
+    with pytest.raises(AllanError, match='inflate'):
+        ExportOptions(inflate=0.5)
