@@ -158,6 +158,8 @@ def _open_columns(
             f'{samples.where} has shape {samples.shape}: give one row a sample with columns '
             f'{COLUMNS}'
         )
+    if not samples.shape[0]:
+        raise AllanError(f'{samples.where} holds no sample: record or export it again')
     if samples.shape[1] == len(AXES) and stamps is None and not options.rate_hz:
         raise AllanError(
             f'{samples.where} has six columns and no time: add {STAMPS!r}, put t first, '
@@ -192,7 +194,7 @@ def _read(
                     stamps_ns = stamps.take(rows).astype(np.int64)
                 elif block.shape[1] > len(AXES):
                     unit = STAMP_UNITS[options.stamp_unit]
-                    stamps_ns = _to_nanoseconds(block[:, 0] * unit, samples.where, first)
+                    stamps_ns = _to_nanoseconds(block[:, 0], unit, samples.where, first)
                 else:
                     rows_of = np.arange(first, first + rows)
                     stamps_ns = np.rint(rows_of * (1e9 / options.rate_hz)).astype(np.int64)
@@ -205,7 +207,11 @@ def _read(
         raise _unreadable(path, error) from error
 
 
-def _to_nanoseconds(times: NDArray[np.float64], where: str, first: int) -> NDArray[np.int64]:
+def _to_nanoseconds(
+    times: NDArray[np.float64], unit: int, where: str, first: int
+) -> NDArray[np.int64]:
+    with np.errstate(over='ignore'):  # what overflows is refused below
+        times = times * unit
     bad = ~(np.abs(times) < np.iinfo(np.int64).max)
     if bad.any():
         raise AllanError(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type
+from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
 
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
@@ -32,6 +32,8 @@ CHUNK_HEAD = struct.Struct('<QQQI')
 FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
 LOOSE_BYTES = 1 << 20
 """Messages outside of chunks are read in runs of about this many bytes."""
+_DAMAGE = (struct.error, OSError, OverflowError, MemoryError)
+"""What reading a damaged file raises."""
 REMEDY = 'copy it again, or mend it with "mcap recover"'
 
 
@@ -70,6 +72,10 @@ class McapStorage:
 
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
+        with translated(self._path, _DAMAGE, REMEDY):
+            yield from self._blocks(ids)
+
+    def _blocks(self, ids: set[int]) -> Iterator[Block]:
         in_order = InOrder()
         ends = [span.start_ns for span in self._spans[1:]] + [None]
         for span, until in zip(self._spans, ends):
@@ -230,8 +236,9 @@ def open_mcap(path: Path, shown: Path) -> Iterator[McapStorage]:
     AllanError
         When it is no mcap file or damaged.
     """
-    try:
-        with path.open('rb') as file:
-            yield McapStorage(shown, file)
-    except (struct.error, OSError, OverflowError, MemoryError) as error:
-        raise damaged(shown, error, REMEDY) from error
+    with translated(shown, (OSError,), REMEDY):
+        file = path.open('rb')
+    with file:
+        with translated(shown, _DAMAGE, REMEDY):
+            storage = McapStorage(shown, file)
+        yield storage

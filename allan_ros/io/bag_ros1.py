@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type
+from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
 
 MAGIC = b'#ROSBAG V2.0\n'
 OP_MESSAGE, OP_BAG, OP_INDEX, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = 2, 3, 4, 5, 6, 7
@@ -28,6 +28,8 @@ INDEX_ENTRY = struct.Struct('<III')
 NANOSECONDS = 10**9
 MAX_HEADER = 1 << 20
 """A record header is far shorter; more means that the file is damaged."""
+_DAMAGE = (struct.error, LookupError, UnicodeDecodeError, OSError, OverflowError, MemoryError)
+"""What reading a damaged file raises; LookupError for a field that is not there."""
 REMEDY = 'copy it again, or mend it with "rosbag reindex" or "rosbag fix"'
 
 
@@ -66,6 +68,10 @@ class Ros1Storage:
 
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
+        with translated(self._path, _DAMAGE, REMEDY):
+            yield from self._blocks(ids)
+
+    def _blocks(self, ids: set[int]) -> Iterator[Block]:
         in_order = InOrder()
         ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
         for chunk, until in zip(self._chunks, ends):
@@ -224,10 +230,9 @@ def open_ros1(path: Path, shown: Path) -> Iterator[Ros1Storage]:
     AllanError
         When it is no such bag or damaged.
     """
-    try:
-        with path.open('rb') as file:
-            yield Ros1Storage(shown, file)
-    except KeyError as error:
-        raise damaged(shown, f'a record has no field {error}', REMEDY) from error
-    except (struct.error, IndexError, UnicodeDecodeError, OSError, MemoryError) as error:
-        raise damaged(shown, error, REMEDY) from error
+    with translated(shown, (OSError,), REMEDY):
+        file = path.open('rb')
+    with file:
+        with translated(shown, _DAMAGE, REMEDY):
+            storage = Ros1Storage(shown, file)
+        yield storage

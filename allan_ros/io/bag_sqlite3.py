@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 
-from .bag_storage import Block, Cut, Topic, damaged, normal_type
+from .bag_storage import Block, Cut, Topic, damaged, normal_type, translated
 
 ROWS = 8192
 """Rows fetched at a time: a few MB."""
+_LIBRARY_ERRORS = (sqlite3.Error, OverflowError, ValueError, TypeError)
+"""What reading raises on a damaged database: SQLite's own, and cells of another type."""
 REMEDY = 'copy it again, or mend it with "sqlite3 FILE .recover"'
 
 
@@ -51,28 +53,26 @@ class Sqlite3Storage:
 
     def counts(self) -> dict[int, int]:
         """Return topic id -> number of messages (reads the whole table)."""
-        return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
+        with translated(self._path, _LIBRARY_ERRORS, REMEDY):
+            return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
 
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
         marks = ', '.join('?' * len(ids))
-        rows = self._query(
+        sql = (
             f'SELECT timestamp, data FROM messages WHERE topic_id IN ({marks}) '
-            'ORDER BY timestamp, id',
-            *ids,
+            'ORDER BY timestamp, id'
         )
-        try:
+        with translated(self._path, _LIBRARY_ERRORS, REMEDY):
+            rows = self._query(sql, *ids)
             while batch := rows.fetchmany(ROWS):
                 times, payloads = zip(*batch)
+                if set(map(type, payloads)) != {bytes}:
+                    raise ValueError('a message is no BLOB')
                 yield Block(np.array(times, dtype=np.int64), list(payloads))
-        except (sqlite3.Error, OverflowError, ValueError, TypeError) as error:
-            raise damaged(self._path, error, REMEDY) from error
 
     def _query(self, sql: str, *values: int) -> sqlite3.Cursor:
-        try:
-            return self._connection.execute(sql, values)
-        except sqlite3.Error as error:
-            raise damaged(self._path, error, REMEDY) from error
+        return self._connection.execute(sql, values)
 
 
 @contextmanager
@@ -90,11 +90,9 @@ def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     # one the file is taken as it stands, which works on read-only media too.
     log = path.with_name(path.name + '-wal')
     how = 'mode=ro' if log.exists() and log.stat().st_size else 'immutable=1'
-    try:
+    with translated(shown, _LIBRARY_ERRORS, REMEDY):
         connection = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{how}', uri=True)
-    except sqlite3.Error as error:
-        raise damaged(shown, error, REMEDY) from error
-    try:
-        yield Sqlite3Storage(shown, connection)
-    finally:
-        connection.close()
+    with closing(connection):
+        with translated(shown, _LIBRARY_ERRORS, REMEDY):
+            storage = Sqlite3Storage(shown, connection)
+        yield storage

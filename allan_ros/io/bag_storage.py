@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import bz2
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,15 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
     return AllanError(f'{path}: cannot be read ({words}): {remedy}')
 
 
+@contextmanager
+def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
+    """Turn what a library raises on a damaged file into the one line for the user."""
+    try:
+        yield
+    except errors as error:
+        raise damaged(path, error, remedy) from error
+
+
 def normal_type(name: str) -> str:
     """Spell a type as ROS 2 does: ``sensor_msgs/Imu`` is ``sensor_msgs/msg/Imu``."""
     package, *rest = name.split('/')
@@ -102,6 +112,9 @@ def decompress(data: bytes, compression: str) -> bytes:
 
         return _translated(RuntimeError, lz4.frame.decompress, data)
     if compression == 'zstd':
+        if reused := _reused_zstd():
+            with suppress(ValueError):  # a frame that does not state its size
+                return _translated(reused.error, reused.decompress, data)
         zstd = _zstd()
         return _translated(zstd.ZstdError, zstd.decompress, data)
     raise ValueError(f'compression {compression!r} is not known')
@@ -137,6 +150,24 @@ def _translated(error_type: type[Exception], function: Any, data: bytes) -> byte
     except (error_type, EOFError, OSError, ValueError) as error:
         raise ValueError(f'{error}') from error
     return result
+
+
+class _ReusedZstd(NamedTuple):
+    decompress: Callable[[bytes], bytes]
+    error: type[Exception]
+
+
+@lru_cache(maxsize=1)
+def _reused_zstd() -> _ReusedZstd | None:
+    """Return one decompressor for all messages where the zstandard package is installed.
+
+    The standard library makes a new one for each, which costs ten times the decompression.
+    """
+    try:
+        import zstandard
+    except ImportError:
+        return None
+    return _ReusedZstd(zstandard.ZstdDecompressor().decompress, zstandard.ZstdError)
 
 
 def _zstd() -> Any:

@@ -140,10 +140,9 @@ def _decode_equal(
     joined: bytes, length: int, encoding: Encoding, rows: NDArray[np.intp], into: DecodedImus
 ) -> None:
     """Decode payloads of one length; those of another byte order or frame length apart."""
-    try:
-        head = np.frombuffer(joined, imu_dtype(encoding, '<', 0, length))
-    except ValueError as error:
-        raise MalformedMessage(int(rows[0]), f'{length} bytes are too few for an Imu') from error
+    if length < imu_dtype(encoding, '<', 0).itemsize:
+        raise MalformedMessage(int(rows[0]), f'{length} bytes are too few for an Imu')
+    head = np.frombuffer(joined, imu_dtype(encoding, '<', 0, length))
     # What decides the layout, as one integer: the byte order and the raw length field.
     kind = head['frame_bytes'].astype(np.int64)
     if encoding == 'cdr':

@@ -126,6 +126,8 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
             f'{path}: has {len(first)} columns of numbers and no header: '
             f'name them, such as --columns {EXAMPLE_COLUMNS} (- leaves one out)'
         )
+    if header_line and all(line.startswith('#') or line.isspace() for line in file):
+        raise AllanError(f'{path}: holds no line behind its header: record or export it again')
     axes, stamp, record = _roles(path, names, options)
     if not stamp and not options.rate_hz:
         raise AllanError(

@@ -1,0 +1,118 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Imu samples to write, and what reading a recording gives back as whole arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.errors import AllanError
+from allan_ros.core.findings import Finding
+from allan_ros.io.recordings import ReadOptions, Recording, open_recordings
+
+START_NS = 1_700_000_000_123_456_789
+
+
+class Contents(NamedTuple):
+    """All samples of one recording."""
+
+    recording: Recording
+    stamps_ns: np.ndarray
+    samples: np.ndarray
+    record_ns: np.ndarray | None
+    frame_ids: list[str]
+    findings: tuple[Finding, ...]
+
+
+def make_batches(n: int = 2000, *, parts: int = 3, frame_id: str = 'imu_link') -> list[ImuBatch]:
+    """Return n samples of every magnitude, with stamps that use all their digits."""
+    rng = np.random.default_rng(20)
+    samples = rng.normal(size=(n, 6)) * 10.0 ** rng.integers(-12, 6, size=(n, 6))
+    stamps = START_NS + np.cumsum(rng.integers(4_900_000, 5_100_000, size=n))
+    record = stamps + rng.integers(10_000, 90_000, size=n)
+    whole = ImuBatch(stamps, samples, record, frame_id)
+    edges = np.linspace(0, n, parts + 1).astype(int)
+    return [whole[start:stop] for start, stop in pairwise(edges)]
+
+
+def join(batches: Iterable[ImuBatch]) -> ImuBatch:
+    """Return consecutive batches of one frame as one."""
+    batches = list(batches)
+    records = [batch.record_ns for batch in batches if batch.record_ns is not None]
+    return ImuBatch(
+        np.concatenate([batch.stamps_ns for batch in batches]),
+        np.concatenate([batch.samples for batch in batches]),
+        np.concatenate(records) if records else None,
+        batches[0].frame_id,
+    )
+
+
+def read_whole(path: Path, **options: Any) -> Contents:
+    """Open one recording and read all of it."""
+    [recording] = open_recordings([path], ReadOptions(**options))
+    batches = list(recording.batches())
+    whole = join(batches)
+    return Contents(
+        recording,
+        whole.stamps_ns,
+        whole.samples,
+        whole.record_ns,
+        [batch.frame_id for batch in batches],
+        recording.findings,
+    )
+
+
+def read_or_say(path: Path, **options: Any) -> tuple[int, str]:
+    """Return how many samples a recording gives, and the one line said where it is refused."""
+    count = 0
+    try:
+        for recording in open_recordings([path], ReadOptions(**options)):
+            for batch in recording.batches():
+                count += len(batch)
+    except AllanError as error:
+        return count, str(error)
+    return count, ''
+
+
+@pytest.fixture
+def outcome() -> Callable[..., tuple[int, str]]:
+    """Return what reads a recording or catches what is said of it."""
+    return read_or_say
+
+
+@pytest.fixture
+def refused() -> Callable[..., str]:
+    """Return what checks that a recording is refused in one line that names it."""
+
+    def say(path: Path, **options: Any) -> str:
+        _, said = read_or_say(path, **options)
+        assert said.startswith(str(path))
+        assert '\n' not in said
+        return said
+
+    return say
+
+
+@pytest.fixture
+def imu_batches() -> Callable[..., list[ImuBatch]]:
+    """Return what makes samples to write."""
+    return make_batches
+
+
+@pytest.fixture
+def joined() -> Callable[[Iterable[ImuBatch]], ImuBatch]:
+    """Return what joins batches."""
+    return join
+
+
+@pytest.fixture
+def read() -> Callable[..., Contents]:
+    """Return what reads a recording whole."""
+    return read_whole

@@ -1,0 +1,97 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The same samples in every form come back bit for bit, and nothing half-written is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.errors import AllanError
+from allan_ros.io.writing import COMPRESSIONS, write_recording
+
+pytest.importorskip('rosbags')
+
+FORMS = [(storage, how) for storage, hows in COMPRESSIONS.items() for how in hows]
+SUFFIX = {'ros1': '.bag', 'csv': '.csv', 'npz': '.npz'}
+
+
+@pytest.mark.parametrize('storage, compression', FORMS)
+def test_every_form_keeps_every_bit(
+    storage: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    batches = imu_batches(5000)
+    truth = joined(batches)
+    path = tmp_path / f'run{SUFFIX.get(storage, "")}'
+    assert write_recording(path, batches, storage=storage, compression=compression) == 5000
+    back = read(path)
+    np.testing.assert_array_equal(back.stamps_ns, truth.stamps_ns)
+    np.testing.assert_array_equal(back.samples, truth.samples)
+    np.testing.assert_array_equal(back.record_ns, truth.record_ns)
+    assert set(back.frame_ids) == {'imu_link'}
+    assert back.findings == ()
+    assert back.recording.messages in (5000, None)
+    assert back.recording.info.storage == storage
+
+
+def test_tsv_is_a_table_with_tabs(tmp_path: Path, imu_batches: Any, read: Any) -> None:
+    write_recording(tmp_path / 'run.tsv', imu_batches(20))
+    assert (tmp_path / 'run.tsv').read_text().splitlines()[2].count('\t') == 7
+    assert len(read(tmp_path / 'run.tsv').stamps_ns) == 20
+
+
+@pytest.mark.parametrize('name', ['run', 'run.bag', 'run.csv', 'run.npz'])
+def test_a_recording_that_fails_leaves_nothing_behind(
+    name: str, tmp_path: Path, imu_batches: Any
+) -> None:
+    def broken() -> Iterator[ImuBatch]:
+        yield from imu_batches(10)
+        raise RuntimeError('the source broke')
+
+    with pytest.raises(RuntimeError, match='the source broke'):
+        write_recording(tmp_path / name, broken())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('name', ['run', 'run.bag', 'run.csv', 'run.npz'])
+def test_what_stands_there_is_replaced_only_on_request(
+    name: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    write_recording(tmp_path / name, imu_batches(10))
+    with pytest.raises(AllanError, match='exists already'):
+        write_recording(tmp_path / name, imu_batches(20))
+    assert len(read(tmp_path / name).stamps_ns) == 10
+    write_recording(tmp_path / name, imu_batches(20), overwrite=True)
+    assert len(read(tmp_path / name).stamps_ns) == 20
+    assert [child.name for child in tmp_path.iterdir()] == [name]
+
+
+def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path: Path, imu_batches: Any) -> None:
+    (tmp_path / 'thesis').mkdir()
+    with pytest.raises(AllanError, match='no bag'):
+        write_recording(tmp_path / 'thesis', imu_batches(10), overwrite=True)
+
+
+@pytest.mark.parametrize(
+    'how, says',
+    [
+        ({'storage': 'tape'}, "storage 'tape' is unknown: choose one of mcap"),
+        ({'storage': 'sqlite3', 'compression': 'chunk'}, 'choose one of none, message, file'),
+    ],
+)
+def test_what_cannot_be_written_is_said(
+    how: dict[str, str], says: str, tmp_path: Path, imu_batches: Any
+) -> None:
+    with pytest.raises(AllanError, match=says):
+        write_recording(tmp_path / 'run', imu_batches(10), **how)
+
+
+def test_npz_refuses_two_frames(tmp_path: Path, imu_batches: Any) -> None:
+    two = [*imu_batches(10, frame_id='left'), *imu_batches(10, frame_id='right')]
+    with pytest.raises(AllanError, match='one frame_id'):
+        write_recording(tmp_path / 'run.npz', two)
