@@ -163,7 +163,7 @@ class ImuAccumulator:
                 self._notes.append(finding('stamps_from_rate', what=what, rate=rate))
             else:
                 self._notes.append(finding('stamps_missing', what=what))
-        plans, findings = plan_lanes(rows)
+        plans, findings = plan_lanes(stamps, rows)
         self._notes += findings
         identity = ImuIdentity(self._frame_id, self._hardware_id)
         self._lanes = tuple(LaneStream(p, identity, self._settings) for p in plans)

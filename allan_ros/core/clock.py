@@ -50,13 +50,13 @@ REGULAR_SHARE = 0.6
 mean is at least this share of the mean of all steps."""
 
 RATE_CHANGE = 0.02
-"""Relative change of the period that is another rate, in a block without silences."""
+"""Relative change of the period over a block that is another rate."""
 
-RATE_CHANGE_SILENT = 0.05
-"""The same in a block with silences, from its other steps."""
+RATE_CHANGE_STEP = 1.45
+"""So is a median step this many times the usual one: every step would look like a lost sample."""
 
 RATE_CHANGE_BURSTY = 0.10
-"""The same when stamps are bursty, over all blocks of a tracking interval."""
+"""Change of the period that is another rate when stamps are bursty, over a tracking interval."""
 
 BRIDGED_SHARE = 0.1
 """Where more than this share of a block would be interpolated, lost samples cut instead."""
@@ -66,10 +66,12 @@ BRIDGED_SHARE = 0.1
 class Clock:
     """What was learned of a stream's stamps.
 
-    ``period_ns`` is the working sample period; ``bursty`` says that single steps mean nothing.
+    ``period_ns`` is the working sample period, ``step_ns`` the median step between two stamps;
+    ``bursty`` says that single steps mean nothing.
     """
 
     period_ns: float
+    step_ns: float
     bursty: bool
 
     @property
@@ -102,7 +104,7 @@ def learn_clock(stamps: Stamps) -> Clock | None:
     step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
     if not step.any():
         return None
-    size = min(64, len(step))
+    size = max(1, min(BLOCK, len(step) // 4))
     # the median of block means is a mean that one long gap does not spoil
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
     mean = mean or float(step.mean())
@@ -111,8 +113,11 @@ def learn_clock(stamps: Stamps) -> Clock | None:
     if middle > 0.0 and len(near) >= REGULAR_SHARE * len(step):
         period = float(near.mean())
         if period >= REGULAR_SHARE * mean:
-            return Clock(period, bursty=False)
-    return Clock(mean, bursty=True)
+            # jitter makes long steps and short ones, lost samples only long ones
+            long_steps = np.count_nonzero(step > LATE * period)
+            jitter = 2 * np.count_nonzero(step < period / 2) >= long_steps
+            return Clock(mean if jitter else period, middle, bursty=False)
+    return Clock(mean, middle, bursty=True)
 
 
 @dataclass(frozen=True)
@@ -196,51 +201,61 @@ class ClockStage:
         before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
         step = np.diff(stamps, prepend=before)
         silent = (step > self.clock.silence_ns) | self._jumped[begin : begin + n]
-        if not self.clock.bursty:
-            same = self._blocks_of_same_rate(step, silent)
-            if same < n:
-                self.rate_changed = True
-                n = same
-                if n == 0:
-                    return []
-                stamps, step, silent = stamps[:n], step[:n], silent[:n]
         advance = np.ones(n, np.int64)  # index steps; 0 stands for a cut
-        bridged: dict[int, int] = {}
+        missing = np.zeros(n, np.int64)
+        bridged = np.zeros(-(-n // BLOCK), np.int64)
         for j in np.flatnonzero(silent):
-            lost = self._lost(begin + int(j), int(j), advance)
             if self._jumped[begin + j]:
                 advance[j] = 0
-                self._counts.cuts['clock jump'] += 1
-            elif lost:
-                self._counts.lost += lost
-                block = int(j) // BLOCK
-                if lost <= self._max_bridge and (
-                    bridged.get(block, 0) + lost <= BRIDGED_SHARE * BLOCK
-                ):
-                    bridged[block] = bridged.get(block, 0) + lost
-                    self._counts.bridged += lost
-                    advance[j] = 1 + lost
-                else:
-                    advance[j] = 0
-                    self._counts.cuts['gap'] += 1
-        runs = self._runs(begin, n, advance)
-        self._step_forward(n, advance)
+                continue
+            missing[j] = lost = self._lost(begin + int(j), int(j), advance)
+            block = j // BLOCK
+            if lost > self._max_bridge or bridged[block] + lost > BRIDGED_SHARE * BLOCK:
+                advance[j] = 0
+            else:
+                bridged[block] += lost
+                advance[j] = 1 + lost
+        same = self._same_rate(step, advance)
+        if same < n:
+            self.rate_changed = True
+            if same == 0:
+                return []
+        self._count(begin, missing[:same], advance[:same])
+        runs = self._runs(begin, same, advance[:same])
+        self._step_forward(same, advance[:same])
         return runs
 
-    def _blocks_of_same_rate(self, step: Stamps, silent: NDArray[np.bool_]) -> int:
-        """Return how many of the samples come before the first block that has another rate.
+    def _count(self, begin: int, missing: NDArray[np.int64], advance: NDArray[np.int64]) -> None:
+        """Count what is missing, bridged and cut among judged samples."""
+        jumps = int(np.count_nonzero(self._jumped[begin : begin + len(advance)]))
+        gaps = int(np.count_nonzero(advance == 0)) - jumps
+        self._counts.lost += int(missing.sum())
+        self._counts.bridged += int((advance[advance > 1] - 1).sum())
+        if jumps:
+            self._counts.cuts['clock jump'] += jumps
+        if gaps:
+            self._counts.cuts['gap'] += gaps
 
-        The samples the period was learned from are not asked again, so that every clock gets on.
+    def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
+        """Return how many of the samples come before another rate.
+
+        A block is told by its steps, the place in it by the first step out of the usual. The samples
+        the period was learned from are not asked again, so that every clock gets on.
         """
+        if self.clock.bursty:
+            return len(step)
         for at in range(max(0, LEARN - self._blocks * BLOCK), len(step), BLOCK):
-            quiet = step[at : at + BLOCK][~silent[at : at + BLOCK]]
-            size = min(BLOCK, len(step) - at)
-            if size < BLOCK // 4:
+            steps, indices = step[at : at + BLOCK], advance[at : at + BLOCK]
+            if len(steps) < BLOCK // 4:
                 break
-            limit = RATE_CHANGE if len(quiet) == size else RATE_CHANGE_SILENT
-            few = len(quiet) < size // 2
-            if few or abs(quiet.mean() / self.clock.period_ns - 1.0) > limit:
-                return at
+            usual = self.clock.step_ns
+            counted = indices > 0
+            period = steps[counted].sum() / max(1, indices.sum())
+            if float(np.median(steps)) > RATE_CHANGE_STEP * usual or (
+                abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
+            ):
+                odd = (steps > RATE_CHANGE_STEP * usual) | (RATE_CHANGE_STEP * steps < usual)
+                return at + int(np.argmax(odd))
         return len(step)
 
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:

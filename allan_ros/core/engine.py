@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .batch import AXES
 from .errors import AllanError
-from .grid import FIRST_FACTORS, LEVEL_FACTORS, counts, grid, grid_for
+from .grid import FIRST_FACTORS, LEVEL_FACTORS, counts, grid_for
 from .sums import AllanSums, ImuIdentity, SegmentRecord
 
 Floats = NDArray[np.float64]
@@ -343,4 +343,5 @@ class RunningAllan:
         """The sums of all that came, as if the open segment ended here; nothing is disturbed."""
         if self._open is None:
             return self._closed
-        return self._closed + self._open.sums(self._closed.identity, self._closed.axes)
+        now = self._open.sums(self._closed.identity, self._closed.axes)
+        return self._closed.extended(now)

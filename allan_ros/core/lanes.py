@@ -25,9 +25,9 @@ Stamps = NDArray[np.int64]
 SHARE = 0.1
 """Least share of repeated or zero samples that makes a sensor held or zero-filled."""
 
-HELD_LOG_RATIO = 2.0 / 3.0
-"""Three axes that repeat together much more often than by chance are held: by chance the logarithm
-of the joint share is the sum of the three logarithms; held together it is a third of that."""
+TOGETHER_LOG_RATIO = 2.0 / 3.0
+"""Coarse values of a still sensor repeat, and are zero, by chance: then the logarithm of the share
+of all three axes is the sum of their logarithms. Held or filled together it is a third of that."""
 
 Sieve = Literal['all', 'held', 'zero']
 
@@ -63,41 +63,56 @@ class LaneSieve:
         return stamps[keep], own[:, keep]
 
 
-def plan_lanes(rows: Floats) -> tuple[tuple[LanePlan, ...], tuple[Finding, ...]]:
+def plan_lanes(stamps: Stamps, rows: Floats) -> tuple[tuple[LanePlan, ...], tuple[Finding, ...]]:
     """Return the lanes of a stream from its first samples, and what there is to say of them.
 
-    rows : (6, n) array; NaN where a sensor is absent.
+    stamps : (n,) int64 array; rows : (6, n) array, NaN where a sensor is absent.
     """
+    # messages that came twice, stamp and all, are dropped later and say nothing of a sensor
+    twice = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    rows = rows[:, np.concatenate([[True], ~twice])] if len(stamps) else rows
+    repeats = rows[:, 1:] == rows[:, :-1]
     plans: list[LanePlan] = []
     findings: list[Finding] = []
     for sensor, place in SENSORS.items():
-        axes = AXES[place]
-        own = rows[place]
+        axes, own = AXES[place], rows[place]
+        zeros = own == 0.0
+        sieve: Sieve = 'all'
         if not np.isfinite(own).any():
             findings.append(finding('sensor_absent', axes, sensor=sensor))
             continue
-        zero = ~own.any(axis=0)
-        if zero.all():
+        if zeros.all():
             findings.append(finding('sensor_all_zero', axes, sensor=sensor))
             continue
-        repeats = own[:, 1:] == own[:, :-1]
-        together = float(repeats.all(axis=0).mean()) if repeats.size else 0.0
-        if zero.mean() > SHARE:
-            plans.append(LanePlan(axes, 'zero'))
-            findings.append(finding('zero_filled', axes, sensor=sensor, share=zero.mean()))
-        elif together > SHARE and _held(repeats, together):
-            plans.append(LanePlan(axes, 'held'))
-            findings.append(finding('held', axes, sensor=sensor, share=together))
-        else:
-            plans.append(LanePlan(axes))
-    if len(plans) == len(SENSORS) and all(p.sieve == 'all' for p in plans):
-        plans = [LanePlan(AXES)]
+        if _together(zeros):
+            sieve = 'zero'
+            share = float(zeros.all(axis=0).mean())
+            findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
+        elif _together(repeats[place]):
+            sieve = 'held'
+            share = float(repeats[place].all(axis=0).mean())
+            findings.append(finding('held', axes, sensor=sensor, share=share))
+        plans.append(LanePlan(axes, sieve))
+    if len(plans) == len(SENSORS) and _tick_together(plans, repeats):
+        plans = [LanePlan(AXES, plans[0].sieve)]
     return tuple(plans), tuple(findings)
 
 
-def _held(repeats: NDArray[np.bool_], together: float) -> bool:
-    """Return whether three axes repeat together more often than by chance."""
-    if together == 1.0:
-        return False  # constant values are a fault of another kind
-    alone = repeats.mean(axis=1)
-    return bool(np.log(together) > HELD_LOG_RATIO * np.log(alone).sum())
+def _tick_together(plans: list[LanePlan], repeats: NDArray[np.bool_]) -> bool:
+    """Return whether both sensors are new in the same messages."""
+    sieves = {plan.sieve for plan in plans}
+    if sieves == {'held'}:
+        apart = repeats[SENSORS['gyro']].all(axis=0) != repeats[SENSORS['accel']].all(axis=0)
+        return bool(apart.mean() < SHARE)
+    return sieves == {'all'}
+
+
+def _together(flags: NDArray[np.bool_]) -> bool:
+    """Return whether three axes do something together more often than by chance.
+
+    flags : (3, n). All of the time is no sign of it: a constant is a fault of another kind.
+    """
+    joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
+    if not SHARE < joint < 1.0:
+        return False
+    return bool(np.log(joint) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())

@@ -61,6 +61,9 @@ RELEARN_RATIO = 5.0
 """When a block is quieter than the floor by this factor (standard deviation), the floor had been
 learned in motion: what was taken for evidence is none."""
 
+ROUNDING = 1e-13
+"""A deviation below this share of the mean is rounding: no sensor resolves 43 bits."""
+
 RELEARNED = 'relearned'
 """The cut of a run before which no evidence of this stream counts."""
 
@@ -74,12 +77,12 @@ class _Floor:
     mean: Floats
     lsb: Floats
 
-    def variance_scale(self) -> Floats:
+    def scale(self, variance: Floats) -> Floats:
         """Return the variance that thresholds are multiples of: never below that of rounding.
 
         Where noise is below the last bit, single flips of it are honest (LSB^2/4 at most).
         """
-        return np.maximum(self.variance, 0.25 * self.lsb**2)
+        return np.maximum(variance, 0.25 * self.lsb**2)
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,8 @@ class _Windows:
         mean = np.add.reduce(cube, axis=2) / size
         from_mean = cube - mean[:, :, None]
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
+        # one value throughout has no variance, whatever the rounding of its mean leaves
+        variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         peak = np.maximum(from_mean.max(axis=2), -from_mean.min(axis=2))
         return cls(mean, variance, peak)
 
@@ -275,7 +280,7 @@ class StillnessStage:
         assert floor is not None
         # few samples spread a variance: a short window is judged by its farthest sample alone
         enough = size >= LEAST_WINDOW
-        scale = floor.variance_scale()[:, None]
+        scale = floor.scale(floor.variance)[:, None]
         known = scale > 0.0
         sigma = np.sqrt(scale)
         wild = known & (windows.variance > self._ratio**2 * scale) & enough
@@ -339,7 +344,7 @@ class StillnessStage:
         # an axis that is stuck says nothing of its noise
         quiet = np.percentile(variance, QUIET_QUANTILE, axis=1)
         quiet = np.where(quiet > 0.0, quiet, floor.variance)
-        if (quiet * RELEARN_RATIO**2 < floor.variance_scale()).any():
+        if (RELEARN_RATIO**2 * floor.scale(quiet) < floor.scale(floor.variance)).any():
             at_rest = (variance <= 2.0 * quiet[:, None]).all(axis=0)
             floor.variance = quiet
             steps = np.abs(np.diff(mean, axis=1))

@@ -239,6 +239,11 @@ class AllanSums:
             variance: Floats = sum_sq / (2.0 * m * m * count[:, None])
         return variance
 
+    @property
+    def _end_slack(self) -> float:
+        """Relative error of tau0 when both ends of each segment are stamped a period off."""
+        return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
+
     def __deepcopy__(self, memo: object) -> AllanSums:
         """Return itself: a value never changes."""
         return self
@@ -249,9 +254,14 @@ class AllanSums:
         Raises
         ------
         AllanError
-            When the two are of different IMUs, axes, or sample periods (over 0.1 % apart).
+            When the two are of different IMUs, axes, or sample periods (over 0.1 % apart, and more
+            than stamps a period off at the ends of the segments explain).
         """
         self._refuse_strangers(other)
+        return self.extended(other)
+
+    def extended(self, other: AllanSums) -> AllanSums:
+        """Return the sums of both, which the caller knows to be of one stream."""
         segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
         classes = {c.index: c for c in self.classes}
         for more in (*other.classes, *(LengthClass.of(s) for s in segments[KEPT_SEGMENTS:])):
@@ -281,7 +291,7 @@ class AllanSums:
                 'analyse them apart'
             )
         a, b = self.tau0, other.tau0
-        if a and b and abs(a - b) > TAU0_TOLERANCE * a:
+        if a and b and abs(a - b) > a * (TAU0_TOLERANCE + self._end_slack + other._end_slack):
             raise AllanError(
                 f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
                 f'{TAU0_TOLERANCE:.1%} apart, analyse them apart'
