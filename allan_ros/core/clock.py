@@ -239,8 +239,8 @@ class ClockStage:
     def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
         """Return how many of the samples come before another rate.
 
-        A block is told by its steps, the place in it by the first step out of the usual. The samples
-        the period was learned from are not asked again, so that every clock gets on.
+        A block is told by its steps, the place in it by the first step out of the usual. The
+        samples the period was learned from are not asked again, so that every clock gets on.
         """
         if self.clock.bursty:
             return len(step)
