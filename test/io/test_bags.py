@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,6 +141,79 @@ def test_flipped_bytes_never_end_in_a_traceback(
         spoiled.write_bytes(flipped.tobytes())
         _, said = outcome(spoiled)
         assert '\n' not in said
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
+def test_messages_come_in_the_order_of_their_record_time(
+    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    """Chunks overlap by seconds: the order is that of rosbags, and nothing is lost."""
+    [batch] = imu_batches(15_000, parts=1)
+    late = np.random.default_rng(6).integers(0, 4 * 10**9, size=len(batch))
+    late[::1000] += 30 * 10**9
+    path = tmp_path / ('run.bag' if storage == 'ros1' else 'run')
+    write_recording(path, [replace(batch, record_ns=batch.stamps_ns + late)], storage=storage)
+    back = read(path)
+    order = np.argsort(batch.stamps_ns + late, kind='stable')
+    np.testing.assert_array_equal(back.stamps_ns, batch.stamps_ns[order])
+    np.testing.assert_array_equal(back.samples, batch.samples[order])
+    with highlevel.AnyReader([path]) as reader:
+        times = [time for _, time, _ in reader.messages()]
+    np.testing.assert_array_equal(back.record_ns, times)
+
+
+def mcap_records(data: bytes) -> list[tuple[int, bytes]]:
+    """Return opcode and content of each record."""
+    records, at = [], 0
+    while at + 9 <= len(data):
+        opcode, length = struct.unpack_from('<BQ', data, at)
+        records.append((opcode, data[at + 9 : at + 9 + length]))
+        at += 9 + length
+    return records
+
+
+@pytest.mark.parametrize('chunked', [True, False])
+@pytest.mark.parametrize('ended', [True, False])
+def test_an_mcap_without_summary_is_whole(
+    chunked: bool, ended: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    """The summary and the chunks are optional in the format; the end is not."""
+    batches = imu_batches(9000)
+    write_recording(tmp_path / 'run', batches)
+    magic, data = b'\x89MCAP0\r\n', (tmp_path / 'run/run.mcap').read_bytes()
+    kept = magic
+    for opcode, content in mcap_records(data[len(magic) : -len(magic)]):
+        if opcode == 0x06:
+            inner = content[32 + struct.unpack_from('<I', content, 28)[0] + 8 :]
+            kept += struct.pack('<BQ', opcode, len(content)) + content if chunked else inner
+        elif opcode == 0x01:
+            kept += struct.pack('<BQ', opcode, len(content)) + content
+    footer = struct.pack('<BQI', 0x0F, 4, 0) + struct.pack('<BQQQI', 0x02, 20, 0, 0, 0) + magic
+    path = tmp_path / 'bare.mcap'
+    path.write_bytes(kept + footer * ended)
+    back = read(path)
+    truth = joined(batches)
+    np.testing.assert_array_equal(back.stamps_ns, truth.stamps_ns)
+    np.testing.assert_array_equal(back.samples, truth.samples)
+    assert [finding.id for finding in back.findings] == ([] if ended else ['bag_cut'])
+
+
+def test_an_unclosed_database_gives_its_log_too(
+    tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    """A recorder that was killed leaves its last messages in a write-ahead log."""
+    write_recording(tmp_path / 'run', imu_batches(40), storage='sqlite3')
+    path = tmp_path / 'killed.db3'
+    shutil.copy(tmp_path / 'run/run.db3', path)
+    writer = sqlite3.connect(path)
+    writer.execute('PRAGMA journal_mode=WAL')
+    writer.execute(
+        'INSERT INTO messages (topic_id, timestamp, data) '
+        'SELECT topic_id, timestamp + 1000000000000, data FROM messages'
+    )
+    writer.commit()  # and never closed, so the log stays
+    assert len(read(path).stamps_ns) == 80
+    writer.close()
 
 
 def write_topics(path: Path, topics: dict[str, tuple[str, int]], batch: Any) -> None:
