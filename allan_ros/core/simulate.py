@@ -99,9 +99,7 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
         Its first half + 1 values have the wanted autocovariance.
     """
     size = 2 * (len(eigenvalues) - 1)
-    spectrum = np.empty(len(eigenvalues), complex)
-    spectrum.real = rng.standard_normal(len(spectrum))
-    spectrum.imag = rng.standard_normal(len(spectrum))
+    spectrum = rng.standard_normal(2 * len(eigenvalues)).view(complex)
     # A real sequence has a real value at the frequencies 0 and 1/2, of the full variance.
     spectrum[[0, -1]] = spectrum.real[[0, -1]] * math.sqrt(2.0)
     spectrum *= np.sqrt(eigenvalues * (size / 2.0))
@@ -114,8 +112,8 @@ def _flicker_eigenvalues(half: int) -> Floats:
 
     Kept for one length, since all axes of an IMU ask for the same.
     """
-    lags = _flicker_autocovariance(half)
-    eigenvalues = fft.rfft(np.concatenate([lags, lags[-2:0:-1]])).real
+    # The transform of an even sequence is the cosine transform of its half.
+    eigenvalues = fft.dct(_flicker_autocovariance(half), type=1, overwrite_x=True)
     eigenvalues.flags.writeable = False
     return np.asarray(eigenvalues)
 
@@ -191,8 +189,8 @@ def simulate_imu(
     for sensor, axes in SENSORS.items():
         disturb_samples(samples[:, axes], tau0, faults, sensor, sample_seed)
     stamps_ns = start_ns + np.round(np.arange(n) * (tau0 * 1e9)).astype(np.int64)
-    kept = ~lost_samples(n, tau0, faults, np.random.default_rng(loss_seed))
+    kept = np.flatnonzero(~lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
     header_ns, record_ns = disturb_stamps(stamps_ns[kept], faults, stamp_seed)
-    recording = ImuBatch(header_ns, samples[kept], record_ns, frame_id)
-    for first in range(0, len(recording), BATCH_SAMPLES):
-        yield recording[first : first + BATCH_SAMPLES]
+    for first in range(0, len(kept), BATCH_SAMPLES):
+        rows = slice(first, first + BATCH_SAMPLES)
+        yield ImuBatch(header_ns[rows], samples[kept[rows]], record_ns[rows], frame_id)

@@ -82,9 +82,9 @@ def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
 def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
     """Return the fits on groups that do not overlap and on those that do, at the same factors.
 
-    A = P sigma^2 is linear, so its standard error follows from those of the points,
-    2 sigma^4/edf, with edf from the noise type at each; their correlation is left out, alike for
-    both. NaN with fewer than five points.
+    A = P sigma^2 is linear, so its standard error follows from the variances of the points,
+    2 sigma^4/edf, with edf from the noise type and sigma^2 from the overlapped curve, which is
+    the better known; their correlation is left out. NaN with fewer than five points.
     """
     some = fitted_factors(sums)
     m, stride = sums.m[some], sums.stride[some]
@@ -99,7 +99,7 @@ def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
     types = noise_types_of_avar(m, avar, sums.samples)
     fits = []
     for v, starts in ((group_avar, m), (avar, stride)):
-        variance = 2.0 * v**2 / degrees_of_freedom(sums, m, starts, types)
+        variance = 2.0 * avar**2 / degrees_of_freedom(sums, m, starts, types)
         fits.append(Polynomial(solve @ v, np.sqrt(solve**2 @ variance)))
     return fits[0], fits[1]
 
