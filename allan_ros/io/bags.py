@@ -26,6 +26,7 @@ ENCODINGS = ('cdr', 'ros1')
 LISTED = 10
 """At most this many topics are named in a message."""
 
+Decoder = Callable[[Sequence[bytes | memoryview]], DecodedImus]
 Key = tuple[str, str]
 """Topic name and type: what is one topic over all splits of a bag."""
 
@@ -188,51 +189,72 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
 
 def _read(bag: BagFiles, topic: Topic, source: ImuSource, report: Report) -> Iterator[ImuBatch]:
     """Stream the chosen topic of all files, in order."""
-    decode: Callable[[Sequence[bytes | memoryview]], DecodedImus]
+    decode: Decoder
     if source.field:
         decode = nested_decoder(topic, source.field)
     else:
         decode = partial(decode_imus, encoding='ros1' if topic.encoding == 'ros1' else 'cdr')
     for file in bag.files:
-        read = 0
         with open_storage(file) as (storage, _):
             if storage.cut:
                 report(finding('bag_cut', path=file, read=storage.cut.read, size=storage.cut.size))
             same = (topic.name, topic.type, topic.encoding)
             ids = {t.id for t in storage.topics if (t.name, t.type, t.encoding) == same}
-            for block in _gathered(storage.blocks(ids)) if ids else ():
-                try:
-                    decoded = decode(_plain(block.payloads))
-                except MalformedMessage as error:
-                    raise AllanError(
-                        f'{file}: message {read + error.index + 1} of {source.label} is no '
-                        f'{source.key[1]} ({error}): record it again'
-                    ) from error
-                yield from _batches(decoded, block)
-                read += len(block.payloads)
+            if ids:
+                yield from _gathered(_decoded(file, source, storage.blocks(ids), decode))
 
 
-def _gathered(blocks: Iterable[Block]) -> Iterator[Block]:
-    """Join small blocks and part large ones, to about `BATCH` messages each."""
-    held: list[Block] = []
-    count = 0
+def _decoded(
+    file: Path, source: ImuSource, blocks: Iterable[Block], decode: Decoder
+) -> Iterator[ImuBatch]:
+    """Decode what the storage yields, with a new batch wherever the frame changes."""
+    read = 0
     for block in blocks:
-        held.append(block)
-        count += len(block.payloads)
-        while count >= BATCH:
-            joined = _joined(held)
-            yield Block(joined.record_ns[:BATCH], joined.payloads[:BATCH])
-            held = [Block(joined.record_ns[BATCH:], joined.payloads[BATCH:])]
-            count -= BATCH
-    if count:
-        yield _joined(held)
+        if not block.payloads:
+            continue
+        try:
+            decoded = decode(_plain(block.payloads))
+        except MalformedMessage as error:
+            raise AllanError(
+                f'{file}: message {read + error.index + 1} of {source.label} is no '
+                f'{source.key[1]} ({error}): record it again'
+            ) from error
+        changes = np.flatnonzero(np.diff(decoded.frames)) + 1
+        edges = [0, *changes.tolist(), len(decoded.frames)]
+        for start, stop in pairwise(edges):
+            yield ImuBatch(
+                decoded.stamps_ns[start:stop],
+                decoded.samples[start:stop],
+                block.record_ns[start:stop],
+                decoded.frame_ids[decoded.frames[start]],
+            )
+        read += len(block.payloads)
 
 
-def _joined(blocks: list[Block]) -> Block:
-    return Block(
-        np.concatenate([block.record_ns for block in blocks]),
-        [payload for block in blocks for payload in block.payloads],
+def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
+    """Join the batches of one frame to about `BATCH` samples, and part longer ones."""
+    held: list[ImuBatch] = []
+    count = 0
+    for batch in batches:
+        if held and (batch.frame_id != held[0].frame_id or count >= BATCH):
+            yield from _parted(held)
+            held, count = [], 0
+        held.append(batch)
+        count += len(batch)
+    if held:
+        yield from _parted(held)
+
+
+def _parted(held: list[ImuBatch]) -> Iterator[ImuBatch]:
+    record = [batch.record_ns for batch in held if batch.record_ns is not None]
+    whole = ImuBatch(
+        np.concatenate([batch.stamps_ns for batch in held]),
+        np.concatenate([batch.samples for batch in held]),
+        np.concatenate(record),
+        held[0].frame_id,
     )
+    for start in range(0, len(whole), BATCH):
+        yield whole[start : start + BATCH]
 
 
 def _plain(payloads: list[bytes | memoryview]) -> list[bytes | memoryview]:
@@ -247,16 +269,3 @@ def _plain(payloads: list[bytes | memoryview]) -> list[bytes | memoryview]:
         except ValueError as error:
             raise MalformedMessage(index, f'{compression}: {error}') from error
     return plain
-
-
-def _batches(decoded: DecodedImus, block: Block) -> Iterator[ImuBatch]:
-    """Yield the messages with a new batch wherever the frame changes."""
-    changes = np.flatnonzero(np.diff(decoded.frames)) + 1
-    edges = [0, *changes.tolist(), len(decoded.frames)]
-    for start, stop in pairwise(edges):
-        yield ImuBatch(
-            decoded.stamps_ns[start:stop],
-            decoded.samples[start:stop],
-            block.record_ns[start:stop],
-            decoded.frame_ids[decoded.frames[start]],
-        )
