@@ -26,7 +26,7 @@ from .sums import AllanSums, ImuIdentity, SegmentRecord
 
 Floats = NDArray[np.float64]
 
-BLOCK = 2048
+BLOCK = 4096
 """Phase points a level gathers before it sums them: fits the cache, amortises numpy's calls."""
 
 PHASE_POINTS = 128
@@ -119,13 +119,18 @@ class _Level:
         self.sum_sq = np.zeros((len(factors), axes))
         self.group_sum_sq = np.zeros((len(factors), axes))
 
+    @property
+    def past(self) -> int:
+        """How many points of history there are."""
+        return min(self.summed, _HISTORY)
+
     def waiting(self) -> Floats:
         """Return the points that wait, (axes, fill), as a view."""
         return self.points[:, _HISTORY : _HISTORY + self.fill]
 
     def sum_block(self) -> Floats:
         """Sum the full block, keep its end as history, return every second point for above."""
-        sum_sq, group_sum_sq = self.sums_of(self.points[:, _HISTORY:])
+        sum_sq, group_sum_sq = self.sums_of(self.points[:, _HISTORY - self.past :])
         self.sum_sq += sum_sq
         self.group_sum_sq += group_sum_sq
         if self.first is None:
@@ -136,37 +141,43 @@ class _Level:
         self.fill = 0
         return upward
 
-    def sums_of(self, new: Floats) -> tuple[Floats, Floats]:
-        """Return sum d^2 of every d that ends in the new points: all, and the groups'.
+    def with_history(self, new: Floats) -> Floats:
+        """Return new points, (axes, n), behind the history they follow on."""
+        return np.concatenate([self.points[:, _HISTORY - self.past : _HISTORY], new], axis=1)
 
-        new : (axes, points), which follow on the points summed so far.
+    def sums_of(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return sum d^2 of every d that ends in new points: all, and the groups'.
+
+        points : (axes, history + new), the new ones behind the history they follow on.
         """
         sum_sq = np.zeros_like(self.sum_sq)
         group_sum_sq = np.zeros_like(self.sum_sq)
-        past = min(self.summed, _HISTORY)
-        both = np.concatenate([self.points[:, _HISTORY - past : _HISTORY], new], axis=1)
-        start = self.summed - past
+        scratch = np.empty((2, *points.shape))
         for i, f in enumerate(self.factors):
-            reach = min(past, 2 * f)
-            window = both[:, past - reach :]
-            if window.shape[1] <= 2 * f:
+            reach = min(self.past, 2 * f)
+            window = points[:, self.past - reach :]
+            length = window.shape[1] - 2 * f
+            if length <= 0:
                 continue
-            d = _second_differences(window, f)
-            sum_sq[i] = np.einsum('ij,ij->i', d, d)
-            first_start = start + past - reach
-            group = d[:, -first_start % f :: f]
-            group_sum_sq[i] = np.einsum('ij,ij->i', group, group)
+            g = scratch[0, :, : length + f]
+            np.subtract(window[:, f:], window[:, :-f], out=g)
+            d = scratch[1, :, :length]
+            np.subtract(g[:, f:], g[:, :-f], out=d)
+            sum_sq[i] = _squares(d)
+            first_start = self.summed - reach
+            group_sum_sq[i] = _squares(d[:, -first_start % f :: f]) if f > 1 else sum_sq[i]
         return sum_sq, group_sum_sq
 
-    def first_points(self, new: Floats) -> Floats:
-        """Return the first points of the level, when ``new`` follows on those summed so far."""
-        return new[:, :_HISTORY] if self.first is None else self.first
+    def ends(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the first and the last points of the level; arguments as of `sums_of`."""
+        first = points[:, :_HISTORY] if self.first is None else self.first
+        return first, points[:, -_HISTORY:]
 
-    def last_points(self, new: Floats) -> Floats:
-        """Return the last points of the level, when ``new`` follows on those summed so far."""
-        past = min(self.summed, _HISTORY)
-        both = np.concatenate([self.points[:, _HISTORY - past : _HISTORY], new], axis=1)
-        return both[:, -_HISTORY:]
+
+def _squares(d: Floats) -> Floats:
+    """Return the sum of squares of each row: one dot product a row, the fastest numpy has."""
+    sums: Floats = np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0]
+    return sums
 
 
 def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
@@ -258,10 +269,11 @@ class _OpenSegment:
         while len(sum_sq) < len(m):
             level = self.levels[j] if j < len(self.levels) else _Level(LEVEL_FACTORS, len(carry))
             new = np.concatenate([level.waiting(), carry], axis=1)
-            tail_sq, tail_groups = level.sums_of(new)
+            points = level.with_history(new)
+            tail_sq, tail_groups = level.sums_of(points)
             sum_sq += list(level.sum_sq + tail_sq)
             groups += list(level.group_sum_sq + tail_groups)
-            first, last = level.first_points(new), level.last_points(new)
+            first, last = level.ends(points)
             reached = level.factors[: len(m) - len(signed)]
             signed += [_signed_sum(first, last, f) for f in reached]
             carry = new[:, ::2]

@@ -36,8 +36,8 @@ LEAST_WINDOW, MOST_WINDOW = 16, 1024
 LEARN_WINDOWS = 32
 """Windows the floor is learned from, and after which it is updated."""
 
-QUIET_QUANTILE = 25.0
-"""The floor is this percentile of the windows' variances: three quarters of them may be motion."""
+QUIET = 0.25
+"""The floor is this quantile of the windows' variances: three quarters of them may be motion."""
 
 LEAVE_SHARE = 0.8
 """Motion ends below this share of the standard deviation at which it begins."""
@@ -226,9 +226,9 @@ class StillnessStage:
             mean = np.concatenate([w.mean for w in windows], axis=1)
             step = np.concatenate(steps, axis=1)
             self._floor = _Floor(
-                np.percentile(variance, QUIET_QUANTILE, axis=1),
-                MAD_TO_SIGMA * np.median(step, axis=1) if step.size else zero,
-                np.median(mean, axis=1),
+                _quantile(variance, QUIET),
+                MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
+                _quantile(mean, 0.5),
                 lsb,
             )
         else:
@@ -342,22 +342,22 @@ class StillnessStage:
         mean = np.concatenate([j.windows.mean for j in block], axis=1)
         still = np.concatenate([j.still for j in block])
         # an axis that is stuck says nothing of its noise
-        quiet = np.percentile(variance, QUIET_QUANTILE, axis=1)
+        quiet = _quantile(variance, QUIET)
         quiet = np.where(quiet > 0.0, quiet, floor.variance)
         if (RELEARN_RATIO**2 * floor.scale(quiet) < floor.scale(floor.variance)).any():
             at_rest = (variance <= 2.0 * quiet[:, None]).all(axis=0)
             floor.variance = quiet
             steps = np.abs(np.diff(mean, axis=1))
-            floor.step = MAD_TO_SIGMA * np.percentile(steps, QUIET_QUANTILE, axis=1)
-            floor.mean = np.median(mean[:, at_rest] if at_rest.any() else mean, axis=1)
+            floor.step = MAD_TO_SIGMA * _quantile(steps, QUIET)
+            floor.mean = _quantile(mean[:, at_rest] if at_rest.any() else mean, 0.5)
             return self._judge_anew(block)
         if np.count_nonzero(still) >= LEARN_WINDOWS // 2:
-            recent = np.percentile(variance[:, still], QUIET_QUANTILE, axis=1)
+            recent = _quantile(variance[:, still], QUIET)
             floor.variance = floor.variance + FLOOR_GAIN * (recent - floor.variance)
-            floor.mean = np.median(mean[:, still], axis=1)
+            floor.mean = _quantile(mean[:, still], 0.5)
         elif np.concatenate([j.verdict.turning_only for j in block]).all():
             # a steady rate for a whole block is a bias that jumped, or was learned in a turn
-            floor.mean = np.median(mean, axis=1)
+            floor.mean = _quantile(mean, 0.5)
         return []
 
     def _judge_anew(self, block: list[_Judged]) -> list[Run]:
@@ -376,6 +376,13 @@ class StillnessStage:
             out += self._judge(judged.run, self.size)
         self._block = []
         return out
+
+
+def _quantile(values: Floats, share: float) -> Floats:
+    """Return the lower quantile of each row: a value that is there, found without interpolation."""
+    k = int(share * (values.shape[1] - 1))
+    found: Floats = np.partition(values, k, axis=1)[:, k]
+    return found
 
 
 def _stretches(runs: list[Run]) -> list[Floats]:
