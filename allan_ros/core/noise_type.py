@@ -7,12 +7,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .edf import RANDOM_WALK, WHITE, WHITE_PHASE
+from .edf import FLICKER, RANDOM_WALK, WHITE, WHITE_PHASE
 
 Floats = NDArray[np.float64]
 
 MIN_AVERAGES = 30
 """Fewest averages for the lag-1 method (NIST SP 1065 section 5.5.6)."""
+
+FLICKER_EDGE = -1.75
+"""Where flicker ends and random walk begins. Once differenced, averages of flicker have
+r1 = (9 ln3 - 16 ln2)/(8 ln2), so alpha = -1.45; those of a random walk have -2 (m = 1) to -2.4. Of
+2000 averages, plain rounding would take every fifth flicker for a random walk."""
 
 SLOPE_SPAN = 4.0
 """A slope is taken from m/4 to 4 m: two octaves each way steady it against single points."""
@@ -29,7 +34,7 @@ def noise_type_of_samples(y: ArrayLike, m: int) -> int | None:
 
     NIST SP 1065 section 5.5.6 (Riley & Greenhall, Power law noise identification using the lag 1
     autocorrelation, 18th EFTF, 2004): difference the averages until r1/(1 + r1) < 1/4, at most
-    twice; then alpha = -2 (r1/(1 + r1) + differences), rounded.
+    twice; then alpha = -2 (r1/(1 + r1) + differences), rounded (but see `FLICKER_EDGE`).
 
     Parameters
     ----------
@@ -59,7 +64,9 @@ def noise_type_of_samples(y: ArrayLike, m: int) -> int | None:
         if delta < 0.25:
             break
         z = np.diff(z)
-    return int(np.clip(round(alpha), RANDOM_WALK, WHITE_PHASE))
+    if alpha < WHITE - 0.5:
+        return FLICKER if alpha > FLICKER_EDGE else RANDOM_WALK
+    return min(round(alpha), WHITE_PHASE)
 
 
 def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:

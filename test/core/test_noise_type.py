@@ -13,8 +13,10 @@ M = np.array([1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024])
 @pytest.mark.parametrize('term, alpha', [('Q', 2), ('N', 0), ('B', -1), ('K', -2)])
 @pytest.mark.parametrize('m', [1, 10, 40])
 def test_lag_1_names_pure_noise(term, alpha, m):
-    y = simulate_axis(20000, 0.01, NoiseTerms(**{term: 1.0}), np.random.default_rng(1))
-    assert noise_type_of_samples(y, m) == alpha
+    """At least 18 of 20 draws; of 200, the worst case (Q at m = 40) missed 4: below 1e-2."""
+    terms, rng = NoiseTerms(**{term: 1.0}), np.random.default_rng(1)
+    found = [noise_type_of_samples(simulate_axis(20000, 0.01, terms, rng), m) for _ in range(20)]
+    assert found.count(alpha) >= 18
 
 
 def test_lag_1_says_nothing_of_too_little():
