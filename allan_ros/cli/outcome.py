@@ -51,7 +51,8 @@ def add_runs(runs: Iterable[Run]) -> Run:
     Raises
     ------
     AllanError
-        Naming the first run that is not of the same IMU as the ones before, and what differs.
+        Naming the first run that is not of the same IMU as the ones before, and what differs; or
+        one that was given twice.
     """
     first, *others = runs
     sums = {s.axes: s for s in first.sums}
@@ -63,10 +64,15 @@ def add_runs(runs: Iterable[Run]) -> Run:
                 f'{_axes_text(first.sums)}: analyse them apart'
             )
         try:
-            sums = {s.axes: sums[s.axes] + s for s in run.sums}
+            added = {s.axes: sums[s.axes] + s for s in run.sums}
         except AllanError as error:
             raise AllanError(f'{run.name} does not go with {first.name}: {error}') from error
-        provenance = provenance + run.provenance
+        if any(_share_a_segment(sums[s.axes], s) for s in run.sums):
+            raise AllanError(
+                f'{run.name} holds samples that a run before it holds too: give each run once, '
+                'or they count twice'
+            )
+        sums, provenance = added, provenance + run.provenance
     return Run(first.name, tuple(sums.values()), provenance)
 
 
@@ -92,6 +98,16 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
         print(f'\nwritten to {args.output}: {", ".join(sorted(path.name for path in paths))}')
     known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
     return 0 if any(c.value is not None for c in known) else 1
+
+
+def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
+    """Tell whether a segment of one is in the other too: no two have the same noise."""
+    return any(
+        one.order == other.order and (one.phase == other.phase).all()
+        for one in a.segments
+        for other in b.segments
+        if one.samples > 1
+    )
 
 
 def _axes_text(sums: Sequence[AllanSums]) -> str:

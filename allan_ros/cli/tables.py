@@ -26,6 +26,9 @@ from ..io.shown import (
 LABEL, GAP = 16, 2
 """Characters of the first column, and between the columns of two axes."""
 
+MISFIT, NOTHING = 'misfit', '-'
+"""Label of the last row, which is left out where the five terms describe every curve."""
+
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
 """ANSI colours (ECMA-48): cyan, yellow, red."""
 
@@ -52,7 +55,7 @@ def results_lines(
         yield ''
         yield from _reading_lines(results, width)
     yield ''
-    yield '95 % intervals; "<": not observable in this much data, the 95 % upper limit is given'
+    yield _legend(results)
     for finding in results.findings:
         yield ''
         yield from finding_lines(finding, width, coloured)
@@ -80,9 +83,16 @@ def finding_lines(finding: Finding, width: int, coloured: bool = False) -> Seque
     return lines
 
 
+def _legend(results: Results) -> str:
+    known = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
+    if not any(c.ci95 or c.upper95 for c in known):
+        return f'method {results.method} gives no intervals and no verdicts'
+    return '95 % intervals; "<": not observable in this much data, the 95 % upper limit is given'
+
+
 def _labels(sensor: str, units: str) -> list[str]:
     terms = [f'{term} {shown_unit(sensor, term, units).name}' for term in TERMS]
-    return [sensor, *terms, 'misfit']
+    return [sensor, *terms, MISFIT]
 
 
 def _column(results: Results, axis: str, units: str) -> list[str]:
@@ -91,7 +101,7 @@ def _column(results: Results, axis: str, units: str) -> list[str]:
     for term in TERMS:
         unit, coefficient = shown_unit(axis, term, units), fit.noise[term]
         cells.append(f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}')
-    return [*cells, f'{fit.misfit:.0%}' if fit.misfit > 0.0 else '-']
+    return [*cells, f'{fit.misfit:.0%}' if fit.misfit > 0.0 else NOTHING]
 
 
 def _table_lines(
@@ -104,6 +114,8 @@ def _table_lines(
     for at in range(0, len(columns), across):
         yield ''
         for text, *row in zip(labels, *columns[at : at + across]):
+            if all(entry == NOTHING for entry in row) and text == MISFIT:
+                continue
             yield (f'{text:{label}}' + ''.join(f'{entry:{cell}}' for entry in row)).rstrip()
 
 

@@ -1,0 +1,84 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tool on an IMU whose noise is known: simulate, analyse, show found against true.
+
+usage: demo.py FOLDER [--hours H]
+
+The IMU is the ADIS16475-3 of Cong, Wang, Yan (2019): 100 Hz, 2 h, the five terms of its table 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+from allan_ros.cli.main import main as allan
+from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.io.documents import read_json, results_from_document
+from allan_ros.io.results import Results
+from allan_ros.io.shown import interval_text, shown_unit, significant, value_text
+from allan_ros.io.truth import AxesNoise, read_noise, truth_path
+
+CONFIDENCE = 0.95
+"""Share of the intervals and limits that should hold the truth."""
+
+
+def main() -> int:
+    """Run the demo and return the exit code of the first step that fails, else 0."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('folder', type=Path)
+    parser.add_argument('--hours', default='2', help='length of the recording (default 2)')
+    args = parser.parse_args()
+    bag = args.folder / 'adis16475'
+    args.folder.mkdir(parents=True, exist_ok=True)
+    steps = [
+        ['simulate', f'{bag}', '--preset', 'paper', '--hours', args.hours, '--overwrite'],
+        ['analyze', f'{bag}', '-o', f'{args.folder}'],
+    ]
+    for step in steps:
+        print(f'$ allan {shlex.join(step)}', flush=True)
+        began = time.monotonic()
+        code = allan(step)
+        if code:
+            return code
+        print(f'({time.monotonic() - began:.1f} s)\n', flush=True)
+    results = results_from_document(read_json(args.folder / 'results.json'))
+    print('\n'.join(comparison(results, read_noise(truth_path(bag)))))
+    return 0
+
+
+def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
+    """Yield a table of every coefficient beside its truth, and how many are right."""
+    yield f'{"":9}{"":17}{"true":>10}{"found":>11}   95 % interval'
+    inside = []
+    for axis, result in results.axes.items():
+        for term in TERMS:
+            true, coefficient = asdict(truth[axis])[term], result.fit.noise[term]
+            unit = shown_unit(axis, term, 'datasheet')
+            inside.append(holds(coefficient, abs(true)))
+            yield (
+                f'{axis if term == TERMS[0] else "":9}{f"{term} {unit.name}":17}'
+                f'{significant(true * unit.factor, 4):>10}{value_text(coefficient, unit):>11}   '
+                f'{interval_text(coefficient, unit):18}{"" if inside[-1] else "truth outside"}'
+            ).rstrip()
+    yield (
+        f'\n{sum(inside)} of {len(inside)} intervals and limits hold the truth; '
+        f'{CONFIDENCE * len(inside):g} are expected to'
+    )
+
+
+def holds(coefficient: Coefficient, true: float) -> bool:
+    """Tell whether the truth lies in the interval, or below the limit of what is not observable."""
+    if coefficient.status == 'estimated' and coefficient.ci95 is not None:
+        low, high = coefficient.ci95
+        return low <= true <= high
+    return coefficient.upper95 is None or true <= coefficient.upper95
+
+
+if __name__ == '__main__':
+    sys.exit(main())

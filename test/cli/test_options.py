@@ -1,0 +1,64 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Options made from settings: every field, with its default, and nothing typed twice."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, fields
+
+import pytest
+
+from allan_ros.cli.options import add_settings, settings_of
+from allan_ros.core.errors import AllanError
+from allan_ros.core.parameters import check, parameter
+from allan_ros.core.settings import SegmenterSettings
+from allan_ros.io.recordings import ReadOptions
+
+
+@dataclass(frozen=True)
+class Some:
+    """One field of every kind."""
+
+    limit: float = parameter(2.5, 'A limit of 50 %.', unit='s', low=0.0)
+    count: int = parameter(3, 'A count.')
+    gate: bool = parameter(True, 'The gate.')
+    loud: bool = parameter(False, 'Be loud.')
+    names: tuple[str, ...] = parameter((), 'Names.')
+    kind: str = parameter('a', 'A kind.', choices=('a', 'b'))
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def parsed(words: list[str], settings_type: type = Some) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_settings(parser, 'some', settings_type)
+    return parser.parse_args(words)
+
+
+@pytest.mark.parametrize('settings_type', [Some, SegmenterSettings, ReadOptions])
+def test_without_options_the_settings_are_their_defaults(settings_type: type) -> None:
+    assert settings_of(settings_type, parsed([], settings_type)) == settings_type()
+
+
+def test_every_kind_of_field_can_be_said() -> None:
+    words = ['--limit=7', '--count=4', '--no-gate', '--loud', '--names=t,-,gx', '--kind=b']
+    assert settings_of(Some, parsed(words)) == Some(7.0, 4, False, True, ('t', '-', 'gx'), 'b')
+
+
+def test_what_is_given_wins() -> None:
+    assert settings_of(Some, parsed([]), count=9).count == 9
+
+
+def test_a_value_out_of_range_is_refused_by_the_settings() -> None:
+    with pytest.raises(AllanError, match='limit is -1'):
+        settings_of(Some, parsed(['--limit', '-1']))
+
+
+def test_help_says_unit_and_default() -> None:
+    parser = argparse.ArgumentParser()
+    add_settings(parser, 'some', Some)
+    said = ' '.join(parser.format_help().split())
+    assert 'A limit of 50 % [s] (default 2.5)' in said
+    assert all(f.name in said for f in fields(Some))
