@@ -46,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     noise = parser.add_argument_group('noise')
     base = noise.add_mutually_exclusive_group()
     base.add_argument('--preset', choices=list(PRESETS), help='a known IMU; paper: ADIS16475-3')
-    base.add_argument('--sensor', metavar='NAME', help='N and B of a datasheet: a name or a file')
+    base.add_argument(
+        '--sensor', metavar='NAME', help='N and B at the limits of a datasheet: a name or a file'
+    )
     base.add_argument('--spec', metavar='FILE', help='YAML of axes and terms, or a truth file')
     for name in NOISE_OPTIONS:
         noise.add_argument(
