@@ -39,13 +39,15 @@ class Table:
     avar : (factors,) float64 array
         Allan variance of the samples less the ramps.
     terms : (factors, 4) float64 array
-        Its expectation for unit q, w, b, k.
+        Its expectation for unit q, w, b, k; further columns where terms were added.
     squares : (10, pairs) float64 array
         Its covariance for the products of powers `TERM_PAIRS`, at pairs i <= j.
     ramps : (segments,) float64 array
         The ramp taken out of each kept segment, per sample; 0 where none could be estimated.
     ramp_variance : (segments, 4) float64 array
         Its variance per unit power.
+    exponents : tuple of float
+        For each added term, the power of its relative share that the covariance grows with.
     """
 
     m: Ints
@@ -55,12 +57,19 @@ class Table:
     squares: Floats
     ramps: Floats
     ramp_variance: Floats
+    exponents: tuple[float, ...] = ()
 
     def covariance(self, power: Floats) -> Floats:
         """Return the covariance of ``avar`` under the powers, (factors, factors)."""
         p = np.maximum(power, 0.0)
         packed = np.array([p[a] * p[b] for a, b in TERM_PAIRS]) @ self.squares
-        return unpacked(packed, len(self.m))
+        covariance = unpacked(packed, len(self.m))
+        shares = self.terms * p
+        noise = shares[:, : len(RANDOM_TERMS)].sum(axis=1)
+        for exponent, share in zip(self.exponents, shares.T[len(RANDOM_TERMS) :]):
+            growth = (1.0 + share / noise) ** (exponent / 2.0)
+            covariance *= np.outer(growth, growth)
+        return covariance
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
         """Return the table of some of its factors."""

@@ -9,15 +9,16 @@ import numpy as np
 from ..findings import Finding
 from ..sums import AllanSums
 from .evidence import Evidence
+from .frame import choose_frame
 from .intervals import power_interval
 from .model import RANDOM_TERMS, to_si
-from .point import PointFit, point_fit
+from .point import PointFit
 from .ramp_interval import ramp_interval
-from .solve import ALL, Q, Solution, solve
+from .solve import Q, solve
 from .values import TERMS, AxisFit, Coefficient, NoiseFit
 
-LEAST_FACTORS = 4
-"""Fewer averaging factors than terms say nothing of the terms."""
+LEAST_FACTORS = 5
+"""With no more averaging factors than terms a table says nothing of the terms."""
 
 
 def fit_gls(sums: AllanSums) -> NoiseFit:
@@ -36,23 +37,24 @@ def fit_gls(sums: AllanSums) -> NoiseFit:
 
 def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> AxisFit:
     """Return the fit of one axis."""
-    if not np.any(evidence.sums.sum_sq[:, axis] > 0.0):
+    if not np.any(evidence.sums.sum_sq[:, axis] > 0.0) or len(evidence.m) <= LEAST_FACTORS:
         return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
-    fit = point_fit(evidence, axis)
-    if len(fit.table.m) < LEAST_FACTORS:
+    chosen = choose_frame(evidence, axis)
+    fit = chosen.fit
+    if len(fit.table.m) <= LEAST_FACTORS:
         return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
     noise = {}
     walk = np.inf
-    without_q: Solution | None = None
+    misfit, signed = fit.frame.misfit, fit.frame.signed
+    best_n = fit.power
     for term, name in enumerate(RANDOM_TERMS):
-        interval = power_interval(fit.table, term, fit.power)
-        power = fit.power
+        interval = power_interval(fit.table, term, fit.power, misfit)
+        power = best_n if name == 'N' else fit.power
         if name == 'K':
             walk = interval.upper
-        if name == 'Q' and not interval.observable:
-            without_q = solve(fit.table, fit.power, columns=tuple(c for c in ALL if c != Q))
-        if name == 'N' and without_q is not None:
-            power = without_q.power
+        if name == 'Q' and not interval.observable and not signed:
+            columns = tuple(c for c in range(len(fit.power)) if c != Q)
+            best_n = solve(fit.table, fit.power, columns=columns, misfit=misfit)
         value = to_si(name, float(power[term]), tau0) or None
         if interval.observable and np.isfinite(interval.high):
             low, high = min(interval.low, power[term]), max(interval.high, power[term])
@@ -60,7 +62,7 @@ def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> AxisFit:
         else:
             noise[name] = _unseen(value, to_si(name, interval.upper, tau0))
     noise['R'] = _ramp(evidence, axis, fit, walk, tau0)
-    return AxisFit(noise)
+    return AxisFit(noise, misfit, fit.frame.m_min, chosen.first.z)
 
 
 def _ramp(evidence: Evidence, axis: int, fit: PointFit, walk: float, tau0: float) -> Coefficient:

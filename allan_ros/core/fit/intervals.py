@@ -19,7 +19,7 @@ import numpy as np
 from .active_set import RIDGE
 from .evidence import Table
 from .model import Floats
-from .solve import ALL, Q, solve, weights_at, white_floor, whiten
+from .solve import Q, solve, weights_at, white_floor, whiten
 
 Z_TWO_SIDED = 1.96
 """Normal quantile of 97.5 %."""
@@ -69,7 +69,7 @@ class Score:
     def __call__(self, c: float) -> float:
         """Return z(c); `estimate` and `deviation` are those at that fit."""
         signed = self.term != Q
-        fit = solve(
+        power = solve(
             self.table,
             self._start,
             fixed={self.term: c},
@@ -77,10 +77,10 @@ class Score:
             rounds=ROUNDS,
             misfit=self.misfit,
         )
-        self._start = fit.power
-        active = [a for a in ALL if a == self.term or fit.power[a] != 0.0]
+        self._start = power
+        active = [a for a, p in enumerate(power) if a == self.term or p != 0.0]
         columns = np.column_stack([self.table.terms[:, active], self.table.avar])
-        white = whiten(weights_at(self.table, fit.power, self.misfit), columns)
+        white = whiten(weights_at(self.table, power, self.misfit), columns)
         at = active.index(self.term)
         value, variance = _estimate(white[:, :-1], white[:, -1], at)
         self.estimate, self.deviation = value, float(np.sqrt(variance))

@@ -11,7 +11,7 @@ limit, r is not further than this from the truth. The interval is what passes bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -56,30 +56,32 @@ def ramp_interval(evidence: Evidence, axis: int, fit: PointFit, walk: float) -> 
     walk : float
         The upper limit of k.
     """
-    power = np.maximum(fit.power, 0.0)
-    variance = fit.table.ramp_variance @ power
+    variance = fit.ramp_variance
     chosen = np.flatnonzero(variance > 0.0)
     if not len(chosen):
         return None
-    value, deviation = _mean(fit.table.ramps[chosen], variance[chosen])
-    spread = float(np.sum((fit.table.ramps[chosen] - value) ** 2 / variance[chosen]))
+    ramps = fit.table.ramps[chosen]
+    value, deviation = _mean(ramps, variance[chosen])
+    spread = float(np.sum((ramps - value) ** 2 / variance[chosen]))
     shared = len(chosen) == 1 or bool(chdtrc(len(chosen) - 1, spread) > AGREE)
     if not shared:
-        chosen = chosen[:1]
-        value, deviation = float(fit.table.ramps[chosen[0]]), float(np.sqrt(variance[chosen[0]]))
+        chosen, ramps = chosen[:1], ramps[:1]
+        value, deviation = _mean(ramps, variance[chosen])
 
     def z(c: float) -> float:
         known = np.full(len(variance), np.nan)
         known[chosen] = c
-        held = solve(evidence.table(axis, power, known), power).power
-        free = evidence.table(axis, held)
-        r, sd = _mean(free.ramps[chosen], (free.ramp_variance @ np.maximum(held, 0.0))[chosen])
+        less = fit.frame.table(evidence, axis, fit.power, known)
+        held = solve(less, fit.power, signed=fit.frame.signed, misfit=fit.frame.misfit)
+        free = PointFit(held, fit.frame.table(evidence, axis, held), fit.frame)
+        r, sd = _mean(free.table.ramps[chosen], free.ramp_variance[chosen])
         return (r - c) / sd
 
     bound = np.inf
     if np.isfinite(walk):
-        most = np.where(np.arange(len(power)) == K, max(walk, power[K]), power)
-        bound = _mean(fit.table.ramps[chosen], (fit.table.ramp_variance @ most)[chosen])[1]
+        most = fit.power.copy()
+        most[K] = max(walk, most[K])
+        bound = _mean(ramps, replace(fit, power=most).ramp_variance[chosen])[1]
     reach = Z_TWO_SIDED * bound
     low = cross(z, Z_TWO_SIDED, value, value - 2.0 * deviation, value - reach)
     high = cross(z, -Z_TWO_SIDED, value, value + 2.0 * deviation, value + reach)

@@ -10,7 +10,6 @@ covariance as well would be biased.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -33,22 +32,13 @@ NOISE_FLOOR = 1e-6
 """White noise assumed at least, relative to the least that the table could hide."""
 
 Q, N = RANDOM_TERMS.index('Q'), RANDOM_TERMS.index('N')
-ALL = tuple(range(len(RANDOM_TERMS)))
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Powers (4,), and the whitened table they solve: ``design @ power`` is near ``target``."""
-
-    power: Floats
-    design: Floats
-    target: Floats
 
 
 def first_guess(table: Table) -> Floats:
     """Return powers from relative weights, sqrt(n/m) / V: good enough to begin with."""
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
-    return nonnegative_least_squares(table.terms * weight[:, None], table.avar * weight)
+    terms = table.terms[:, : len(RANDOM_TERMS)]
+    return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
 
 
 def whitener(covariance: Floats) -> tuple[Floats, Floats]:
@@ -77,22 +67,22 @@ def solve(
     power: Floats,
     *,
     fixed: Mapping[int, float] | None = None,
-    columns: tuple[int, ...] = ALL,
+    columns: tuple[int, ...] | None = None,
     signed: bool = False,
     rounds: int = ROUNDS,
     misfit: float = 0.0,
-) -> Solution:
+) -> Floats:
     """Return the powers that fit the table.
 
     Parameters
     ----------
     table : Table
-    power : (4,) float64 array
+    power : (terms,) float64 array
         Where to begin.
     fixed : mapping of term index to power, optional
         Terms that are held.
-    columns : tuple of int
-        Terms that may be other than 0.
+    columns : tuple of int, optional
+        Terms that may be other than 0; all by default.
     signed : bool
         Whether q may be negative (a low-pass filter looks like that).
     rounds : int
@@ -101,15 +91,16 @@ def solve(
         Fractional error of the model, added to the covariance as (misfit V_model)^2.
     """
     held = dict(fixed or {})
+    every = range(table.terms.shape[1])
+    columns = tuple(every) if columns is None else columns
     free = [c for c in columns if c not in held]
     negative = tuple(free.index(c) for c in (Q,) if signed and c in free)
-    now = np.array([held.get(c, power[c] if c in columns else 0.0) for c in ALL])
+    now = np.array([held.get(c, power[c] if c in columns else 0.0) for c in every])
     offset = sum((table.terms[:, c] * v for c, v in held.items()), np.zeros(len(table.m)))
     both = np.column_stack([table.terms, table.avar - offset])
-    white = both
     for _ in range(rounds):
         white = whiten(weights_at(table, now, misfit), both)
-        new = np.zeros(len(ALL))
+        new = np.zeros(len(every))
         new[free] = nonnegative_least_squares(white[:, free], white[:, -1], negative)
         for c, v in held.items():
             new[c] = v
@@ -117,8 +108,7 @@ def solve(
         now = new
         if settled:
             break
-    design = white[:, :-1]
-    return Solution(now, design, white[:, -1] + sum(design[:, c] * v for c, v in held.items()))
+    return now
 
 
 def white_floor(table: Table) -> float:

@@ -1,0 +1,81 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The two further terms of IEEE Std 952: Gauss-Markov noise and a sinusoid.
+
+They have a shape, their correlation time or frequency, besides their power, and are fitted only
+where the five terms fail (module `search`). In samples:
+
+    Gauss-Markov, variance g, correlation time T:
+        g (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T)))
+    sinusoid, amplitude^2 a, frequency f, averaged over its phase:
+        a sin^4(pi f m) / (m sin(pi f))^2
+
+IEEE Std 952-2020 annex C (exponentially correlated noise; sinusoidal noise), the latter for sums
+of samples instead of integrals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .evidence import Table
+from .model import RANDOM_TERMS, Floats, avar_terms
+
+N = RANDOM_TERMS.index('N')
+
+
+@dataclass(frozen=True)
+class GaussMarkovTerm:
+    """First-order Gauss-Markov noise; its shape is the correlation time in samples."""
+
+    shape: float
+
+    exponent = 2.0
+    """It scatters like the noise it joins: the covariance grows as V^2."""
+
+    def column(self, table: Table) -> Floats:
+        """Return its Allan variance at unit power, (factors,).
+
+        What removing the ramps took from it is what they took from its white noise.
+        """
+        x = table.m / self.shape
+        # 3 - 4 exp(-x) + exp(-2x) without the loss of digits at small x
+        growth = 2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)
+        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
+        return np.asarray(growth / x**2 - self.white() * taken)
+
+    def white(self) -> float:
+        """Return the w of white noise that it looks like over long times, at unit power."""
+        return 2.0 * self.shape
+
+
+@dataclass(frozen=True)
+class SinusoidTerm:
+    """A line in the spectrum; its shape is the frequency in cycles per sample."""
+
+    shape: float
+
+    exponent = 1.0
+    """It does not scatter, but multiplies with the noise: the covariance grows as V."""
+
+    def column(self, table: Table) -> Floats:
+        """Return its Allan variance at unit power, (factors,)."""
+        m = table.m.astype(float)
+        return np.asarray(
+            np.sin(np.pi * self.shape * m) ** 4 / (m * np.sin(np.pi * self.shape)) ** 2
+        )
+
+    def white(self) -> float:
+        """Return the w of white noise that it looks like over long times: none."""
+        return 0.0
+
+
+Extra = GaussMarkovTerm | SinusoidTerm
+
+
+def with_extras(table: Table, extras: tuple[Extra, ...]) -> Table:
+    """Return the table with a column for each extra term."""
+    columns = np.column_stack([table.terms, *(e.column(table) for e in extras)])
+    return replace(table, terms=columns, exponents=tuple(e.exponent for e in extras))

@@ -1,0 +1,88 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the terms describe the table, and by how much they fail to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .evidence import Table
+from .model import Floats
+from .solve import JITTER, solve, weights_at, whitener
+
+Z_FAIL = 3.0
+"""A table of the model's own noise is further off than this once in several hundred."""
+
+MISFIT_LIMIT = 10.0
+"""Fractional error beyond which the terms describe nothing."""
+
+MISFIT_START = 0.1
+"""Where its search begins: what real sensors have."""
+
+MISFIT_TOLERANCE = 0.04
+"""Relative accuracy of chi^2, so 2 % of the misfit: it is a description, not a measurement."""
+
+MISFIT_STEPS = 30
+"""Bound on its search, which takes four to eight steps."""
+
+MARGIN = 0.05
+"""Part of the bracket that a step leaves at either side."""
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """chi^2 of the residual, what it should be, and the difference as a normal deviate."""
+
+    chi_squared: float
+    freedom: float
+
+    @property
+    def z(self) -> float:
+        """(chi^2 - nu) / sqrt(2 nu)."""
+        return float((self.chi_squared - self.freedom) / np.sqrt(2.0 * self.freedom))
+
+    @property
+    def fails(self) -> bool:
+        """Whether the model is rejected."""
+        return self.z >= Z_FAIL
+
+
+def goodness(table: Table, power: Floats, misfit: float = 0.0) -> Goodness:
+    """Return how far the table is from the terms that are active, best fitted.
+
+    nu = sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix, less the
+    active terms: the jitter takes the weight off directions that hold no information.
+    """
+    covariance = weights_at(table, power, misfit)
+    lower, deviation = whitener(covariance)
+    active = np.flatnonzero(power != 0.0)
+    columns = np.column_stack([table.terms[:, active], table.avar]) / deviation[:, None]
+    white = np.linalg.solve(lower, columns)
+    design = white[:, :-1] / np.linalg.norm(white[:, :-1], axis=0)
+    basis = np.linalg.qr(design)[0]
+    rest = white[:, -1] - basis @ (basis.T @ white[:, -1])
+    eigenvalues = np.maximum(np.linalg.eigvalsh(covariance / np.outer(deviation, deviation)), 0.0)
+    freedom = float(np.sum(eigenvalues / (eigenvalues + JITTER))) - len(active)
+    return Goodness(float(rest @ rest), max(freedom, 1.0))
+
+
+def misfit_of(table: Table, power: Floats, signed: bool) -> float:
+    """Return the fractional error eps of the model at which chi^2 is as expected.
+
+    C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
+    into one of relative residuals over the whole curve. chi^2 falls from its value at 0 about
+    as 1/eps^2 does, so the search steps in the logarithms of both.
+    """
+    low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
+    for _ in range(MISFIT_STEPS):
+        power = solve(table, power, signed=signed, misfit=eps)
+        got = goodness(table, power, eps)
+        ratio = got.chi_squared / got.freedom
+        if abs(ratio - 1.0) < MISFIT_TOLERANCE:
+            break
+        low, high = (eps, high) if ratio > 1.0 else (low, eps)
+        eps = float(np.clip(eps * np.sqrt(ratio), low + MARGIN * (high - low), MISFIT_LIMIT))
+        eps = min(eps, high - MARGIN * (high - low))
+    return eps

@@ -1,0 +1,220 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Monte Carlo of the fits: draw records of known noise, fit them, and compare with the truth.
+
+    python bench/bench_accuracy.py                                   a short version, minutes
+    python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
+
+Samples go through the engine like any recording's. The sums of the draws can be kept and used
+again, so that methods are compared on the same records.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import pickle
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.fit import TERMS, fit_noise
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.sums import AllanSums
+from allan_ros.core.units import from_datasheet, to_datasheet
+
+AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
+"""Draws are fitted six at a time, as the six axes of one IMU."""
+
+CONFIDENCE = 0.95
+
+
+def gyro(**datasheet: float) -> NoiseTerms:
+    """Return the terms of a gyro given in urad, deg/sqrt h, deg/h, deg/h^1.5, deg/h^2."""
+    return NoiseTerms(**{k: from_datasheet(k, 'gyro', v) for k, v in datasheet.items()})
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Records to draw: noise, rate in Hz, seconds, and into how many segments they are cut."""
+
+    truth: NoiseTerms
+    rate: float
+    seconds: float
+    segments: int = 1
+
+    def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
+        """Return the sums of as many independent records as axes."""
+        samples = round(self.rate * self.seconds)
+        rows = np.stack(
+            [simulate_axis(samples, 1.0 / self.rate, self.truth, rng) for _ in range(axes)], axis=1
+        )
+        engine = RunningAllan(axes=AXES[:axes])
+        start = 0
+        for part in np.array_split(rows, self.segments):
+            period = 1e9 / self.rate
+            engine.update(part, round(start * period), round((start + len(part) - 1) * period))
+            engine.end_segment()
+            start += len(part)
+        return engine.sums
+
+
+# Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019, table 1: an ADIS16475-3.
+X = gyro(Q=0.138, N=0.242, B=5.237, K=31.807, R=76.242)
+Y = gyro(Q=0.124, N=0.168, B=4.972, K=8.169, R=11.068)
+Z = gyro(Q=0.100, N=0.245, B=6.058, K=50.568, R=66.250)
+HOUR = 3600.0
+SCENARIOS = {
+    'table1_x': Scenario(X, 100.0, 2 * HOUR),
+    'table1_y': Scenario(Y, 100.0, 2 * HOUR),
+    'table1_z': Scenario(Z, 100.0, 2 * HOUR),
+    'white': Scenario(gyro(N=0.242), 100.0, 2 * HOUR),
+    'no_walk': Scenario(gyro(N=0.242, B=5.237), 100.0, 2 * HOUR),
+    'no_flicker': Scenario(gyro(N=0.242, K=31.807), 100.0, 2 * HOUR),
+    'no_ramp': Scenario(replace(X, R=0.0), 100.0, 2 * HOUR),
+    'ramp_no_walk': Scenario(replace(X, K=0.0), 100.0, 2 * HOUR),
+    'quantised': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR),
+    'five_minutes': Scenario(X, 100.0, 300.0),
+    'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR),
+    'six_segments': Scenario(X, 100.0, 2 * HOUR, 6),
+}
+
+
+def read_slopes(sums: AllanSums) -> list[dict[str, float | None]]:
+    """Return coefficients read from lines of the right slope, as most tools do.
+
+    On the curve up to a ninth of the record: B from its least value over 0.664, the others from a
+    line of slope -1, -1/2, 1/2, 1 through the point where the curve's slope is nearest to that.
+    """
+    tau = sums.m * sums.tau0
+    keep = 9 * sums.m <= sums.samples
+    out: list[dict[str, float | None]] = []
+    for a in range(len(sums.axes)):
+        log_tau, log_dev = np.log10(tau[keep]), 0.5 * np.log10(sums.avar[keep, a])
+        slope = np.diff(log_dev) / np.diff(log_tau)
+        values: dict[str, float | None] = {'B': 10 ** log_dev.min() / 0.664}
+        lines = (('Q', -1, 3**0.5), ('N', -0.5, 1.0), ('K', 0.5, 3.0), ('R', 1, 2**0.5))
+        for term, gradient, at in lines:
+            i = int(np.argmin(np.abs(slope - gradient)))
+            values[term] = 10 ** (log_dev[i] + gradient * (math.log10(at) - log_tau[i]))
+        out.append(values)
+    return out
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one fit said of one term: NaN where it said nothing."""
+
+    value: float
+    low: float
+    high: float
+    seen: bool
+
+
+def outcomes(sums: AllanSums, method: str) -> list[dict[str, Outcome]]:
+    """Return the outcome of every term, axis by axis."""
+    nan = float('nan')
+    if method == 'slope':
+        return [{t: Outcome(v[t] or 0.0, nan, nan, True) for t in TERMS} for v in read_slopes(sums)]
+    fit = fit_noise(sums, method)
+    rows = []
+    for axis in sums.axes:
+        row = {}
+        for term, c in fit.axes[axis].noise.items():
+            low, high = c.ci95 or (0.0, c.upper95 if c.upper95 is not None else nan)
+            row[term] = Outcome(c.value or 0.0, low, high, c.status == 'estimated')
+        rows.append(row)
+    return rows
+
+
+def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
+    """Yield sums of six runs at a time, made once if they are kept."""
+    for block in range(-(-runs // len(AXES))):
+        file = keep / f'{scenario}_{block:04d}.pickle' if keep else None
+        if file and file.exists():
+            yield pickle.loads(file.read_bytes())
+            continue
+        seed = [sorted(SCENARIOS).index(scenario), block]
+        sums = SCENARIOS[scenario].draw(np.random.default_rng(seed), len(AXES))
+        if file:
+            file.write_bytes(pickle.dumps(sums))
+        yield sums
+
+
+def clopper_pearson(hits: int, runs: int) -> tuple[float, float]:
+    """Return the exact 95 % interval of a share (Clopper & Pearson, Biometrika 26, 1934)."""
+    from scipy.special import betaincinv
+
+    tail = (1.0 - CONFIDENCE) / 2.0
+    low = betaincinv(hits, runs - hits + 1, tail) if hits else 0.0
+    high = betaincinv(hits + 1, runs - hits, 1.0 - tail) if hits < runs else 1.0
+    return float(low), float(high)
+
+
+def table(scenario: str, rows: list[dict[str, Outcome]]) -> str:
+    """Return the table of one scenario and method: a line per term."""
+    lines = [
+        '| term | truth | bias % | RMSE % | median | said | coverage % (95 % band) | width |',
+        '|---|---|---|---|---|---|---|---|',
+    ]
+    for term in TERMS:
+        truth = getattr(SCENARIOS[scenario].truth, term)
+        got = [row[term] for row in rows]
+        value = np.array([g.value for g in got])
+        shown, unit = to_datasheet(term, 'gyro', truth)
+        cells = [f'{term} [{unit}]', f'{shown:.4g}']
+        if truth > 0.0:
+            error = value / truth - 1.0
+            cells += [f'{100 * error.mean():+.3f}', f'{100 * np.sqrt(np.mean(error**2)):.3f}']
+        else:
+            cells += ['', '']
+        cells.append(f'{to_datasheet(term, "gyro", float(np.median(value)))[0]:.4g}')
+        cells.append(f'{100 * np.mean([g.seen for g in got]):.1f} %')
+        if np.isfinite([g.high for g in got]).any():
+            inside = sum(g.low <= truth <= g.high for g in got)
+            low, high = clopper_pearson(inside, len(got))
+            cells.append(f'{100 * inside / len(got):.1f} ({100 * low:.1f}-{100 * high:.1f})')
+            width = float(np.median([g.high - g.low for g in got]))
+            cells.append(f'{to_datasheet(term, "gyro", width)[0]:.4g}')
+        else:
+            cells += ['', '']
+        lines.append('| ' + ' | '.join(cells) + ' |')
+    return '\n'.join(lines)
+
+
+def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
+    """Draw, fit, and print a table for every method."""
+    rows: dict[str, list[dict[str, Outcome]]] = {method: [] for method in methods}
+    spent = dict.fromkeys(methods, 0.0)
+    for sums in draws(scenario, runs, keep):
+        for method in methods:
+            begin = time.process_time()
+            rows[method] += outcomes(sums, method)
+            spent[method] += time.process_time() - begin
+    for method in methods:
+        got = rows[method][:runs]
+        cost = 1e3 * spent[method] / len(rows[method])
+        print(f'\n{scenario}, {method}, {len(got)} runs, {cost:.1f} ms of CPU per axis\n')
+        print(table(scenario, got), flush=True)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the scenarios asked for."""
+    parser = argparse.ArgumentParser(description='Monte Carlo of the fits.')
+    parser.add_argument('scenarios', nargs='*', default=['table1_x', 'white', 'five_minutes'])
+    parser.add_argument('--runs', type=int, default=24)
+    parser.add_argument('--methods', nargs='+', default=['gls', 'relative', 'paper', 'slope'])
+    parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
+    options = parser.parse_args(arguments)
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
+    for scenario in options.scenarios:
+        run(scenario, options.runs, options.methods, options.keep)
+
+
+if __name__ == '__main__':
+    main()
