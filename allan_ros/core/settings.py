@@ -42,7 +42,7 @@ class SegmenterSettings:
         read_only=True,
     )
     motion_ratio: float = parameter(
-        2.5,
+        3.0,
         'Standard deviation, in units of the noise floor, above which a window counts as motion.',
         low=1.5,
         high=100.0,

@@ -42,8 +42,9 @@ QUIET = 0.25
 LEAVE_SHARE = 0.8
 """Motion ends below this share of the standard deviation at which it begins."""
 
-PEAK_SIGMAS = 8.0
-"""A sample this many floor deviations from its window's mean is a knock (white noise: 1e-15)."""
+PEAK_SIGMAS = 20.0
+"""A sample this many floor deviations from its window's mean is a knock. Real accelerometers at
+rest show single samples at 10 deviations every few minutes: those are their noise."""
 
 STEP_SIGMAS = 8.0
 """Means of neighbouring windows this many of their own deviations apart are a motion."""

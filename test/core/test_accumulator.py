@@ -270,3 +270,25 @@ def test_real_bursty_stamps_are_one_segment_at_the_true_rate(shared_data):
     assert sums.segment_count == 1 and sums.samples == len(table) == 65_067
     assert 1 / sums.tau0 == pytest.approx(99.3, abs=0.05)
     assert result.health.counts.bridged == 0 and result.health.bursty
+
+
+def test_a_real_static_recording_is_taken_whole_and_equals_a_reference(shared_data):
+    """ADIS16405, 1,000,000 samples at 100 Hz, against allantools' overlapping table."""
+    counts = np.load(shared_data / 'adis16405' / 'imu2_counts.npz')
+    gyro = counts['gyro'] * np.radians(0.05)
+    samples = np.hstack([gyro, counts['accel'] * (0.00333 * 9.80665)])
+    (sums,) = accumulate(np.arange(1_000_000) * 10_000_000, samples, (32768,)).sums
+    assert sums.samples == 1_000_000 and sums.segment_count == 1
+    table = np.genfromtxt(
+        shared_data / 'adis16405' / 'oadev_allantools.csv', delimiter=',', names=True, dtype=None
+    )
+    columns = {name: i for i, name in enumerate(('gx', 'gy', 'gz', 'ax', 'ay', 'az'))}
+    compared = 0
+    for row in table:
+        at = np.flatnonzero(sums.m == row['m'])
+        if len(at) and row['m'] <= 100_000:
+            adev = np.sqrt(sums.avar[at[0], columns[row['axis']]])
+            exact = sums.stride[at[0]] == 1
+            assert adev == pytest.approx(row['oadev'], rel=1e-9 if exact else 0.02)
+            compared += 1
+    assert compared == 6 * 17
