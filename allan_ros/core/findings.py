@@ -206,8 +206,8 @@ _word(
 _word(
     'warm_up',
     'warning',
-    'the mean drifts by {drift:.3g} {unit} in the first {minutes:.0f} min, far more than later',
-    'leave out the warm-up: skip at least {seconds:.0f} s at the start',
+    'the mean drifts by {drift:.3g} {unit} in the first {seconds:.0f} s, far more than later',
+    'leave out the warm-up: skip that long at the start',
 )
 _word(
     'short',

@@ -22,11 +22,18 @@ counts 1.5 times, so the variance of a sum grows by 1.5 a lost sample, and N by 
 SHORT_S = 60.0
 """Evidence below a minute does not even show N within a few percent at the 1 s line."""
 
-WARM_UP_S = 600.0
-"""The first minutes, in which electronics warm up, are looked at for a drift."""
+WARM_UP_SPANS = 24
+"""A segment is cut into so many spans (at least half as many) to look for a warm-up."""
+
+LEAST_WARM_UP_S = 600.0
+"""In a segment shorter than this a warm-up cannot be told from noise."""
+
+WARM_UP_RATIO = 4.0
+"""A warm-up moves the mean in the first third by this many times its range in the other two.
+A random walk does so in under 1 of 10,000 recordings, a ramp never."""
 
 WARM_UP_SIGMAS = 6.0
-"""The drift that is told, in deviations between neighbouring spans of that length later on."""
+"""And by this many deviations between neighbouring spans of the rest."""
 
 
 def stream_findings(
@@ -93,36 +100,32 @@ def _sums_findings(sums: AllanSums) -> list[Finding]:
 
 
 def _warm_up(segment: SegmentRecord, tau0: float, axes: tuple[str, ...]) -> list[Finding]:
-    """Return a finding for each axis whose mean drifts at the start far more than later on.
+    """Return a finding for each axis whose mean settles in the first third of a segment.
 
-    The means over spans of the coarse phase record are compared: the first span with the later
-    half, in units of the scatter between neighbouring spans of the later half.
+    The means are those of spans of the coarse phase record.
     """
-    span_s = segment.phase_step * tau0
-    per_span = max(1, round(0.25 * WARM_UP_S / span_s))
-    ends = segment.phase[::per_span]
-    means = np.diff(ends, axis=0) / (per_span * segment.phase_step)
-    late = means[len(means) // 2 :]
-    if len(late) < 6:
+    if segment.samples * tau0 < LEAST_WARM_UP_S:
         return []
-    scatter = np.sqrt((np.diff(late, axis=0) ** 2).mean(axis=0) / 2.0)
-    drift = means[0] - late.mean(axis=0)
+    points = max(1, (len(segment.phase) - 1) // WARM_UP_SPANS)
+    span_s = points * segment.phase_step * tau0
+    means = np.diff(segment.phase[::points], axis=0) / (points * segment.phase_step)
+    third = len(means) // 3
+    rest = means[third:]
+    level = rest.mean(axis=0)
+    drift = means[0] - level
+    scatter = np.sqrt((np.diff(rest, axis=0) ** 2).mean(axis=0) / 2.0)
+    least = np.maximum(WARM_UP_RATIO * np.ptp(rest, axis=0), WARM_UP_SIGMAS * scatter)
     found: list[Finding] = []
-    for i, axis in enumerate(axes):
-        if abs(drift[i]) > WARM_UP_SIGMAS * scatter[i] > 0.0 and (
-            abs(drift[i]) > WARM_UP_SIGMAS * abs(means[len(means) // 2, i] - late.mean(axis=0)[i])
-        ):
-            settled = np.abs(means[:, i] - late[:, i].mean()) < 2.0 * scatter[i]
-            seconds = span_s * per_span * max(1, int(np.argmax(settled)))
-            unit = 'rad/s' if axis.startswith('gyro') else 'm/s^2'
-            found.append(
-                finding(
-                    'warm_up',
-                    (axis,),
-                    drift=float(drift[i]),
-                    unit=unit,
-                    minutes=span_s * per_span / 60.0,
-                    seconds=seconds,
-                )
+    for i in np.flatnonzero(np.abs(drift) > least):
+        settled = np.abs(means[:, i] - level[i]) <= np.ptp(rest[:, i])
+        sensor = axes[i].split('_')[0]
+        found.append(
+            finding(
+                'warm_up',
+                (axes[i],),
+                drift=float(drift[i]),
+                unit='rad/s' if sensor == 'gyro' else 'm/s^2',
+                seconds=span_s * max(1, int(np.argmax(settled))),
             )
+        )
     return found
