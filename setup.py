@@ -43,7 +43,7 @@ setup(
         'matplotlib>=3.5',
         'numpy>=1.21',
         'PyYAML>=5.4',
-        'rosbags>=0.10',
+        'rosbags>=0.11.7',
         'scipy>=1.8',
     ],
     extras_require={

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -80,17 +82,7 @@ class McapStorage:
         ends = [span.start_ns for span in self._spans[1:]] + [None]
         for span, until in zip(self._spans, ends):
             data = self._data(span)
-            view = memoryview(data)
-            times: list[int] = []
-            payloads: list[bytes | memoryview] = []
-            for opcode, start, end in _records(data):
-                if opcode != MESSAGE:
-                    continue
-                channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(data, start)
-                if channel in ids:
-                    times.append(log_time)
-                    payloads.append(view[start + MESSAGE_HEAD.size : end])
-            yield in_order.add(times, payloads, until)
+            yield in_order.add(_uniform(data, ids) or _one_by_one(data, ids), until)
 
     def _read(self, offset: int, length: int) -> bytes:
         self._file.seek(offset)
@@ -216,6 +208,43 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
         if at > size:
             raise struct.error('a record is longer than what holds it')
         yield opcode, start, at
+
+
+def _uniform(data: bytes, ids: set[int]) -> Block | None:
+    """Take the messages of a chunk as one array, if behind its first all are of one length."""
+    found = next((record for record in _records(data) if record[0] == MESSAGE), None)
+    if found is None:
+        return None
+    _, start, end = found
+    first, length = start - RECORD.size, end - start
+    dtype = np.dtype(
+        [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
+        + [('log_time', '<i8'), ('publish_time', '<u8')]
+        + [('payload', np.void, length - MESSAGE_HEAD.size)]
+    )
+    if (len(data) - first) % dtype.itemsize or length == MESSAGE_HEAD.size:
+        return None
+    records = np.frombuffer(data, dtype, offset=first)
+    if (records['opcode'] != MESSAGE).any() or (records['length'] != length).any():
+        return None
+    mine = np.isin(records['channel'], list(ids))
+    if not mine.all():
+        records = records[mine]
+    return Block(records['log_time'].astype(np.int64), records['payload'])
+
+
+def _one_by_one(data: bytes, ids: set[int]) -> Block:
+    """Take the messages of a chunk, whatever their lengths."""
+    view = memoryview(data)
+    times: list[int] = []
+    payloads: list[bytes | memoryview] = []
+    for opcode, start, end in _records(data):
+        if opcode == MESSAGE:
+            channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(data, start)
+            if channel in ids:
+                times.append(log_time)
+                payloads.append(view[start + MESSAGE_HEAD.size : end])
+    return Block(np.array(times, dtype=np.int64), payloads)
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
 
 MAGIC = b'#ROSBAG V2.0\n'
@@ -83,7 +85,7 @@ class Ros1Storage:
                 if header['op'][0] == OP_MESSAGE and _number(header['conn']) in ids:
                     times.append(_time(header['time']))
                     payloads.append(view[start:end])
-            yield in_order.add(times, payloads, until)
+            yield in_order.add(Block(np.array(times, dtype=np.int64), payloads), until)
 
     def _walk(self) -> None:
         """Find all chunks and connections, up to where the file is cut."""

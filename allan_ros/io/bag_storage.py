@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import bz2
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -45,12 +45,16 @@ class Topic:
     schema: str = ''
 
 
+Payloads = list[bytes | memoryview] | NDArray[np.void]
+"""Serialized messages; one array of them where all have the same length."""
+
+
 @dataclass
 class Block:
     """Consecutive messages: when each was recorded (ns), and its serialized bytes."""
 
     record_ns: NDArray[np.int64]
-    payloads: list[bytes | memoryview]
+    payloads: Payloads
 
 
 @dataclass(frozen=True)
@@ -187,21 +191,24 @@ class InOrder:
     Only the overlap is held back, so memory does not grow with the file.
     """
 
-    _record_ns: list[int] = field(default_factory=list)
-    _payloads: list[bytes | memoryview] = field(default_factory=list)
+    _held: list[Block] = field(default_factory=list)
 
-    def add(
-        self, record_ns: Iterable[int], payloads: Iterable[bytes | memoryview], until: int | None
-    ) -> Block:
+    def add(self, block: Block, until: int | None) -> Block:
         """Take one chunk and return all messages recorded before ``until`` (None: all)."""
-        self._record_ns.extend(record_ns)
-        self._payloads.extend(payloads)
-        times = np.array(self._record_ns, dtype=np.int64)
-        payloads = self._payloads
-        if (times[1:] < times[:-1]).any():
+        times = np.concatenate([*(held.record_ns for held in self._held), block.record_ns])
+        in_order = bool((times[1:] >= times[:-1]).all())
+        if in_order and not self._held and (until is None or not len(times) or times[-1] < until):
+            return block
+        payloads = [one for part in (*self._held, block) for one in as_list(part.payloads)]
+        if not in_order:
             order = np.argsort(times, kind='stable')
             times = times[order]
             payloads = [payloads[row] for row in order.tolist()]
         ready = len(times) if until is None else int(np.searchsorted(times, until))
-        self._record_ns, self._payloads = times[ready:].tolist(), payloads[ready:]
+        self._held = [Block(times[ready:], payloads[ready:])] if ready < len(times) else []
         return Block(times[:ready], payloads[:ready])
+
+
+def as_list(payloads: Payloads) -> list[bytes | memoryview]:
+    """Return the messages one by one."""
+    return payloads if isinstance(payloads, list) else [one.tobytes() for one in payloads]

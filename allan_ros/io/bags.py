@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -16,7 +16,7 @@ from ..core.batch import ImuBatch
 from ..core.errors import AllanError
 from ..core.findings import finding
 from .bag_folder import BagFiles, bag_files, open_storage
-from .bag_storage import Block, Cut, Topic, decompress, frame_compression
+from .bag_storage import Block, Cut, Payloads, Topic, as_list, decompress, frame_compression
 from .imu_cdr import DecodedImus, MalformedMessage, decode_imus
 from .imu_fields import IMU_TYPE, imu_fields, is_unknown, nested_decoder
 from .recordings import BATCH, ReadOptions, Recording, Report, SourceInfo
@@ -26,7 +26,7 @@ ENCODINGS = ('cdr', 'ros1')
 LISTED = 10
 """At most this many topics are named in a message."""
 
-Decoder = Callable[[Sequence[bytes | memoryview]], DecodedImus]
+Decoder = Callable[[Payloads], DecodedImus]
 Key = tuple[str, str]
 """Topic name and type: what is one topic over all splits of a bag."""
 
@@ -210,7 +210,7 @@ def _decoded(
     """Decode what the storage yields, with a new batch wherever the frame changes."""
     read = 0
     for block in blocks:
-        if not block.payloads:
+        if not len(block.payloads):
             continue
         try:
             decoded = decode(_plain(block.payloads))
@@ -257,13 +257,13 @@ def _parted(held: list[ImuBatch]) -> Iterator[ImuBatch]:
         yield whole[start : start + BATCH]
 
 
-def _plain(payloads: list[bytes | memoryview]) -> list[bytes | memoryview]:
+def _plain(payloads: Payloads) -> Payloads:
     """Decompress messages that were compressed one by one, which their first bytes tell."""
-    compression = frame_compression(payloads[0])
+    compression = frame_compression(bytes(payloads[0]))
     if not compression:
         return payloads
     plain: list[bytes | memoryview] = []
-    for index, payload in enumerate(payloads):
+    for index, payload in enumerate(as_list(payloads)):
         try:
             plain.append(decompress(bytes(payload), compression))
         except ValueError as error:

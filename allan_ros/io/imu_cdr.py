@@ -92,18 +92,18 @@ def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 
     fields: list[tuple[str, Any, int]] = []
     if encoding == 'cdr':
         start = ENCAPSULATION_BYTES
-        fields += [('encapsulation', ('u1', 4), 0)]
+        fields += [('encapsulation', ('u1', (4,)), 0)]
         fields += [('sec', f'{order}i4', start)]
     else:
         start = 4
         fields += [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
     fields += [('nanosec', f'{order}u4', start + 4), ('frame_bytes', f'{order}u4', start + 8)]
-    fields += [('frame_id', ('u1', frame_bytes), start + 12)]
+    fields += [('frame_id', ('u1', (frame_bytes,)), start + 12)]
     offset = start + 12 + frame_bytes
     if encoding == 'cdr':
         offset += -(offset - start) % _DOUBLE
     for name, count in _VECTORS:
-        fields += [(name, (f'{order}f8', count), offset)]
+        fields += [(name, (f'{order}f8', (count,)), offset)]
         offset += count * _DOUBLE
     names, formats, offsets = zip(*fields)
     return np.dtype(
@@ -116,8 +116,12 @@ def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 
     )
 
 
-def decode_imus(payloads: Sequence[bytes | memoryview], encoding: Encoding) -> DecodedImus:
+def decode_imus(
+    payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
+) -> DecodedImus:
     """Decode serialized Imu messages, all at once where their layout is the same.
+
+    ``payloads`` are any bytes, or one array of them where all have the same length.
 
     Raises
     ------
@@ -128,6 +132,10 @@ def decode_imus(payloads: Sequence[bytes | memoryview], encoding: Encoding) -> D
     decoded = DecodedImus(
         np.empty(n, np.int64), np.empty((n, len(AXES))), [], np.zeros(n, dtype=np.intp)
     )
+    if isinstance(payloads, np.ndarray):
+        every = np.arange(n, dtype=np.intp)
+        _decode_equal(payloads.tobytes(), payloads.itemsize, encoding, every, decoded)
+        return decoded
     lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)

@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
 from ..core.batch import AXES
-from .bag_storage import Topic
+from .bag_storage import Payloads, Topic, as_list
 from .imu_cdr import ABSENT, NANOSECONDS, DecodedImus, MalformedMessage
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
@@ -70,9 +70,7 @@ def _definitions(topic: Topic) -> dict[str, Any]:
     return definitions
 
 
-def nested_decoder(
-    topic: Topic, field: tuple[str, ...]
-) -> Callable[[Sequence[bytes | memoryview]], DecodedImus]:
+def nested_decoder(topic: Topic, field: tuple[str, ...]) -> Callable[[Payloads], DecodedImus]:
     """Return what decodes the Imu in that field of the topic's messages."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -80,12 +78,12 @@ def nested_decoder(
     store.register(_definitions(topic))
     deserialize = store.deserialize_ros1 if topic.encoding == 'ros1' else store.deserialize_cdr
 
-    def decode(payloads: Sequence[bytes | memoryview]) -> DecodedImus:
+    def decode(payloads: Payloads) -> DecodedImus:
         n = len(payloads)
         decoded = DecodedImus(
             np.empty(n, np.int64), np.empty((n, len(AXES))), [], np.empty(n, dtype=np.intp)
         )
-        for row, payload in enumerate(payloads):
+        for row, payload in enumerate(as_list(payloads)):
             try:
                 message = deserialize(payload, topic.type)
             except Exception as error:  # the library raises what its generated code runs into

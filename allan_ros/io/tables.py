@@ -141,9 +141,7 @@ def _batch(
     try:
         rows = layout.split(lines)
     except csv.Error as error:
-        raise AllanError(
-            f'{path}: lines {numbers[0]} to {numbers[-1]} are no table ({error}): mend the file'
-        ) from error
+        raise _no_table(path, layout, numbers, lines) from error
     if set(map(len, rows)) - {layout.width} or len(rows) != len(lines):
         raise _wrong_width(path, layout, numbers, rows)
     cells = list(zip(*rows))
@@ -215,6 +213,17 @@ def _not_a_number(path: Path, layout: TableLayout, line: int, column: int, cell:
         f'{path}: line {line}, column {column + 1}{name}: {cell.strip()[:40]!r} is not a number: '
         'mend or remove the line'
     )
+
+
+def _no_table(path: Path, layout: TableLayout, numbers: list[int], lines: list[str]) -> AllanError:
+    for number, line in zip(numbers, lines):
+        try:
+            layout.split([line])
+        except csv.Error as error:
+            return AllanError(
+                f'{path}: line {number} is no row of a table ({error}): mend the file'
+            )
+    return AllanError(f'{path}: is no table behind line {numbers[0]}: mend the file')
 
 
 def _wrong_width(
