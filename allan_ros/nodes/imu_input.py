@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
 
 from ..core.batch import ImuBatch
+from ..core.input_health import Reception
 from ..io.imu_cdr import DecodedImus, MalformedMessage, decode_imus
 from .settings import InputSettings
 
@@ -35,36 +35,6 @@ except ImportError:  # Humble
 
 DRAIN_LIMIT = 50_000
 """Messages taken in one drain: a publisher that outruns us must not lock the node in it."""
-
-
-@dataclass
-class Reception:
-    """What happened to the messages before they were looked into.
-
-    Attributes
-    ----------
-    received : int
-        Messages taken.
-    skipped_numbers : int
-        Sequence numbers of the publishers that never came.
-    reported_lost : int
-        Messages that the middleware itself reported as lost.
-    malformed : int
-        Payloads that are not an Imu.
-    incompatible_qos : int
-        Publishers whose QoS does not fit, so that nothing comes from them.
-    """
-
-    received: int = 0
-    skipped_numbers: int = 0
-    reported_lost: int = 0
-    malformed: int = 0
-    incompatible_qos: int = 0
-
-    @property
-    def lost(self) -> int:
-        """Messages that were sent and never came, by whichever of the two witnesses saw more."""
-        return max(self.skipped_numbers, self.reported_lost)
 
 
 class DrainedGroup(MutuallyExclusiveCallbackGroup):

@@ -6,13 +6,15 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Sequence
+from threading import Event
 from typing import Protocol
 
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
+from rclpy.signals import SignalHandlerOptions
 
 from ..core.errors import AllanError
 
@@ -26,44 +28,58 @@ class Closable(Protocol):
     """A node that has something to finish before it goes."""
 
     def close(self) -> None:
-        """Finish: called once, before the node is destroyed, and not interrupted by signals."""
+        """Finish: called once, while the graph is still there, and not interrupted by signals."""
 
     def destroy_node(self) -> None:
         """Destroy the node, as `rclpy.node.Node` does."""
 
 
-def run(name: str, make_node: Callable[[], Closable], args: Sequence[str] | None = None) -> int:
-    """Run a node until SIGINT, SIGTERM or shutdown and return the exit code.
+def run(
+    name: str, make_node: Callable[[Event], Closable], args: Sequence[str] | None = None
+) -> int:
+    """Run a node until SIGINT, SIGTERM or its own end, and return the exit code.
 
     A reason not to start (bad parameters, a missing file) is logged in one line: exit 1. After
     any number of signals the node is closed in peace: exit 0.
+
+    Parameters
+    ----------
+    name : str
+        Of the executable.
+    make_node : callable
+        Makes the node; it gets an event that ends the node when set. The node must have a timer:
+        a signal is heeded when the executor next wakes.
+    args : sequence of str, optional
+        Command line, by default that of the process.
     """
-    # rclpy's own handlers wake the executor and chain to these. Python's default handler would
-    # raise KeyboardInterrupt in the middle of an update or of the writing of a checkpoint.
+    stop = Event()
+    # Python's default handler would raise KeyboardInterrupt in the middle of an update or of the
+    # writing of a checkpoint, and rclpy's would shut the graph down before the node has finished.
     for number in STOP_SIGNALS:
-        signal.signal(number, _heard)
-    rclpy.init(args=None if args is None else list(args))
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(
+        args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO
+    )
+    executor = SingleThreadedExecutor()
     try:
+        node = make_node(stop)
+        executor.add_node(node)
         try:
-            node = make_node()
-        except (AllanError, ParameterException) as error:
-            get_logger(name).fatal(f'{name} does not start: {error}')
-            return 1
-        try:
-            rclpy.spin(node)
-        except (KeyboardInterrupt, ExternalShutdownException):
+            while not stop.is_set():
+                executor.spin_once()
+        except ExternalShutdownException:
             pass
         finally:
             node.close()
             node.destroy_node()
         return 0
+    except (AllanError, ParameterException) as error:
+        get_logger(name).fatal(f'{name} stops: {error}')
+        return 1
     finally:
+        executor.shutdown()
         if rclpy.ok():
             rclpy.shutdown()
         # Python puts back the deadly default when it ends, but leaves ignored signals ignored.
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
-
-
-def _heard(_number: int, _frame: object) -> None:
-    """Take note of a signal by doing nothing: rclpy's handler has shut the context down."""

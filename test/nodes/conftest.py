@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.batch import ImuBatch
+from allan_ros.io.imu_cdr import encode_imus
 
 ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)
@@ -101,11 +102,11 @@ class Graph:
     def start(
         self, module: str, *arguments: str, remap: dict[str, str] | None = None, **parameters: Any
     ) -> Process:
-        """Start ``allan_ros.nodes.<module>``; ``a__b=1`` is the parameter ``a.b``."""
+        """Start ``allan_ros.nodes.<module>``; parameters by their full name."""
         ros = [f'{old}:={new}' for old, new in (remap or {}).items()]
         given = [a for pair in ros for a in ('-r', pair)]
         for name, value in parameters.items():
-            given += ['-p', f'{name.replace("__", ".")}:={_yaml(value)}']
+            given += ['-p', f'{name}:={_yaml(value)}']
         log = self.folder / f'{module}{len(self._processes)}.log'
         process = Process(module, [*arguments, *(['--ros-args', *given] if given else [])], log)
         self._processes.append(process)
@@ -140,14 +141,27 @@ class Graph:
     def summary(self) -> str:
         return '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
 
-    def publisher(self, topic: str = 'imu/data', depth: int = 1000) -> Any:
-        """Return a reliable Imu publisher of raw messages that a subscriber has found."""
-        from rclpy.qos import QoSProfile
+    def publisher(self, topic: str = 'imu/data') -> Any:
+        """Return a publisher of Imu that keeps all, once a subscriber has found it."""
+        from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
 
-        publisher = self.node.create_publisher(Imu, topic, QoSProfile(depth=depth))
+        qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        publisher = self.node.create_publisher(Imu, topic, qos)
         self.until(publisher.get_subscription_count)
         return publisher
+
+    def send(self, publisher: Any, batch: ImuBatch) -> None:
+        """Publish every sample; a full queue of a reliable subscriber makes it wait."""
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+
+        for payload in encode_imus(batch, 'cdr'):
+            while True:
+                try:
+                    publisher.publish(bytes(payload))
+                    break
+                except rclpy_implementation.RCLError:
+                    continue
 
     def call(self, service: str) -> Any:
         """Call a Trigger service and return its response."""

@@ -10,16 +10,10 @@ import pytest
 pytest.importorskip('rclpy')
 
 from allan_ros.core.batch import ImuBatch
-from allan_ros.io.imu_cdr import encode_imus
 from allan_ros.nodes.imu_input import ImuInput
 from allan_ros.nodes.settings import InputSettings
 
 LEAN, PLAIN = InputSettings(), InputSettings(plain_callback=True)
-
-
-def send(publisher, batch: ImuBatch) -> None:
-    for payload in encode_imus(batch, 'cdr'):
-        publisher.publish(bytes(payload))
 
 
 def receive(graph, imu_input: ImuInput, count: int) -> list[ImuBatch]:
@@ -40,7 +34,7 @@ def test_messages_come_whole_and_in_order(graph, still_imu, settings):
     assert imu_input.lean == (settings is LEAN)
     publisher = graph.publisher()
     sent = still_imu(300)
-    send(publisher, sent)
+    graph.send(publisher, sent)
     got = receive(graph, imu_input, len(sent))
     assert np.array_equal(np.concatenate([b.stamps_ns for b in got]), sent.stamps_ns)
     assert np.array_equal(np.concatenate([b.samples for b in got]), sent.samples)
@@ -57,14 +51,14 @@ def test_a_client_library_without_take_gets_the_plain_path(graph, still_imu, mon
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
     assert not imu_input.lean
     publisher = graph.publisher()
-    send(publisher, still_imu(50))
+    graph.send(publisher, still_imu(50))
     assert sum(map(len, receive(graph, imu_input, 50))) == 50
 
 
 def test_the_executor_never_runs_a_drained_subscription(graph, still_imu):
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
     publisher = graph.publisher()
-    send(publisher, still_imu(20))
+    graph.send(publisher, still_imu(20))
     graph.spin(0.5)
     assert imu_input.reception.received == 0
     imu_input.drain()
@@ -74,12 +68,12 @@ def test_the_executor_never_runs_a_drained_subscription(graph, still_imu):
 def test_what_a_full_queue_lost_is_counted(graph, still_imu):
     imu_input = ImuInput(graph.node, 'imu/data', InputSettings(queue_depth=10))
     publisher = graph.publisher()
-    send(publisher, still_imu(1))
+    graph.send(publisher, still_imu(1))
     receive(graph, imu_input, 1)
-    send(publisher, still_imu(100))
+    graph.send(publisher, still_imu(100))
     graph.spin(0.5)
     imu_input.drain()
-    send(publisher, still_imu(1))
+    graph.send(publisher, still_imu(1))
     receive(graph, imu_input, 11)
     reception = imu_input.reception
     assert reception.received + reception.lost == 102
@@ -107,9 +101,9 @@ def test_absent_sensor_bad_payload_and_frames(graph, still_imu):
     publisher = graph.publisher()
     gyro_only = still_imu(3, frame_id='left')
     gyro_only.samples[:, 3:] = np.nan
-    send(publisher, gyro_only)
+    graph.send(publisher, gyro_only)
     publisher.publish(b'\x00\x01\x00\x00garbage')
-    send(publisher, still_imu(2, frame_id='right'))
+    graph.send(publisher, still_imu(2, frame_id='right'))
     got = receive(graph, imu_input, 5)
     assert [(b.frame_id, len(b)) for b in got] == [('left', 3), ('right', 2)]
     assert np.isnan(got[0].samples[:, 3:]).all() and not np.isnan(got[0].samples[:, :3]).any()

@@ -1,0 +1,200 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether an IMU's live input is well now: silence, loss and repair within the last minute.
+
+The counts of a stream only grow, so what was wrong once would be wrong for ever. A node that runs
+for months says what is wrong now.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+from .findings import Finding, finding
+from .health import StreamHealth
+
+LATELY_S = 60.0
+"""What happened within this time is said; before, only the counts tell."""
+
+TOLD_LOST_SHARE = 1e-3
+"""Messages lost on the way are worth a warning from this share on: bridging costs no more."""
+
+LIVE_FINDINGS = (
+    'stamps_unusable',
+    'stamps_from_rate',
+    'stamps_missing',
+    'rate_differs',
+    'sensor_all_zero',
+    'zero_filled',
+    'held',
+    'never_still',
+    'constant',
+)
+"""Findings of the whole stream that stay true while it runs."""
+
+
+@dataclass
+class Reception:
+    """What happened to the messages before they were looked into.
+
+    Attributes
+    ----------
+    received : int
+        Messages taken.
+    skipped_numbers : int
+        Sequence numbers of the publishers that never came.
+    reported_lost : int
+        Messages that the middleware itself reported as lost.
+    malformed : int
+        Payloads that are not an Imu.
+    incompatible_qos : int
+        Publishers whose QoS does not fit, so that nothing comes from them.
+    """
+
+    received: int = 0
+    skipped_numbers: int = 0
+    reported_lost: int = 0
+    malformed: int = 0
+    incompatible_qos: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent and never came, by whichever of the two witnesses saw more."""
+        return max(self.skipped_numbers, self.reported_lost)
+
+
+@dataclass(frozen=True)
+class _Tally:
+    """The counts at one time."""
+
+    time_s: float
+    received: int
+    lost: int
+    stuck: int
+    not_finite: int
+    duplicate: int
+    backward: int
+    rate_changes: int
+
+
+class InputWatch:
+    """Follows one input and says what is wrong with it now.
+
+    Parameters
+    ----------
+    topic : str
+    time_s : float
+        When it began to listen, on a steady clock in s.
+    """
+
+    def __init__(self, topic: str, time_s: float) -> None:
+        self._topic = topic
+        self._last_message = self._last_usable = time_s
+        self._messages = self._usable = 0
+        self._tallies: deque[_Tally] = deque()
+
+    def silence_s(self, time_s: float) -> float:
+        """Return how long ago the last message came (or listening began)."""
+        return time_s - self._last_message
+
+    def observe(
+        self,
+        time_s: float,
+        reception: Reception,
+        health: StreamHealth,
+        publishers: tuple[str, ...],
+        stale_after: float,
+        stream: tuple[Finding, ...] = (),
+    ) -> tuple[Finding, ...]:
+        """Return what is wrong now, the gravest first.
+
+        Parameters
+        ----------
+        time_s : float
+            Now, on the same clock; called about once a second.
+        reception, health : Reception, StreamHealth
+            Counts since the start.
+        publishers : tuple of str
+            Names of the nodes that publish on the topic.
+        stale_after : float
+            Silence in s that is an error.
+        stream : tuple of Finding
+            What is known of the whole stream.
+        """
+        self._follow(time_s, reception, health)
+        found = self._silence(time_s, reception, publishers, stale_after)
+        if reception.incompatible_qos:
+            count = reception.incompatible_qos
+            found.append(finding('qos_incompatible', count=count, topic=self._topic))
+        if len(publishers) > 1:
+            names = ', '.join(publishers)
+            count = len(publishers)
+            found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
+        found += self._lately(health)
+        found += [f for f in stream if f.id in LIVE_FINDINGS]
+        gravity = ('error', 'warning', 'info')
+        return tuple(sorted(found, key=lambda f: gravity.index(f.severity)))
+
+    def _follow(self, time_s: float, reception: Reception, health: StreamHealth) -> None:
+        c = health.counts
+        if reception.received != self._messages:
+            self._last_message, self._messages = time_s, reception.received
+        usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
+        if usable != self._usable:
+            self._last_usable, self._usable = time_s, usable
+        now = _Tally(
+            time_s,
+            reception.received,
+            reception.lost,
+            c.stuck,
+            c.not_finite,
+            c.duplicate,
+            c.backward,
+            c.cuts['rate change'],
+        )
+        if self._tallies and c.received < self._tallies[-1].received:
+            # a new run: its counts begin at zero, those of the middleware go on
+            self._tallies = deque([replace(now, stuck=0, not_finite=0, duplicate=0, backward=0)])
+        self._tallies.append(now)
+        while len(self._tallies) > 2 and self._tallies[1].time_s <= time_s - LATELY_S:
+            self._tallies.popleft()
+
+    def _silence(
+        self,
+        time_s: float,
+        reception: Reception,
+        publishers: tuple[str, ...],
+        stale_after: float,
+    ) -> list[Finding]:
+        topic, seconds = self._topic, self.silence_s(time_s)
+        if seconds > stale_after:
+            if publishers:
+                count = len(publishers)
+                return [finding('input_silent', topic=topic, seconds=seconds, publishers=count)]
+            if reception.received:
+                return [finding('input_stopped', topic=topic, seconds=seconds)]
+            return [finding('no_publisher', topic=topic)]
+        unusable = time_s - self._last_usable
+        if reception.received and unusable > stale_after:
+            return [finding('input_unusable', topic=topic, seconds=unusable)]
+        return []
+
+    def _lately(self, health: StreamHealth) -> list[Finding]:
+        then, now = self._tallies[0], self._tallies[-1]
+        found = []
+        lost = now.lost - then.lost
+        sent = lost + now.received - then.received
+        if lost and lost >= TOLD_LOST_SHARE * sent:
+            found.append(finding('messages_lost', lost=lost, share=lost / sent))
+        if now.rate_changes > then.rate_changes and health.rate_hz:
+            found.append(finding('rate_changed_lately', rate=health.rate_hz))
+        for id, more in (
+            ('sensor_stuck', now.stuck - then.stuck),
+            ('not_finite', now.not_finite - then.not_finite),
+            ('duplicates', now.duplicate - then.duplicate),
+            ('backward_stamps', now.backward - then.backward),
+        ):
+            if more > 0:
+                found.append(finding(id, count=more))
+        return found

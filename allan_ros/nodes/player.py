@@ -1,0 +1,235 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`allan_player`: play a recorded or simulated IMU into the graph, at any speed, losing nothing."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
+
+from ..core.batch import ImuBatch
+from ..core.errors import AllanError
+from ..core.simulate import NoiseTerms, simulate_imu
+from ..io.imu_cdr import encode_imus
+from ..io.recordings import ReadOptions, Recording, open_recordings
+from .shell import STEADY, run
+
+CLOCK_PERIOD_S = 0.025
+"""`/clock` is published 40 times a second of wall time, as ``ros2 bag play`` does."""
+
+POLL_S = 0.05
+"""How often waiting for subscribers or acknowledgements looks whether it should stop."""
+
+LINGER_S = 0.5
+"""How long the publisher stays after the last acknowledgement, for readers to take their queue."""
+
+SIMULATED = (
+    NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
+    NoiseTerms(Q=0.0, N=8e-4, B=3e-4, K=2e-5, R=0.0),
+)
+"""Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU: a good MEMS one."""
+
+
+class Player(Node):
+    """Publishes the batches of a recording on ``imu/data``.
+
+    It is reliable and keeps all until they are acknowledged: with subscribers that are reliable
+    and keep all too, a full queue over there slows the player down instead of losing messages.
+    """
+
+    def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
+        super().__init__('allan_player')
+        self._options = options
+        self._recordings = None if options.simulate else _open(options)
+        qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+        self._publisher = self.create_publisher(
+            Imu,
+            'imu/data',
+            qos,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self._clock = self.create_publisher(Clock, '/clock', 10) if options.clock else None
+        self._clock_due = 0.0
+        self._stop = stop
+        self._error: AllanError | None = None
+        self._played = 0
+        self.create_timer(POLL_S, lambda: None, clock=STEADY)  # signals are heeded when it wakes
+        self._thread = threading.Thread(target=self._work)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop playing; raise what went wrong in the recording."""
+        self._stop.set()
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        """Play to the end (in a thread of its own), then end the node."""
+        try:
+            self._wait_for_subscribers()
+            self._play()
+            self._wait_for_acknowledgements()
+        except AllanError as error:
+            self._error = error
+        self._stop.set()
+
+    def _play(self) -> None:
+        began = time.monotonic()
+        shift = 0
+        while True:
+            first = last = None
+            for batch in self._batches():
+                if first is None:
+                    first = int(batch.stamps_ns[0])
+                    if self._options.stamps == 'rebase' and not shift:
+                        shift = time.time_ns() - first
+                    pace = _Pace(self._options.rate, batch)
+                last = int(batch.stamps_ns[-1])
+                self._publish(replace(batch, stamps_ns=batch.stamps_ns + shift), batch, pace)
+                if self._stop.is_set():
+                    return
+            if first is None or last is None:
+                raise AllanError('the recording holds no Imu message: nothing to play')
+            took = time.monotonic() - began
+            self.get_logger().info(f'played {self._played} messages in {took:.2f} s')
+            if not self._options.loop:
+                return
+            if self._options.stamps == 'rebase':  # carry on where the stamps ended
+                shift += last - first + (last - first) // max(len(batch), 1)
+
+    def _publish(self, shifted: ImuBatch, original: ImuBatch, pace: _Pace) -> None:
+        """Publish a batch, each message when it is due."""
+        due = pace.due(original)
+        for i, payload in enumerate(encode_imus(shifted, 'cdr')):
+            if due is not None:
+                wait = due[i] - time.monotonic()
+                if wait > 0 and self._stop.wait(wait):
+                    return
+            self._send(bytes(payload))
+            if self._clock is not None:
+                self._tell_time(int(shifted.stamps_ns[i]))
+            if self._stop.is_set():
+                return
+
+    def _send(self, payload: bytes) -> None:
+        """Publish one message, however long a subscriber's full queue makes it wait."""
+        while not self._stop.is_set():
+            try:
+                self._publisher.publish(payload)
+            except rclpy_implementation.RCLError:  # the middleware waited 0.1 s in vain
+                continue
+            self._played += 1
+            return
+
+    def _tell_time(self, stamp_ns: int) -> None:
+        now = time.monotonic()
+        if self._clock is not None and now >= self._clock_due:
+            self._clock_due = now + CLOCK_PERIOD_S
+            self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
+
+    def _wait_for_subscribers(self) -> None:
+        wanted = self._options.wait
+        while self._publisher.get_subscription_count() < wanted and not self._stop.is_set():
+            self._stop.wait(POLL_S)
+
+    def _wait_for_acknowledgements(self) -> None:
+        poll = Duration(seconds=POLL_S)
+        while not (self._stop.is_set() or self._publisher.wait_for_all_acked(poll)):
+            pass
+        self._stop.wait(LINGER_S)
+
+    def _batches(self) -> Iterator[ImuBatch]:
+        o = self._options
+        if self._recordings is None:
+            gyro, accel = ([terms] * 3 for terms in SIMULATED)
+            now = time.time_ns()
+            yield from simulate_imu(o.simulate, o.frequency, gyro, accel, seed=o.seed, start_ns=now)
+            return
+        for recording in self._recordings:
+            yield from recording.batches()
+
+
+class _Pace:
+    """When each sample is due, by its record time (header time where there is none)."""
+
+    def __init__(self, rate: float, first: ImuBatch) -> None:
+        self._rate = rate
+        self._origin = int(_times(first)[0])
+        self._began = time.monotonic()
+
+    def due(self, batch: ImuBatch) -> list[float] | None:
+        """Return the monotonic times at which the samples are due; None: at once."""
+        if self._rate == 0.0:
+            return None
+        due: list[float] = (
+            self._began + (_times(batch) - self._origin) * (1e-9 / self._rate)
+        ).tolist()
+        return due
+
+
+def _times(batch: ImuBatch) -> NDArray[np.int64]:
+    return batch.stamps_ns if batch.record_ns is None else batch.record_ns
+
+
+def _open(options: argparse.Namespace) -> list[Recording]:
+    if not options.input:
+        raise AllanError('nothing to play: name a recording, or give --simulate SECONDS')
+    return open_recordings(options.input, ReadOptions(topic=options.topic))
+
+
+def parse(args: list[str]) -> argparse.Namespace:
+    """Return the options of the command line, ROS arguments taken out."""
+    parser = argparse.ArgumentParser(prog='allan_player', description=__doc__)
+    add = parser.add_argument
+    add('input', nargs='*', help='recording: bag (mcap, sqlite3, ROS 1), CSV or npz')
+    add('--topic', default='', help='Imu topic of the bag (default: the only one)')
+    add('--rate', type=_factor, default=1.0, help='speed factor; 0: as fast as the subscribers can')
+    add('--loop', action='store_true', help='begin again at the end')
+    add(
+        '--stamps',
+        choices=('keep', 'rebase'),
+        default='keep',
+        help='keep: as recorded; rebase: shifted so that the first is now, and loops carry on',
+    )
+    add('--clock', action='store_true', help='publish /clock from the stamps')
+    add('--wait', type=int, default=1, help='wait for that many subscribers (default 1)')
+    add('--simulate', type=float, metavar='SECONDS', help='play a simulated IMU instead')
+    add('--frequency', type=float, default=200.0, help='of the simulated IMU [Hz]')
+    add('--seed', type=int, default=0, help='of the simulated IMU')
+    return parser.parse_args(args)
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < float('inf'):
+        raise argparse.ArgumentTypeError('give a speed factor of 0 or more')
+    return value
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run `allan_player`."""
+    from rclpy.utilities import remove_ros_args
+
+    argv = sys.argv if args is None else ['allan_player', *args]
+    options = parse(remove_ros_args(argv)[1:])
+    return run('allan_player', lambda stop: Player(options, stop), argv)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,111 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a live input is said while it is wrong, and no longer."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+from allan_ros.core.findings import finding
+from allan_ros.core.health import Counts, StreamHealth
+from allan_ros.core.input_health import LATELY_S, InputWatch, Reception
+
+ONE = ('/driver',)
+
+
+class Input:
+    """An input watched once a second."""
+
+    def __init__(self) -> None:
+        self.watch = InputWatch('/imu', 0.0)
+        self.time_s = 0.0
+        self.reception = Reception()
+        self.counts = Counts()
+
+    def second(self, publishers=ONE, stream=(), messages: int = 200, **changes: int) -> list[str]:
+        """Let a second pass in which counts grow; return the ids of the findings."""
+        self.time_s += 1.0
+        self.reception.received += messages
+        self.counts.received += messages
+        for name, more in changes.items():
+            if name == 'rate_changes':
+                self.counts.cuts['rate change'] += more
+            else:
+                where = self.reception if hasattr(self.reception, name) else self.counts
+                setattr(where, name, getattr(where, name) + more)
+        counts = replace(self.counts, cuts=Counter(self.counts.cuts))
+        health = StreamHealth(counts, 'still', 200.0)
+        found = self.watch.observe(
+            self.time_s, self.reception, health, publishers, 2.0, tuple(stream)
+        )
+        return [f.id for f in found]
+
+
+def test_a_good_input_has_no_findings():
+    source = Input()
+    assert [source.second() for _ in range(100)] == [[]] * 100
+
+
+def test_silence_is_said_by_its_cause():
+    source = Input()
+    assert source.second((), messages=0) == [] == source.second((), messages=0)
+    assert source.second((), messages=0) == ['no_publisher']
+    assert source.second(messages=0) == ['input_silent']
+    assert source.second() == []
+    for _ in range(2):
+        source.second(messages=0)
+    assert source.second(messages=0) == ['input_silent']
+    assert source.second((), messages=0) == ['input_stopped']
+
+
+def test_messages_of_no_use_are_an_error():
+    source = Input()
+    source.second()
+    found = [source.second(not_finite=200) for _ in range(3)]
+    assert found[-1] == ['input_unusable', 'not_finite']
+    assert source.second() == ['not_finite']
+
+
+def test_a_trouble_is_forgotten_after_a_while():
+    for name in ('stuck', 'not_finite', 'duplicate', 'backward', 'rate_changes', 'reported_lost'):
+        source = Input()
+        source.second()
+        assert len(source.second(**{name: 20})) == 1
+        for _ in range(int(LATELY_S) - 1):
+            assert len(source.second()) == 1
+        source.second()
+        assert source.second() == []
+
+
+def test_a_message_lost_in_a_thousand_is_not_worth_a_word():
+    source = Input()
+    for _ in range(60):
+        source.second()
+    assert source.second(reported_lost=1) == []
+    assert source.second(reported_lost=30) == ['messages_lost']
+
+
+def test_counts_of_a_new_run_begin_at_zero():
+    source = Input()
+    for _ in range(5):
+        source.second(stuck=100)
+    source.counts = Counts()
+    assert source.second() == []
+    assert source.second(stuck=5) == ['sensor_stuck']
+
+
+def test_the_gravest_comes_first():
+    source = Input()
+    for _ in range(3):
+        source.second()
+    two = ('/a', '/b')
+    live = finding('rate_differs', measured=100.0, declared=200.0)
+    past = finding('gaps', lost=3, cuts=1)
+    found = source.second(two, [past, live], incompatible_qos=1)
+    assert found == ['qos_incompatible', 'several_publishers', 'rate_differs']
+
+
+def test_lost_messages_are_counted_by_the_better_witness():
+    assert Reception(skipped_numbers=3, reported_lost=7).lost == 7
+    assert Reception(skipped_numbers=9, reported_lost=7).lost == 9

@@ -1,0 +1,285 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The accumulator over real DDS: the same sums as offline, and no input ends it."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.sums_document import sums_to_document
+from allan_ros.io.recordings import open_recordings
+from allan_ros.io.writing import write_recording
+
+FAST = {
+    # reliable, so that nothing is lost: a full queue makes the publisher wait
+    'qos_overrides./imu/data.subscription.reliability': 'reliable',
+    'qos_overrides./imu/data.subscription.history': 'keep_all',
+    'publish.sums_period': 0.5,
+    'publish.diagnostics_period': 0.2,
+}
+
+
+def offline(*batches: ImuBatch) -> list[dict]:
+    """Return the documents of the sums of the batches, as any offline analysis makes them."""
+    accumulator = ImuAccumulator()
+    for batch in batches:
+        accumulator.update(batch)
+    accumulator.end()
+    return [sums_to_document(s) for s in accumulator.result().sums]
+
+
+def saved_samples(graph, node: str = 'allan_accumulator') -> int:
+    return int(float(graph.value('input', 'used') or 0))
+
+
+def with_gap_and_knock(still_imu) -> ImuBatch:
+    batch = still_imu(12000)
+    batch.samples[7000:7040] += np.random.default_rng(5).normal(0.0, 1.0, (40, 6))
+    keep = np.ones(len(batch), bool)
+    keep[3000:3500] = False  # a gap that cuts
+    keep[5000] = False  # a lost sample that is bridged
+    return ImuBatch(batch.stamps_ns[keep], batch.samples[keep], frame_id=batch.frame_id)
+
+
+@pytest.mark.parametrize('rate', ['50', '0'])
+def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path, rate):
+    bag, checkpoint = tmp_path / 'bag', tmp_path / 'sums.json'
+    write_recording(bag, [with_gap_and_knock(still_imu)])
+    graph.start('accumulator', **{**FAST, 'checkpoint.path': str(checkpoint)})
+    player = graph.start('player', str(bag), '--rate', rate)
+    graph.until(lambda: player.popen.poll() is not None)
+    assert player.wait() == 0
+    saved = graph.call('/allan_accumulator/save')
+    assert saved.success, saved.message
+    online = json.loads(checkpoint.read_text())['sums']
+    expected = offline(*open_recordings([bag])[0].batches())
+    assert online == expected
+    assert len(expected[0]['segments']) > 2
+    assert graph.until(lambda: graph.value('input', 'lost on the way')) == '0'
+
+
+def test_it_publishes_its_sums_and_health(graph, still_imu):
+    graph.start('accumulator', **FAST)
+    documents = graph.latched('/allan_accumulator/sums')
+    publisher = graph.publisher()
+    batch = still_imu(4000)
+    graph.send(publisher, batch)
+    graph.until(lambda: documents and documents[-1]['sums'] == offline(batch))
+    assert documents[-1]['schema'] == 'allan_ros/sums_file/1'
+    status = graph.until(lambda: saved_samples(graph) == 4000 and graph.status('imu/data input'))
+    assert status.level == b'\x00' and status.name == 'allan_accumulator: imu/data input'
+    assert status.hardware_id == 'imu'
+    assert status.message.startswith('still at 200 Hz')
+    assert graph.value('input', 'rate') == '200'
+    assert graph.value('input', 'messages taken by') == 'draining'
+
+
+def test_silence_is_an_error_with_its_age(graph, still_imu):
+    graph.start('accumulator', **FAST, **{'input.stale_after': 0.5})
+    error = graph.until(lambda: (s := graph.status('input')) and s.level == b'\x02' and s)
+    assert 'nothing publishes on /imu/data' in error.message
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(100))
+    graph.until(lambda: graph.status('input').level == b'\x00')
+    error = graph.until(lambda: (s := graph.status('input')).level == b'\x02' and s)
+    assert 'no message on /imu/data for' in error.message and 'cable' in error.message
+    graph.node.destroy_publisher(publisher)
+    graph.until(lambda: 'its publisher is gone' in graph.status('input').message)
+
+
+@pytest.mark.parametrize('signals', [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT] * 2])
+def test_a_signal_writes_the_checkpoint(graph, still_imu, tmp_path: Path, signals):
+    checkpoint = tmp_path / 'sums.json'
+    node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint)})
+    publisher = graph.publisher()
+    batch = still_imu(3000)
+    graph.send(publisher, batch)
+    graph.until(lambda: saved_samples(graph) == 3000)
+    assert node.stop(*signals) == 0, node.output
+    assert json.loads(checkpoint.read_text())['sums'] == offline(batch)
+
+
+def test_a_restarted_node_goes_on_with_its_sums(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'sums.json'
+    settings = {**FAST, 'checkpoint.path': str(checkpoint), 'checkpoint.period': 0.5}
+    killed = graph.start('accumulator', **settings)
+    publisher = graph.publisher()
+    first, second = still_imu(3000), still_imu(2500, start_ns=10**18 + 10**11, seed=2)
+    graph.send(publisher, first)
+    graph.until(lambda: checkpoint.exists() and first_samples(checkpoint) == 3000)
+    assert killed.stop(signal.SIGKILL) == -signal.SIGKILL
+    graph.statuses.clear()
+    # on a topic where no writer waits for the dead reader
+    for name in [name for name in settings if name.startswith('qos')]:
+        settings[name.replace('imu/data', 'imu/other')] = settings.pop(name)
+    node = graph.start('accumulator', remap={'imu/data': 'imu/other'}, **settings)
+    graph.send(graph.publisher('imu/other'), second)
+    graph.until(lambda: first_samples(checkpoint) == 5500)
+    assert graph.value('input', 'evidence') == f'{(2999 + 2499) * 0.005:.6g}'
+    assert node.stop() == 0, node.output
+    assert f'continues {checkpoint} with 3000 samples' in node.output
+
+
+def first_samples(checkpoint: Path) -> int:
+    accumulated = json.loads(checkpoint.read_text())['sums']
+    return sum(s['samples'] for s in accumulated[0]['segments'])
+
+
+def test_a_checkpoint_of_another_imu_is_kept(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'sums.json'
+    settings = {**FAST, 'checkpoint.path': str(checkpoint), 'checkpoint.period': 0.5}
+    node = graph.start('accumulator', **settings)
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(2000, frame_id='left'))
+    graph.until(lambda: saved_samples(graph) == 2000)
+    assert node.stop() == 0, node.output
+    before = checkpoint.read_bytes()
+    graph.statuses.clear()
+    graph.until(lambda: publisher.get_subscription_count() == 0)
+    node = graph.start('accumulator', **settings)
+    graph.until(publisher.get_subscription_count)
+    graph.send(publisher, still_imu(2000, frame_id='right'))
+    status = graph.until(
+        lambda: saved_samples(graph) == 2000 and (s := graph.status('input')).level == b'\x01' and s
+    )
+    assert 'is left as it is' in status.message and 'different IMUs' in status.message
+    assert not graph.call('/allan_accumulator/save').success
+    assert node.stop() == 0, node.output
+    assert checkpoint.read_bytes() == before
+
+
+def test_troubles_with_the_checkpoint_are_said_and_survived(graph, still_imu, tmp_path: Path):
+    corrupt = tmp_path / 'corrupt.json'
+    corrupt.write_text('{"schema": "allan_ros/sums_file/1", "sums": [')
+    node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(corrupt)})
+    said = graph.until(lambda: graph.value('input', 'finding: checkpoint_corrupt'))
+    assert 'corrupt.json.corrupt' in said
+    assert node.stop() == 0, node.output
+    assert (tmp_path / 'corrupt.json.corrupt').exists() and not corrupt.exists()
+
+    graph.statuses.clear()
+    nowhere = tmp_path / 'missing' / 'sums.json'
+    node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(nowhere)})
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(1500))
+    status = graph.until(lambda: saved_samples(graph) == 1500 and graph.status('input'))
+    assert 'would not survive a restart' in status.message and status.level == b'\x01'
+    assert not graph.call('/allan_accumulator/save').success
+    assert node.stop() == 0, node.output
+
+
+def test_reset_begins_anew_and_keeps_what_was(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'sums.json'
+    graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint)})
+    documents = graph.latched('/allan_accumulator/sums')
+    publisher = graph.publisher()
+    first, second = still_imu(2000), still_imu(1500, start_ns=10**18 + 10**11, seed=2)
+    graph.send(publisher, first)
+    graph.until(lambda: saved_samples(graph) == 2000)
+    assert graph.call('/allan_accumulator/reset').success
+    graph.until(lambda: documents and documents[-1]['sums'] == [])
+    graph.send(publisher, second)
+    graph.until(lambda: documents[-1]['sums'] == offline(second))
+    previous = json.loads((tmp_path / 'sums.json.previous').read_text())
+    assert previous['sums'] == offline(first)
+
+
+def test_a_looped_recording_counts_once(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'sums.json'
+    graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint), 'use_sim_time': True})
+    publisher = graph.publisher()
+    batch = still_imu(2000)
+    graph.send(publisher, batch)
+    graph.send(publisher, batch)
+    graph.until(lambda: (tmp_path / 'sums.json.previous').exists())
+    graph.until(lambda: saved_samples(graph) == 2000)
+    assert graph.call('/allan_accumulator/save').success
+    for path in (checkpoint, tmp_path / 'sums.json.previous'):
+        assert json.loads(path.read_text())['sums'] == offline(batch)
+
+
+def test_no_input_ends_it(graph, still_imu):
+    """NaN, inf, zero and backward stamps, absent sensors, garbage, a burst, another frame."""
+    node = graph.start('accumulator', **FAST)
+    publisher = graph.publisher()
+    second = 10**9
+    bad = still_imu(2000)
+    bad.samples[100:120] = np.nan
+    bad.samples[200:210, 0] = np.inf
+    bad.stamps_ns[300:310] -= 5 * second
+    bad.stamps_ns[400:410] = 0
+    graph.send(publisher, bad)
+    publisher.publish(b'\x00\x01\x00\x00 not an Imu')
+    no_gyro = still_imu(1500, start_ns=10**18 + 100 * second, frame_id='gyroless')
+    no_gyro.samples[:, :3] = np.nan
+    graph.send(publisher, no_gyro)
+    zero_rate = still_imu(1500, start_ns=10**18 + 200 * second)
+    zero_rate.stamps_ns[:] = zero_rate.stamps_ns[0]
+    graph.send(publisher, zero_rate)
+    graph.send(publisher, still_imu(5000, rate=10_000.0, start_ns=10**18 + 300 * second))
+    graph.until(lambda: graph.value('input', 'received') == '10001')
+    assert graph.value('input', 'malformed') == '1'
+    assert int(graph.value('input', 'not finite')) >= 30
+    assert 'frame_id changed' in graph.value('input', 'finding: frame_changed')
+    assert node.stop() == 0, node.output
+
+
+def test_two_publishers_on_one_topic_are_said(graph, still_imu):
+    graph.start('accumulator', **FAST)
+    graph.send(graph.publisher(), still_imu(100))
+    graph.send(graph.publisher(), still_imu(100))
+    status = graph.until(lambda: (s := graph.status('input')) and s.level == b'\x01' and s)
+    assert '2 publishers on /imu/data: /test_client, /test_client' in status.message
+
+
+def test_bad_parameters_are_refused(graph):
+    for bad, reason in (
+        ({'publish.sums_period': -1.0}, 'sums_period'),
+        ({'input.topics': ('a', 'b')}, 'allan_monitor'),
+        ({'segmenter.stamps': 'sundial'}, "stamps is 'sundial': choose one of header, record"),
+        ({'input.queue_depth': 'deep'}, 'queue_depth'),
+    ):
+        node = graph.start('accumulator', **bad)
+        assert node.wait() == 1
+        assert 'allan_accumulator stops' in node.output and reason in node.output
+
+
+def test_parameters_change_at_run_time_within_reason(graph):
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import DescribeParameters, SetParameters
+
+    graph.start('accumulator', **FAST)
+    client = graph.node.create_client(SetParameters, '/allan_accumulator/set_parameters')
+    graph.until(client.service_is_ready)
+
+    def set_to(name: str, **value):
+        request = SetParameters.Request()
+        request.parameters = [Parameter(name=name, value=ParameterValue(**value))]
+        future = client.call_async(request)
+        graph.until(future.done)
+        return future.result().results[0]
+
+    double, text = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
+    assert set_to('publish.diagnostics_period', type=double, double_value=0.5).successful
+    low = set_to('publish.diagnostics_period', type=double, double_value=0.0)
+    assert not low.successful and low.reason
+    fixed = set_to('checkpoint.path', type=text, string_value='/elsewhere')
+    assert not fixed.successful and 'read-only' in fixed.reason
+
+    describe = graph.node.create_client(
+        DescribeParameters, '/allan_accumulator/describe_parameters'
+    )
+    graph.until(describe.service_is_ready)
+    future = describe.call_async(DescribeParameters.Request(names=['input.stale_after']))
+    graph.until(future.done)
+    described = future.result().descriptors[0]
+    assert described.description.endswith('[s]') and described.floating_point_range[0].to_value
