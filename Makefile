@@ -9,7 +9,7 @@ JOBS ?= 2
 
 FLOOR := .venv-floor
 # What Ubuntu 22.04 (ROS 2 Humble) ships.
-FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.* PyYAML==5.4.*
+FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.*
 
 # The ROS wheels mark a Python they have re-executed; a child in another venv must not inherit it.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE

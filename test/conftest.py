@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.simulate import simulate_imu
@@ -15,6 +16,10 @@ from allan_ros.core.sums import AllanSums
 from allan_ros.core.terms import NoiseTerms
 from allan_ros.io.recordings import SourceInfo
 from allan_ros.io.results import Provenance, Results, analyse_sums
+
+# How long an example takes says something of the machine, nothing of the law.
+settings.register_profile('allan_ros', deadline=None)
+settings.load_profile('allan_ros')
 
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""

@@ -133,7 +133,7 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
     panel.fill_between(curve.tau, low, high, color='0.8', lw=0, label='68 % limits')
     panel.plot(curve.tau, adev, 'o', ms=3, mfc='white', mec='0.15', mew=0.8, label='measured')
     parts = result.part_adev(curve.m) * unit.factor
-    floor = BELOW_CURVE * np.nanmin(adev, initial=np.inf, where=adev > 0)
+    floor = BELOW_CURVE * adev[adev > 0.0].min()
     for i, term in enumerate(TERMS):
         colour, dashes = TERM_STYLES[term]
         coefficient, its_unit = result.fit.noise[term], shown_unit(axis, term, units)
