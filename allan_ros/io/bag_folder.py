@@ -21,6 +21,7 @@ from .bag_storage import (
     frame_compression,
     normal_type,
     open_decompressed,
+    translated,
 )
 from .recordings import first_bytes
 
@@ -64,6 +65,11 @@ def bag_files(path: Path) -> BagFiles:
     """
     if not path.is_dir():
         return BagFiles(path, (path,))
+    with translated(path, (OSError,), 'check its permissions'):
+        return _folder_files(path)
+
+
+def _folder_files(path: Path) -> BagFiles:
     bag = _described(path) if (path / METADATA).exists() else None
     if bag is None or not bag.files:
         splits = [child for child in path.iterdir() if child.name.endswith(SPLITS)]

@@ -126,11 +126,15 @@ def _choose(path: Path, survey: Survey, wanted: str) -> ImuSource:
             f'{" and ".join(ENCODINGS)} can be read; convert the bag with "ros2 bag convert"'
         )
     if not survey.counts[chosen.key]:
-        raise AllanError(
-            f'{path}: topic {chosen.label} holds no message: check that the driver was running '
-            'and record again'
-        )
+        raise _no_message(path, chosen)
     return chosen
+
+
+def _no_message(path: Path, source: ImuSource) -> AllanError:
+    return AllanError(
+        f'{path}: topic {source.label} holds no message: check that the driver was running and '
+        'record again'
+    )
 
 
 def _named(path: Path, survey: Survey, plain: list[ImuSource], wanted: str) -> ImuSource:
@@ -194,14 +198,17 @@ def _read(bag: BagFiles, topic: Topic, source: ImuSource, report: Report) -> Ite
         decode = nested_decoder(topic, source.field)
     else:
         decode = partial(decode_imus, encoding='ros1' if topic.encoding == 'ros1' else 'cdr')
+    read = 0
     for file in bag.files:
         with open_storage(file) as (storage, _):
             if storage.cut:
                 report(finding('bag_cut', path=file, read=storage.cut.read, size=storage.cut.size))
-            same = (topic.name, topic.type, topic.encoding)
-            ids = {t.id for t in storage.topics if (t.name, t.type, t.encoding) == same}
-            if ids:
-                yield from _gathered(_decoded(file, source, storage.blocks(ids), decode))
+            ids = {t.id for t in storage.topics if (t.name, t.type) == source.key}
+            for batch in _gathered(_decoded(file, source, storage.blocks(ids), decode)):
+                read += len(batch)
+                yield batch
+    if not read:
+        raise _no_message(bag.path, source)
 
 
 def _decoded(

@@ -34,6 +34,8 @@ COMPRESSIONS: dict[str, tuple[str, ...]] = {
 """storage -> the ways it can be compressed; those of rosbag2 use zstd."""
 STORAGE_OF_SUFFIX = {'.bag': 'ros1', '.csv': 'csv', '.tsv': 'csv', '.npz': 'npz'}
 DEFAULT_STORAGE = 'mcap'
+URI_CHARACTERS = frozenset('?#%')
+"""The sqlite3 writer of rosbags opens its file as a URI without quoting these."""
 
 
 def write_recording(
@@ -75,6 +77,11 @@ def write_recording(
         raise AllanError(
             f'{storage} cannot be compressed by {compression!r}: '
             f'choose one of {", ".join(COMPRESSIONS[storage])}'
+        )
+    if storage == 'sqlite3' and (special := set(str(path.absolute())) & URI_CHARACTERS):
+        raise AllanError(
+            f'{path}: a sqlite3 bag cannot be written to a path with {" ".join(sorted(special))}: '
+            'choose another name, or mcap'
         )
     try:
         with _appears_whole(path, overwrite) as draft:

@@ -216,6 +216,39 @@ def test_an_unclosed_database_gives_its_log_too(
     writer.close()
 
 
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_no_character_of_a_path_is_special(
+    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    write_recording(tmp_path / 'run', imu_batches(10), storage=storage)
+    path = tmp_path / 'été 50%?a=1#[x] & {0}'
+    (tmp_path / 'run').rename(path)
+    assert len(read(path).stamps_ns) == 10
+
+
+def test_an_mcap_can_hold_ros1_messages(
+    tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    batch = joined(imu_batches(20))
+    writer = rosbag2.Writer(tmp_path / 'old', version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    with writer:
+        connection = writer.add_connection(
+            '/imu', IMU_TYPE, typestore=STORE, serialization_format='ros1'
+        )
+        for stamp, payload in zip(batch.stamps_ns.tolist(), encode_imus(batch, 'ros1')):
+            writer.write(connection, stamp, payload)
+    np.testing.assert_array_equal(read(tmp_path / 'old').samples, batch.samples)
+
+
+def test_a_topic_that_turns_out_empty_is_said(
+    tmp_path: Path, imu_batches: Any, refused: Any
+) -> None:
+    write_recording(tmp_path / 'bag', imu_batches(20), storage='sqlite3')
+    with sqlite3.connect(tmp_path / 'bag/bag.db3') as database:
+        database.execute('DELETE FROM messages')  # while metadata.yaml still counts 20
+    assert 'topic /imu/data holds no message' in refused(tmp_path / 'bag')
+
+
 def write_topics(path: Path, topics: dict[str, tuple[str, int]], batch: Any) -> None:
     """Write a bag in which topics of several types hold some messages each."""
     with rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:

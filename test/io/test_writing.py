@@ -91,6 +91,12 @@ def test_what_cannot_be_written_is_said(
         write_recording(tmp_path / 'run', imu_batches(10), **how)
 
 
+def test_a_path_the_sqlite_writer_would_miss_is_refused(tmp_path: Path, imu_batches: Any) -> None:
+    with pytest.raises(AllanError, match='choose another name, or mcap'):
+        write_recording(tmp_path / 'run?', imu_batches(10), storage='sqlite3')
+    assert write_recording(tmp_path / 'run?', imu_batches(10), storage='mcap') == 10
+
+
 def test_npz_refuses_two_frames(tmp_path: Path, imu_batches: Any) -> None:
     two = [*imu_batches(10, frame_id='left'), *imu_batches(10, frame_id='right')]
     with pytest.raises(AllanError, match='one frame_id'):
