@@ -45,6 +45,7 @@ setup(
         'PyYAML>=5.4',
         'rosbags>=0.11.7',
         'scipy>=1.8',
+        'zstandard>=0.18',  # reads the same without it, more slowly
     ],
     extras_require={
         'jazzy': ros_wheels('jazzy'),
