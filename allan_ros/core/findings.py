@@ -279,6 +279,25 @@ _word(
     'look at the settings of the driver: the noise of a digital sensor depends on its rate',
 )
 _word(
+    'beyond_limit',
+    'warning',
+    '{term} is {value} ({interval}), above the {limit} of {reference} by more than {margin:.0%}',
+    'look for vibration, a warm-up and the supply voltage; if it stays, the sensor is worse than '
+    'it should be',
+)
+_word(
+    'noise_changed',
+    'warning',
+    '{what} {verb} from {before} to {after} {ago} ago (ratio {low:.2f}..{high:.2f})',
+    'look for vibration, a change of temperature or supply, or other settings of the sensor',
+)
+_word(
+    'no_sums',
+    'error',
+    'no sums on {topic} for {seconds:.0f} s',
+    'start allan_accumulator, or remap sums to its topic',
+)
+_word(
     'run_began_anew',
     'info',
     'the stamps went back and stayed back; the sums of the run before are {kept}',
@@ -338,6 +357,79 @@ _word(
     'the same fit on overlapping groups gives {values}; its standard errors are {gains} times '
     'smaller',
     'method gls uses the overlapping groups and how they are correlated',
+)
+
+# --- the fit: method 'gls' ------------------------------------------------------------------------
+_word(
+    'no_noise',
+    'warning',
+    'every sample is the same: there is no noise to measure',
+    'check that the sensor is powered and that its driver sends live values',
+)
+_word(
+    'record_too_short',
+    'warning',
+    'the longest segment has {samples} samples: too few to tell the terms apart',
+    'record at least a minute at rest; an hour or more shows most terms',
+)
+_word(
+    'low_pass',
+    'info',
+    'the samples are low-pass filtered (Q would be negative by {deviations:.0f} standard '
+    'deviations), so Q is not observable',
+    "switch the sensor's filter off to see Q; N is the noise of the frequencies that pass",
+)
+_word(
+    'short_averages',
+    'warning',
+    'averaging times below {tau:.3g} s do not follow the five terms{hint} and were left out; Q is '
+    'not observable',
+    'look for a filter in the sensor, or vibration; N holds from that time on',
+)
+_word(
+    'vibration',
+    'warning',
+    'the curve has the bump of a line at {frequency:.3g} Hz, amplitude {amplitude:.2g} {unit}; it '
+    'was fitted beside the five terms, whose intervals allow for it',
+    'look for a fan, a machine or a resonance of the building at this frequency, and put the '
+    'sensor on a heavier or softer base',
+)
+_word(
+    'gauss_markov',
+    'info',
+    'correlated noise of {sigma:.2g} {unit} with a correlation time of {time} was fitted beside '
+    'the five terms, whose intervals allow for it',
+    'a filter with a first-order Gauss-Markov bias takes these two numbers',
+)
+_word(
+    'misfit',
+    'warning',
+    'the terms describe the curve to {misfit:.1%} only; the intervals are widened accordingly',
+    'look at the curve: temperature, vibration or motion; record at rest, warmed up, in still air',
+)
+_word(
+    'rounding',
+    'info',
+    'the samples are multiples of {step:.3g} {unit}; rounding makes {share:.0%} of the white noise',
+    'N includes it; a finer range or resolution of the sensor would lower it (it is not Q)',
+)
+_word(
+    'drift_not_separable',
+    'info',
+    'there is drift, but this record cannot tell a random walk (K) from a ramp (R)',
+    'record longer, {how_long}, at a steady temperature',
+)
+_word(
+    'ramps_differ',
+    'info',
+    'the segments drift by different ramps, which noise does not explain; R is that of the longest',
+    'let the sensor warm up and keep its temperature steady if R is wanted',
+)
+_word(
+    'record_longer',
+    'info',
+    'this record is too short to show {terms}',
+    'record {how_long}',
 )
 
 # --- the files: what could not be made of the results --------------------------------------------

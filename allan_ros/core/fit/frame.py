@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .evidence import Evidence
+from .extra import SinusoidTerm
 from .goodness import Goodness, goodness, misfit_of
 from .intervals import Score
 from .point import Frame, PointFit, point_fit
@@ -37,8 +38,8 @@ class Chosen:
     fit : PointFit
     first : Goodness
         Of the five terms on the whole table.
-    filtered : bool
-        Whether q is negative: a low-pass filter hides the shortest averaging times.
+    z_quantization : float
+        q in its standard deviations; far below 0 behind a low-pass filter.
     terms : tuple of Candidate
         The extra terms that were added, as the frame lists them.
     hint : Candidate or None
@@ -47,9 +48,14 @@ class Chosen:
 
     fit: PointFit
     first: Goodness
-    filtered: bool = False
+    z_quantization: float
     terms: tuple[Candidate, ...] = ()
     hint: Candidate | None = None
+
+    @property
+    def filtered(self) -> bool:
+        """Whether a low-pass filter hides the shortest averaging times."""
+        return self.z_quantization < Z_LOW_PASS
 
 
 def choose_frame(evidence: Evidence, axis: int) -> Chosen:
@@ -60,17 +66,19 @@ def choose_frame(evidence: Evidence, axis: int) -> Chosen:
     """
     free = point_fit(evidence, axis, Frame(signed=True))
     first = goodness(free.table, free.power)
-    filtered = bool(Score(free.table, Q, free.power)(0.0) < Z_LOW_PASS)
+    chosen = Chosen(free, first, Score(free.table, Q, free.power)(0.0))
+    if not chosen.filtered:
+        plain = point_fit(evidence, axis, Frame(), np.maximum(free.power, 0.0))
+        chosen = replace(chosen, fit=plain)
     if not first.fails:
-        fit = free if filtered else point_fit(evidence, axis, Frame(), np.maximum(free.power, 0.0))
-        return Chosen(fit, first, filtered)
+        return chosen
     shorter = _without_the_shortest(evidence, axis, free)
     if shorter is not None:
-        eps = misfit_of(free.table, free.power, signed=True)
-        seen = candidates(free.table, free.power, eps, evidence.segments[0].samples)
-        hint = seen[0] if seen and seen[0].pinned else None
-        return Chosen(shorter, first, filtered, hint=hint)
-    return _with_extras(evidence, axis, free, Chosen(free, first, filtered))
+        misfit = misfit_of(free.table, free.power, signed=True)
+        seen = candidates(free.table, free.power, misfit, evidence.segments[0].samples)
+        hint = next((c for c in seen if c.pinned and isinstance(c.extra, SinusoidTerm)), None)
+        return replace(chosen, fit=shorter, hint=hint)
+    return _with_extras(evidence, axis, chosen)
 
 
 def _without_the_shortest(evidence: Evidence, axis: int, free: PointFit) -> PointFit | None:
@@ -85,35 +93,33 @@ def _without_the_shortest(evidence: Evidence, axis: int, free: PointFit) -> Poin
     return None
 
 
-def _with_extras(evidence: Evidence, axis: int, plain: PointFit, chosen: Chosen) -> Chosen:
+def _with_extras(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
     """Return the fit with the terms that mend it or at least bring the misfit well down."""
-    fit, terms = plain, chosen.terms
-    misfit = misfit_of(fit.table, fit.power, signed=True)
+    longest = evidence.segments[0].samples
+    misfit = misfit_of(chosen.fit.table, chosen.fit.power, chosen.filtered)
     for _ in range(MOST_EXTRAS):
-        kinds = {type(t.extra) for t in terms}
-        found = candidates(fit.table, fit.power, misfit, evidence.segments[0].samples)
-        better = None
-        for candidate in found:
-            if not candidate.pinned or type(candidate.extra) in kinds:
-                continue
-            extras = (*fit.frame.extras, candidate.extra)
-            frame = replace(plain.frame, extras=extras, misfit=misfit)
-            tried = point_fit(evidence, axis, frame, fit.power)
-            mended = point_fit(evidence, axis, replace(frame, misfit=0.0), tried.power)
-            if not goodness(mended.table, mended.power).fails:
-                return replace(chosen, fit=mended, terms=(*terms, candidate))
-            left = misfit_of(tried.table, tried.power, signed=True)
-            if left < MISFIT_GAIN * misfit:
-                better = tried, left, candidate
-                break
-        if better is None:
+        found = candidates(chosen.fit.table, chosen.fit.power, misfit, longest)
+        kinds = {type(t.extra) for t in chosen.terms}
+        new = [c for c in found if c.pinned and type(c.extra) not in kinds]
+        better = [_added(evidence, axis, chosen, c, misfit) for c in new]
+        left = [misfit_of(b.fit.table, b.fit.power, chosen.filtered) for b in better]
+        if not left or min(left) > MISFIT_GAIN * misfit:
             break
-        fit, misfit, candidate = better
-        terms = (*terms, candidate)
-        shorter = _without_the_shortest(
-            evidence, axis, replace(fit, frame=replace(fit.frame, misfit=0.0))
-        )
+        chosen, misfit = better[int(np.argmin(left))], min(left)
+        if not goodness(chosen.fit.table, chosen.fit.power).fails:
+            return chosen
+        shorter = _without_the_shortest(evidence, axis, chosen.fit)
         if shorter is not None:
-            return replace(chosen, fit=shorter, terms=terms)
-    frame = replace(fit.frame, misfit=misfit)
-    return replace(chosen, fit=point_fit(evidence, axis, frame, fit.power), terms=terms)
+            return replace(chosen, fit=shorter)
+    frame = replace(chosen.fit.frame, misfit=misfit)
+    return replace(chosen, fit=point_fit(evidence, axis, frame, chosen.fit.power))
+
+
+def _added(
+    evidence: Evidence, axis: int, chosen: Chosen, candidate: Candidate, misfit: float
+) -> Chosen:
+    """Return the fit with one more term."""
+    frame = replace(chosen.fit.frame, extras=(*chosen.fit.frame.extras, candidate.extra))
+    loose = point_fit(evidence, axis, replace(frame, misfit=misfit), chosen.fit.power)
+    fit = point_fit(evidence, axis, frame, loose.power)
+    return replace(chosen, fit=fit, terms=(*chosen.terms, candidate))

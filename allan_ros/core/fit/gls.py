@@ -4,18 +4,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..findings import Finding
 from ..sums import AllanSums
 from .evidence import Evidence
-from .frame import choose_frame
-from .intervals import power_interval
+from .explain import explain, explain_nothing, joined
+from .extra import GaussMarkovTerm
+from .frame import Chosen, choose_frame
+from .intervals import PowerInterval, power_interval
 from .model import RANDOM_TERMS, to_si
-from .point import PointFit
-from .ramp_interval import ramp_interval
-from .solve import Q, solve
-from .values import TERMS, AxisFit, Coefficient, NoiseFit
+from .ramp_interval import RampInterval, ramp_interval
+from .solve import K, N, Q, solve
+from .values import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseFit, Sinusoid
 
 LEAST_FACTORS = 5
 """With no more averaging factors than terms a table says nothing of the terms."""
@@ -24,50 +27,59 @@ LEAST_FACTORS = 5
 def fit_gls(sums: AllanSums) -> NoiseFit:
     """Return the five terms of every axis with 95 % intervals and verdicts.
 
-    Never fails for want of data: a term that the sums say nothing of has no value.
+    Never fails for want of data: a term of which the sums say nothing has neither value nor limit.
     """
     evidence = Evidence(sums)
     tau0 = sums.tau0 or 1.0
+    axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
-    axes = {}
     for a, name in enumerate(sums.axes):
-        axes[name] = _fit_axis(evidence, a, tau0)
-    return NoiseFit('gls', tau0, axes, tuple(findings))
+        fit, found = _fit_axis(evidence, a, tau0)
+        axes[name] = fit
+        findings += found
+    return NoiseFit('gls', tau0, axes, joined(findings))
 
 
-def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> AxisFit:
-    """Return the fit of one axis."""
-    if not np.any(evidence.sums.sum_sq[:, axis] > 0.0) or len(evidence.m) <= LEAST_FACTORS:
-        return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
+def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
+    """Return the fit of one axis, and what to know of it."""
+    constant = not np.any(evidence.sums.sum_sq[:, axis] > 0.0)
+    if constant or len(evidence.m) <= LEAST_FACTORS:
+        return _nothing(), explain_nothing(evidence, axis, constant)
     chosen = choose_frame(evidence, axis)
-    fit = chosen.fit
-    if len(fit.table.m) <= LEAST_FACTORS:
-        return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
-    noise = {}
-    walk = np.inf
-    misfit, signed = fit.frame.misfit, fit.frame.signed
-    best_n = fit.power
-    for term, name in enumerate(RANDOM_TERMS):
-        interval = power_interval(fit.table, term, fit.power, misfit)
-        power = best_n if name == 'N' else fit.power
-        if name == 'K':
-            walk = interval.upper
-        if name == 'Q' and not interval.observable and not signed:
-            columns = tuple(c for c in range(len(fit.power)) if c != Q)
-            best_n = solve(fit.table, fit.power, columns=columns, misfit=misfit)
-        value = to_si(name, float(power[term]), tau0) or None
-        if interval.observable and np.isfinite(interval.high):
-            low, high = min(interval.low, power[term]), max(interval.high, power[term])
-            noise[name] = Coefficient(value, (to_si(name, low, tau0), to_si(name, high, tau0)))
-        else:
-            noise[name] = _unseen(value, to_si(name, interval.upper, tau0))
-    noise['R'] = _ramp(evidence, axis, fit, walk, tau0)
-    return AxisFit(noise, misfit, fit.frame.m_min, chosen.first.z)
+    table, power, frame = chosen.fit.table, chosen.fit.power, chosen.fit.frame
+    if len(table.m) <= LEAST_FACTORS:
+        return _nothing(), explain_nothing(evidence, axis, constant)
+    intervals = [power_interval(table, t, power, frame.misfit) for t in range(len(power))]
+    noise = {
+        name: _coefficient(name, float(power[t]), intervals[t], tau0)
+        for t, name in enumerate(RANDOM_TERMS)
+    }
+    if chosen.filtered or frame.m_min > 1:
+        noise['Q'] = _unseen(None, np.inf)
+    elif noise['Q'].status == 'not_observable':
+        # A q that cannot be told from 0 nearly doubles the error of N; its interval keeps q.
+        others = tuple(t for t in range(len(power)) if t != Q)
+        alone = solve(table, power, columns=others, misfit=frame.misfit)
+        noise['N'] = _coefficient('N', float(alone[N]), intervals[N], tau0)
+    ramp = ramp_interval(evidence, axis, chosen.fit, intervals[K].upper)
+    noise['R'] = _ramp(ramp, tau0)
+    gauss_markov, sinusoid = _extras(chosen, intervals[len(RANDOM_TERMS) :], tau0)
+    fit = AxisFit(noise, frame.misfit, frame.m_min, chosen.first.z, gauss_markov, sinusoid)
+    return fit, explain(evidence, axis, chosen, fit, ramp, tau0)
 
 
-def _ramp(evidence: Evidence, axis: int, fit: PointFit, walk: float, tau0: float) -> Coefficient:
-    """Return the ramp that the segments share, or that of the longest where they disagree."""
-    ramp = ramp_interval(evidence, axis, fit, walk)
+def _coefficient(name: str, power: float, interval: PowerInterval, tau0: float) -> Coefficient:
+    """Return a random term in SI units."""
+    if not (interval.observable and math.isfinite(interval.high)):
+        return _unseen(to_si(name, power, tau0), to_si(name, interval.upper, tau0))
+    ends = (min(interval.low, power), max(interval.high, power))
+    return Coefficient(
+        to_si(name, power, tau0), (to_si(name, ends[0], tau0), to_si(name, ends[1], tau0))
+    )
+
+
+def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
+    """Return the ramp in SI units, its size and its sign."""
     if ramp is None:
         return _unseen(None, np.inf)
     sign = int(np.sign(ramp.value))
@@ -81,3 +93,26 @@ def _unseen(value: float | None, upper: float, sign: int = 0) -> Coefficient:
     """Return a term that is not observable, with its limit if the sums set any."""
     limit = upper if np.isfinite(upper) else None
     return Coefficient(value or None, None, limit, 'not_observable', sign)
+
+
+def _nothing() -> AxisFit:
+    """Return the fit of an axis that says nothing."""
+    return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
+
+
+def _extras(
+    chosen: Chosen, intervals: list[PowerInterval], tau0: float
+) -> tuple[GaussMarkov | None, Sinusoid | None]:
+    """Return the extra terms in SI units."""
+    gauss_markov: GaussMarkov | None = None
+    sinusoid: Sinusoid | None = None
+    powers = chosen.fit.power[len(RANDOM_TERMS) :]
+    for term, interval, power in zip(chosen.terms, intervals, powers):
+        size = math.sqrt(max(float(power), 0.0))
+        ends = (min(math.sqrt(interval.low), size), max(math.sqrt(interval.high), size))
+        shape, low, high = term.extra.shape, term.low, term.high
+        if isinstance(term.extra, GaussMarkovTerm):
+            gauss_markov = GaussMarkov(size, ends, shape * tau0, (low * tau0, high * tau0))
+        else:
+            sinusoid = Sinusoid(size, ends, shape / tau0, (low / tau0, high / tau0))
+    return gauss_markov, sinusoid

@@ -18,17 +18,15 @@ from scipy.special import chdtrc
 
 from .evidence import Evidence
 from .intervals import Z_TWO_SIDED, cross
-from .model import RANDOM_TERMS, Floats
+from .model import Floats
 from .point import PointFit
-from .solve import solve
+from .solve import K, solve
 
 Z_DETECT = 2.58
 """Normal quantile of 99.5 %: R has a sign, so both tails count for 1 % false alarms."""
 
 AGREE = 0.01
 """Segments whose ramps differ as much as noise makes them once in a hundred have their own."""
-
-K = RANDOM_TERMS.index('K')
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ class _Search:
         reach = shape * np.geomspace(1.0 / PINNED_RATIO, PINNED_RATIO, 4 * SHAPES_PER_OCTAVE + 1)
         inside = reach[self.chi_squared(kind, reach) < least + PINNED_RISE]
         ends = (shape, shape) if not len(inside) else (float(inside.min()), float(inside.max()))
-        spacing = reach[1] / reach[0]
+        spacing = float(reach[1] / reach[0])
         return Candidate(kind(shape), ends[0] / spacing, ends[1] * spacing, self.without - least)
 
 

@@ -31,7 +31,7 @@ ROUNDS = 5
 NOISE_FLOOR = 1e-6
 """White noise assumed at least, relative to the least that the table could hide."""
 
-Q, N = RANDOM_TERMS.index('Q'), RANDOM_TERMS.index('N')
+Q, N, B, K = range(len(RANDOM_TERMS))
 
 
 def first_guess(table: Table) -> Floats:
