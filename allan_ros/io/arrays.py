@@ -10,6 +10,7 @@ there. Arrays are read in blocks, never whole.
 from __future__ import annotations
 
 import shutil
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -95,7 +96,19 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
     return Recording(info, n, lambda report: _read(path, members, options, report))
 
 
-_LIBRARY_ERRORS = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, SyntaxError)
+_LIBRARY_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    ValueError,
+    KeyError,
+    EOFError,
+    OSError,
+    RuntimeError,  # encrypted, and NotImplementedError for other compressions
+    OverflowError,
+    MemoryError,
+    SyntaxError,
+)
 """What zipfile and numpy raise on files that are not what they seem."""
 
 

@@ -34,7 +34,7 @@ CHUNK_HEAD = struct.Struct('<QQQI')
 FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
 LOOSE_BYTES = 1 << 20
 """Messages outside of chunks are read in runs of about this many bytes."""
-_DAMAGE = (struct.error, OSError, OverflowError, MemoryError)
+_DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
 """What reading a damaged file raises."""
 REMEDY = 'copy it again, or mend it with "mcap recover"'
 

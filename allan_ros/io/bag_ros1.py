@@ -30,7 +30,7 @@ INDEX_ENTRY = struct.Struct('<III')
 NANOSECONDS = 10**9
 MAX_HEADER = 1 << 20
 """A record header is far shorter; more means that the file is damaged."""
-_DAMAGE = (struct.error, LookupError, UnicodeDecodeError, OSError, OverflowError, MemoryError)
+_DAMAGE = (struct.error, LookupError, ValueError, OSError, OverflowError, MemoryError)
 """What reading a damaged file raises; LookupError for a field that is not there."""
 REMEDY = 'copy it again, or mend it with "rosbag reindex" or "rosbag fix"'
 

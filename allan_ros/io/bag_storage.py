@@ -35,6 +35,11 @@ class Topic:
         Serialization of its messages: 'cdr', 'ros1', or one we cannot read.
     schema_format, schema : str
         Definition of the type: 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
+
+    Raises
+    ------
+    ValueError
+        When a name holds control characters, which only damage brings about.
     """
 
     id: int
@@ -43,6 +48,10 @@ class Topic:
     encoding: str
     schema_format: str = ''
     schema: str = ''
+
+    def __post_init__(self) -> None:
+        if not (self.name + self.type + self.encoding).isprintable():
+            raise ValueError('the name of a topic is no text')
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]
