@@ -23,12 +23,22 @@ from .shown import (
 )
 
 TERM_NAMES = {
-    'Q': 'quantization',
-    'N': 'angle or velocity random walk',
-    'B': 'bias instability',
-    'K': 'rate or acceleration random walk',
-    'R': 'rate or acceleration ramp',
+    'gyro': {
+        'Q': 'quantization',
+        'N': 'angle random walk',
+        'B': 'bias instability',
+        'K': 'rate random walk',
+        'R': 'rate ramp',
+    },
+    'accel': {
+        'Q': 'quantization',
+        'N': 'velocity random walk',
+        'B': 'bias instability',
+        'K': 'acceleration random walk',
+        'R': 'acceleration ramp',
+    },
 }
+"""sensor -> term -> its name in IEEE Std 952 and 1293."""
 
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
 
@@ -52,7 +62,7 @@ def render_report(results: Results, pictures: Mapping[str, str], units: str) -> 
     for sensor, where in SENSORS.items():
         axes = [axis for axis in AXES[where] if axis in results.axes]
         if axes:
-            body += [f'<h2>{SENSOR_NAMES[sensor]}</h2>', *_table(results, axes, units)]
+            body += [f'<h2>{SENSOR_NAMES[sensor]}</h2>', *_table(results, sensor, axes, units)]
             if sensor in pictures:
                 body.append(f'<figure>{pictures[sensor]}</figure>')
     body += ['<h2>Recording</h2>', *_recording(results)]
@@ -95,7 +105,7 @@ def verdict(results: Results, units: str) -> str:
     return worst + (f'Not observable in this much data: {", ".join(hidden)}.' if hidden else '')
 
 
-def _table(results: Results, axes: Sequence[str], units: str) -> Iterator[str]:
+def _table(results: Results, sensor: str, axes: Sequence[str], units: str) -> Iterator[str]:
     yield '<table><thead><tr><th>term</th><th>unit</th>'
     yield ''.join(f'<th>{axis.rsplit("_", 1)[1]}</th>' for axis in axes) + '</tr></thead><tbody>'
     for term in TERMS:
@@ -107,19 +117,20 @@ def _table(results: Results, axes: Sequence[str], units: str) -> Iterator[str]:
                 f'<td class="{coefficient.status}">{escape(value_text(coefficient, unit))}'
                 f'<small>{escape(interval_text(coefficient, unit))}</small></td>'
             )
-        name = f'{term} <small>{TERM_NAMES[term]}</small>'
+        name = f'{term} <small>{TERM_NAMES[sensor][term]}</small>'
         yield f'<tr><th>{name}</th><td>{unit.name}</td>{cells}</tr>'
     fits = [results.axes[axis].fit for axis in axes]
-    misfits = ''.join(f'<td>{fit.misfit:.1%}</td>' for fit in fits)
-    yield f'<tr><th>misfit <small>of the five terms</small></th><td></td>{misfits}</tr>'
+    if any(fit.misfit > 0.0 for fit in fits):
+        misfits = ''.join(f'<td>{fit.misfit:.1%}</td>' for fit in fits)
+        yield f'<tr><th>misfit <small>of the five terms</small></th><td></td>{misfits}</tr>'
     regions = ''.join(
         f'<td>{"<br>".join(region_text(r) for r in results.axes[axis].regions)}</td>'
         for axis in axes
     )
     yield f'<tr><th>what rules where</th><td></td>{regions}</tr></tbody></table>'
     yield (
-        '<p class="note">Brackets are 95 % intervals. "&lt;": not observable in this much data; '
-        'the 95 % upper limit is given.</p>'
+        '<p class="note">Below each value its 95 % interval. "&lt;": not observable in this much '
+        'data; the 95 % upper limit is given.</p>'
     )
 
 
