@@ -17,7 +17,14 @@ def ros_wheels(distro):
 
     They exist for CPython 3.10 to 3.13 on x86-64 Linux only.
     """
-    messages = ('diagnostic-msgs', 'rcl-interfaces', 'sensor-msgs', 'std-msgs', 'std-srvs')
+    messages = (
+        'diagnostic-msgs',
+        'rcl-interfaces',
+        'rosgraph-msgs',
+        'sensor-msgs',
+        'std-msgs',
+        'std-srvs',
+    )
     return [f'ros-{distro}-rclpy[fastrtps]', *(f'ros-{distro}-{name}' for name in messages)]
 
 
@@ -58,6 +65,11 @@ setup(
     entry_points={
         'console_scripts': [
             f'allan = {PACKAGE}.cli.main:console',
+            f'allan_accumulator = {PACKAGE}.nodes.accumulator:main',
+            f'allan_estimator = {PACKAGE}.nodes.estimator:main',
+            f'allan_monitor = {PACKAGE}.nodes.monitor:main',
+            f'allan_player = {PACKAGE}.nodes.player:main',
+            f'allan_watch = {PACKAGE}.nodes.watch:main',
         ],
     },
 )

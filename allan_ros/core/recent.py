@@ -76,6 +76,14 @@ class Change:
         low, high = self.ratio_ci95
         return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
+    def in_terms_of(self, term: str) -> tuple[float, float]:
+        """Return before and after as the coefficient that rules at this averaging time.
+
+        N = sigma sqrt(tau) and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2).
+        """
+        factor = {'N': math.sqrt(self.tau), 'Q': self.tau / math.sqrt(3.0)}[term]
+        return self.before * factor, self.after * factor
+
 
 @dataclass(frozen=True)
 class RecentCurve:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -32,10 +31,8 @@ from .diagnostics import InputView, input_status, status_name
 from .imu_input import ImuInput
 from .parameters import ParameterGroup
 from .periodic import Periodic
+from .qos import LATCHED
 from .settings import CheckpointSettings, InputSettings, PublishSettings
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Reliable, and the last one is kept for who comes late."""
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 

@@ -91,39 +91,46 @@ class Player(Node):
 
     def _play(self) -> None:
         began = time.monotonic()
-        shift = 0
+        rebase = self._options.stamps == 'rebase'
+        start_ns = time.time_ns() if rebase else None
         while True:
-            first = last = None
-            for batch in self._batches():
-                if first is None:
-                    first = int(batch.stamps_ns[0])
-                    if self._options.stamps == 'rebase' and not shift:
-                        shift = time.time_ns() - first
-                    pace = _Pace(self._options.rate, batch)
-                last = int(batch.stamps_ns[-1])
-                self._publish(replace(batch, stamps_ns=batch.stamps_ns + shift), batch, pace)
-                if self._stop.is_set():
-                    return
-            if first is None or last is None:
-                raise AllanError('the recording holds no Imu message: nothing to play')
+            length = self._play_once(start_ns)
+            if self._stop.is_set():
+                return
             took = time.monotonic() - began
             self.get_logger().info(f'played {self._played} messages in {took:.2f} s')
             if not self._options.loop:
                 return
-            if self._options.stamps == 'rebase':  # carry on where the stamps ended
-                shift += last - first + (last - first) // max(len(batch), 1)
+            if start_ns is not None:
+                start_ns += length
 
-    def _publish(self, shifted: ImuBatch, original: ImuBatch, pace: _Pace) -> None:
+    def _play_once(self, start_ns: int | None) -> int:
+        """Play the recording, its first stamp shifted to start_ns, and return its length in ns."""
+        first_ns = last_ns = count = 0
+        pace = None
+        for batch in self._batches():
+            if pace is None:
+                pace = _Pace(self._options.rate, batch)
+                first_ns = int(batch.stamps_ns[0])
+            shift = 0 if start_ns is None else start_ns - first_ns
+            self._publish(replace(batch, stamps_ns=batch.stamps_ns + shift), pace.due(batch))
+            if self._stop.is_set():
+                return 0
+            last_ns, count = int(batch.stamps_ns[-1]), count + len(batch)
+        if pace is None:
+            raise AllanError('the recording holds no Imu message: nothing to play')
+        return last_ns - first_ns + (last_ns - first_ns) // max(count - 1, 1)
+
+    def _publish(self, batch: ImuBatch, due: list[float] | None) -> None:
         """Publish a batch, each message when it is due."""
-        due = pace.due(original)
-        for i, payload in enumerate(encode_imus(shifted, 'cdr')):
+        for i, payload in enumerate(encode_imus(batch, 'cdr')):
             if due is not None:
                 wait = due[i] - time.monotonic()
                 if wait > 0 and self._stop.wait(wait):
                     return
             self._send(bytes(payload))
             if self._clock is not None:
-                self._tell_time(int(shifted.stamps_ns[i]))
+                self._tell_time(int(batch.stamps_ns[i]))
             if self._stop.is_set():
                 return
 

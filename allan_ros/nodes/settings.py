@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' own settings and their defaults; those of the segmenter live with it, in core.
+"""The nodes' own settings and their defaults (those of the segmenter live in core).
 
 Every field becomes a ROS parameter ``<group>.<name>`` (see `parameters`).
 """
@@ -11,48 +11,51 @@ from dataclasses import dataclass
 
 from ..core.errors import AllanError
 from ..core.parameters import check, parameter
+from ..core.settings import SegmenterSettings
 
 
 @dataclass(frozen=True)
 class InputSettings:
     """How the Imu messages are taken in (group ``input``)."""
 
-    topics: tuple[str, ...] = parameter(
-        ('imu/data',), 'Imu topics to watch; the first is meant to be remapped', read_only=True
-    )
+    topics: tuple[str, ...] = parameter(('imu/data',), 'Imu topics to watch.', read_only=True)
     labels: tuple[str, ...] = parameter(
         ('',),
-        'one short name per topic, used in topics, files and diagnostics; may be empty for one IMU',
+        'One short name per topic, for topics, files and diagnostics; may be empty for one IMU.',
         read_only=True,
     )
     hardware_ids: tuple[str, ...] = parameter(
-        ('',), 'one serial number per topic; empty: the frame_id stands for it', read_only=True
+        ('',), 'One serial number per topic; empty: the frame_id stands for it.', read_only=True
     )
     queue_depth: int = parameter(
         4000,
-        'messages the middleware may hold between two drains',
+        'Messages the middleware may hold between two drains.',
         unit='messages',
         low=1,
         high=1_000_000,
         read_only=True,
     )
     drain_period: float = parameter(
-        0.1, 'how often the queue is emptied', unit='s', low=0.005, high=1.0, read_only=True
+        0.1, 'How often the queue is emptied.', unit='s', low=0.005, high=1.0, read_only=True
     )
     update_period: float = parameter(
         0.5,
-        'how often the drained messages are decoded and accumulated',
+        'How often the drained messages are decoded and accumulated.',
         unit='s',
         low=0.005,
         high=10.0,
         read_only=True,
     )
     stale_after: float = parameter(
-        2.0, 'silence after which the input is reported as an error', unit='s', low=0.1, high=3600.0
+        2.0,
+        'Silence after which the input is reported as an error.',
+        unit='s',
+        low=0.1,
+        high=3600.0,
     )
     plain_callback: bool = parameter(
         False,
-        'receive each message in a callback of its own (more CPU) instead of draining the queue',
+        'Receive each message in a callback of its own (more CPU) instead of draining the queue.',
         read_only=True,
     )
 
@@ -92,10 +95,14 @@ class PublishSettings:
     """How often the nodes speak (group ``publish``)."""
 
     sums_period: float = parameter(
-        10.0, 'how often the running sums are published and fitted', unit='s', low=0.1, high=3600.0
+        10.0,
+        'How often the running sums are published, and looked at for a change.',
+        unit='s',
+        low=0.1,
+        high=3600.0,
     )
     diagnostics_period: float = parameter(
-        1.0, 'how often every diagnostic status is repeated', unit='s', low=0.1, high=60.0
+        1.0, 'How often every diagnostic status is repeated.', unit='s', low=0.1, high=60.0
     )
 
 
@@ -105,12 +112,12 @@ class CheckpointSettings:
 
     path: str = parameter(
         '',
-        'checkpoint file; a folder when several IMUs are watched (<label>.json in it); '
-        'empty: keep none',
+        'Checkpoint file; a folder when several IMUs are watched (<label>.json in it); '
+        'empty: keep none.',
         read_only=True,
     )
     period: float = parameter(
-        60.0, 'how often the checkpoint is written', unit='s', low=0.5, high=86400.0
+        60.0, 'How often the checkpoint is written.', unit='s', low=0.5, high=86400.0
     )
 
     def __post_init__(self) -> None:
@@ -122,28 +129,28 @@ class EstimatorSettings:
     """When the sums are fitted and what the coefficients are held against (group ``estimator``)."""
 
     method: str = parameter(
-        'gls', 'how the five terms are fitted', choices=('gls', 'relative', 'paper')
+        'gls', 'How the five terms are fitted.', choices=('gls', 'relative', 'paper')
     )
     growth: float = parameter(
-        0.05, 'refit when the samples have grown by this fraction', low=0.0, high=10.0
+        0.1, 'Refit when the samples have grown by this fraction.', low=0.0, high=10.0
     )
     sensor: str = parameter(
         '',
-        'datasheet to compare with: a name in config/sensors or a file; empty: none',
+        'Datasheet to compare with: a name in config/sensors or a file; empty: none.',
         read_only=True,
     )
     baseline: str = parameter(
-        '', 'results.json of a former run to compare with; empty: none', read_only=True
+        '', 'Former run to compare with: its results.json; empty: none.', read_only=True
     )
     margin: float = parameter(
         0.2,
-        'warn when the interval lies beyond the limit by more than this fraction',
+        'Warn when the interval lies beyond the limit by more than this fraction.',
         low=0.0,
         high=100.0,
     )
     recent_window: float = parameter(
-        600.0,
-        'length of the recent view that is held against the lifetime',
+        3600.0,
+        'Length of the recent view that is held against all the time before.',
         unit='s',
         low=1.0,
         high=604800.0,
@@ -153,8 +160,9 @@ class EstimatorSettings:
 
 GROUPS: dict[str, type] = {
     'input': InputSettings,
+    'segmenter': SegmenterSettings,
     'publish': PublishSettings,
     'checkpoint': CheckpointSettings,
     'estimator': EstimatorSettings,
 }
-"""Parameter group -> its settings; `segmenter` joins them where the sums are made."""
+"""Parameter group -> its settings."""

@@ -1,0 +1,49 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An IMU is blamed only when the whole interval lies beyond the limit."""
+
+from __future__ import annotations
+
+import pytest
+
+from allan_ros.core.compare import Reference, compare, reference_of_run, verdict
+from allan_ros.core.fit.values import TERMS, Coefficient
+
+NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
+
+
+@pytest.mark.parametrize(
+    'coefficient, expected',
+    [
+        (Coefficient(0.9, (0.8, 1.0)), 'within'),
+        (Coefficient(1.1, (1.0, 1.2)), 'within'),  # by the margin
+        (Coefficient(1.2, (1.1, 1.3)), 'open'),
+        (Coefficient(1.3, (1.25, 1.35)), 'beyond'),
+        (Coefficient(2.0, (0.5, 3.5)), 'open'),
+        (NOT_OBSERVABLE, 'within'),
+        (Coefficient(None, None, 5.0, 'not_observable'), 'open'),
+        (Coefficient(9.0, (8.0, 10.0), 10.0, 'not_observable'), 'open'),
+        (Coefficient(9.0), 'open'),
+    ],
+)
+def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expected):
+    assert verdict(coefficient, 1.0, 0.2) == expected
+
+
+def test_only_what_the_reference_knows_is_compared():
+    noise = {term: Coefficient(1.0, (0.9, 1.1)) for term in TERMS}
+    sheet = Reference('sheet', {'gyro_x': {'N': 0.5, 'B': 2.0}})
+    found = compare('gyro_x', noise, sheet, 0.2)
+    assert [(c.term, c.verdict) for c in found] == [('N', 'beyond'), ('B', 'within')]
+    assert compare('accel_x', noise, sheet, 0.2) == ()
+
+
+def test_a_run_is_never_beyond_itself():
+    noise = {'Q': NOT_OBSERVABLE, 'N': Coefficient(1.0, (0.9, 1.1)), 'B': Coefficient(2.0)}
+    noise |= {'K': Coefficient(None), 'R': Coefficient(1.0, (0.1, 2.0))}
+    reference = reference_of_run('last month', {'gyro_x': noise})
+    assert set(reference.limits['gyro_x']) == {'Q', 'N', 'B', 'R'}
+    assert all(c.verdict != 'beyond' for c in compare('gyro_x', noise, reference, 0.0))
+    worse = {**noise, 'N': Coefficient(1.5, (1.4, 1.6))}
+    found = {c.term: c.verdict for c in compare('gyro_x', worse, reference, 0.2)}
+    assert found['N'] == 'beyond'

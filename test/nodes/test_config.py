@@ -1,0 +1,72 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One home per default: the configuration file and the launch file say what the code says."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+import yaml
+
+from allan_ros.core.parameters import describe
+from allan_ros.nodes.settings import GROUPS
+
+
+@pytest.fixture
+def config_text(repository: Path) -> str:
+    return (repository / 'config' / 'allan_ros.yaml').read_text()
+
+
+def test_the_configuration_file_holds_every_default(config_text: str):
+    parameters = yaml.safe_load(config_text)['/**']['ros__parameters']
+    defaults = {
+        group: {
+            name: list(value) if isinstance(value := getattr(made, name), tuple) else value
+            for name in describe(made)
+        }
+        for group, settings in GROUPS.items()
+        for made in [settings()]
+    }
+    assert parameters == defaults
+
+
+def test_the_configuration_file_says_what_each_is(config_text: str):
+    words = ' '.join(config_text.replace('#', ' ').split())
+    for settings in GROUPS.values():
+        for name, info in describe(settings).items():
+            assert ' '.join(info.doc.rstrip('.').split()) in words, name
+            assert not info.unit or f'[{info.unit}]' in words
+
+
+def test_every_parameter_has_a_meaning():
+    for group, settings in GROUPS.items():
+        for name, info in describe(settings).items():
+            assert info.doc.endswith('.') and info.doc[0].isupper(), name
+            assert group in ('input', 'segmenter', 'publish', 'checkpoint', 'estimator')
+
+
+def test_the_launch_file_names_what_there_is(repository: Path):
+    tree = ast.parse((repository / 'launch' / 'allan_ros.launch.py').read_text())
+    words = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}
+    setup = (repository / 'setup.py').read_text()
+    executables = {w for w in words if isinstance(w, str) and w.startswith('allan_')}
+    executables -= {'allan_ros', 'allan_ros.yaml', 'allan_accumulator/sums'}
+    assert executables == {'allan_monitor', 'allan_accumulator', 'allan_estimator'}
+    assert all(f'{name} = ' in setup for name in executables)
+    known = {f'{group}.{name}' for group, made in GROUPS.items() for name in describe(made)}
+    dotted = {w for w in words if isinstance(w, str) and w.split('.')[0] in GROUPS and '.' in w}
+    assert dotted and dotted <= known
+
+
+def test_the_launch_file_describes_itself(repository: Path):
+    pytest.importorskip('launch_ros')
+    from launch.launch_description_sources import get_launch_description_from_python_launch_file
+
+    from launch import LaunchDescription
+
+    made = get_launch_description_from_python_launch_file(
+        str(repository / 'launch' / 'allan_ros.launch.py')
+    )
+    assert isinstance(made, LaunchDescription)

@@ -1,0 +1,116 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The player keeps every message and its time; the watcher shows what the nodes say."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from allan_ros.core.batch import ImuBatch
+from allan_ros.io.writing import write_recording
+from allan_ros.nodes.imu_input import ImuInput
+from allan_ros.nodes.settings import InputSettings
+
+
+class Ear:
+    """Collects what is played."""
+
+    def __init__(self, graph) -> None:
+        self._graph = graph
+        self._input = ImuInput(graph.node, 'imu/data', InputSettings())
+        self._batches: list[ImuBatch] = []
+
+    def hear(self, count: int) -> np.ndarray:
+        """Return the first stamps, once that many have come."""
+
+        def enough() -> bool:
+            self._input.drain()
+            self._batches += self._input.batches()
+            return sum(map(len, self._batches)) >= count
+
+        self._graph.until(enough)
+        return np.concatenate([b.stamps_ns for b in self._batches])[:count]
+
+
+@pytest.fixture
+def bag(still_imu, tmp_path: Path) -> Path:
+    write_recording(tmp_path / 'bag', [still_imu(200)])
+    return tmp_path / 'bag'
+
+
+def test_it_keeps_stamps_and_the_pace_of_the_recording(graph, still_imu, bag):
+    ear = Ear(graph)
+    player = graph.start('player', str(bag), '--rate', '2')
+    ear.hear(1)
+    began = time.monotonic()
+    assert np.array_equal(ear.hear(200), still_imu(200).stamps_ns)
+    assert time.monotonic() - began > 0.3  # 1 s of recording at twice its speed
+    assert player.wait() == 0
+    assert 'played 200 messages' in player.output
+
+
+def test_a_loop_with_rebased_stamps_goes_on_evenly_from_now(graph, bag):
+    ear = Ear(graph)
+    player = graph.start('player', str(bag), '--rate', '0', '--loop', '--stamps', 'rebase')
+    stamps = ear.hear(600)
+    assert np.array_equal(np.diff(stamps), np.full(599, 5_000_000))
+    assert abs(stamps[0] - time.time_ns()) < 60 * 10**9
+    assert player.stop(signal.SIGINT, signal.SIGTERM) == 0, player.output
+
+
+def test_it_tells_the_time(graph, bag):
+    from rosgraph_msgs.msg import Clock
+
+    times: list[int] = []
+    graph.node.create_subscription(
+        Clock, '/clock', lambda m: times.append(m.clock.sec * 10**9 + m.clock.nanosec), 100
+    )
+    ear = Ear(graph)
+    graph.start('player', str(bag), '--clock', '--wait', '1')
+    last = int(ear.hear(200)[-1])
+    graph.until(lambda: len(times) >= 10)
+    assert times == sorted(times) and times[0] >= 10**18 and times[-1] <= last
+
+
+def test_it_simulates_an_imu(graph):
+    ear = Ear(graph)
+    graph.start('player', '--simulate', '2', '--frequency', '100', '--rate', '0')
+    assert np.array_equal(np.diff(ear.hear(200)), np.full(199, 10_000_000))
+
+
+def test_it_says_what_it_cannot_play(graph, tmp_path: Path):
+    ear = Ear(graph)  # so that it has somebody to play for
+    (tmp_path / 'no.mcap').write_bytes(b'')
+    nothing = graph.start('player')
+    missing = graph.start('player', str(tmp_path / 'missing'))
+    broken = graph.start('player', str(tmp_path / 'no.mcap'))
+    for player, reason in ((nothing, 'nothing to play'), (missing, 'missing'), (broken, 'no.mcap')):
+        assert player.wait() == 1
+        assert reason in player.output and 'Traceback' not in player.output
+    assert ear is not None
+
+
+def test_the_watcher_shows_each_status(graph, still_imu):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    watch = graph.start('watch', '--plain', '--seconds', '3')
+    publisher = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    graph.until(lambda: publisher.get_subscription_count() == 2)
+    values = [KeyValue(key='N [deg/sqrt(h)]', value='0.172')]
+    good = DiagnosticStatus(name='allan_monitor: imu gyro x', message='N', values=values)
+    bad = DiagnosticStatus(
+        name='allan_monitor: input', message='nothing comes', level=DiagnosticStatus.ERROR
+    )
+    stranger = DiagnosticStatus(name='battery: charge', message='full')
+    publisher.publish(DiagnosticArray(status=[good, bad, stranger]))
+    assert watch.wait() == 0
+    assert 'ERROR input: nothing comes' in watch.output
+    assert 'imu gyro x' in watch.output and '0.172 deg/sqrt(h)' in watch.output
+    assert 'battery' not in watch.output
