@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from allan_ros.core.engine import RunningAllan
-from allan_ros.core.fit import TERMS, fit_noise
+from allan_ros.core.fit import TERMS, AxisFit, fit_noise
+from allan_ros.core.fit.goodness import Z_FAIL
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 from allan_ros.core.sums import AllanSums
 from allan_ros.core.units import from_datasheet, to_datasheet
@@ -40,19 +41,50 @@ def gyro(**datasheet: float) -> NoiseTerms:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Records to draw: noise, rate in Hz, seconds, and into how many segments they are cut."""
+    """Records to draw.
+
+    Attributes
+    ----------
+    truth : NoiseTerms
+    rate, seconds : float
+        In Hz and s.
+    segments : int
+        Into how many equal ones the record is cut.
+    line : (amplitude, frequency)
+        A sinusoid beside the noise: its amplitude over the white noise per sample, and Hz.
+    gauss_markov : (share, correlation time)
+        Gauss-Markov noise: its variance over that of the white noise per sample, and s.
+    """
 
     truth: NoiseTerms
     rate: float
     seconds: float
     segments: int = 1
+    line: tuple[float, float] = (0.0, 1.0)
+    gauss_markov: tuple[float, float] = (0.0, 1.0)
+
+    def axis(self, rng: np.random.Generator) -> np.ndarray:
+        """Return the samples of one record."""
+        n = round(self.rate * self.seconds)
+        white = self.truth.N * self.rate**0.5
+        y = simulate_axis(n, 1.0 / self.rate, self.truth, rng)
+        amplitude, frequency = self.line
+        if amplitude > 0.0:
+            turns = frequency / self.rate * np.arange(n) + rng.uniform()
+            y += amplitude * white * np.sin(2.0 * np.pi * turns)
+        share, time = self.gauss_markov
+        if share > 0.0:
+            from scipy.signal import lfilter
+
+            keep = math.exp(-1.0 / (self.rate * time))
+            steps = rng.standard_normal(n) * math.sqrt(1.0 - keep * keep)
+            steps[0] /= math.sqrt(1.0 - keep * keep)
+            y += share**0.5 * white * lfilter([1.0], [1.0, -keep], steps)
+        return y
 
     def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
         """Return the sums of as many independent records as axes."""
-        samples = round(self.rate * self.seconds)
-        rows = np.stack(
-            [simulate_axis(samples, 1.0 / self.rate, self.truth, rng) for _ in range(axes)], axis=1
-        )
+        rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
         engine = RunningAllan(axes=AXES[:axes])
         start = 0
         for part in np.array_split(rows, self.segments):
@@ -81,6 +113,9 @@ SCENARIOS = {
     'five_minutes': Scenario(X, 100.0, 300.0),
     'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR),
     'six_segments': Scenario(X, 100.0, 2 * HOUR, 6),
+    'line_slow': Scenario(X, 100.0, 2 * HOUR, line=(0.03, 0.02)),
+    'line_fast': Scenario(X, 100.0, 2 * HOUR, line=(0.03, 0.2)),
+    'gauss_markov': Scenario(X, 100.0, 2 * HOUR, gauss_markov=(0.01, 10.0)),
 }
 
 
@@ -114,21 +149,21 @@ class Outcome:
     high: float
     seen: bool
 
+    @classmethod
+    def of(cls, c: Coefficient) -> Outcome:
+        """Return the outcome of a coefficient; its limit serves as an interval from zero."""
+        nan = float('nan')
+        low, high = c.ci95 or (0.0, nan if c.upper95 is None else c.upper95)
+        return cls(c.value or 0.0, low, high, c.status == 'estimated')
 
-def outcomes(sums: AllanSums, method: str) -> list[dict[str, Outcome]]:
-    """Return the outcome of every term, axis by axis."""
-    nan = float('nan')
+
+def fits_of(sums: AllanSums, method: str) -> list[AxisFit]:
+    """Return the fit of every axis."""
     if method == 'slope':
-        return [{t: Outcome(v[t] or 0.0, nan, nan, True) for t in TERMS} for v in read_slopes(sums)]
+        read = read_slopes(sums)
+        return [AxisFit({t: Coefficient(values[t]) for t in TERMS}) for values in read]
     fit = fit_noise(sums, method)
-    rows = []
-    for axis in sums.axes:
-        row = {}
-        for term, c in fit.axes[axis].noise.items():
-            low, high = c.ci95 or (0.0, c.upper95 if c.upper95 is not None else nan)
-            row[term] = Outcome(c.value or 0.0, low, high, c.status == 'estimated')
-        rows.append(row)
-    return rows
+    return [fit.axes[axis] for axis in sums.axes]
 
 
 def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
@@ -155,7 +190,7 @@ def clopper_pearson(hits: int, runs: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def table(scenario: str, rows: list[dict[str, Outcome]]) -> str:
+def table(scenario: str, fits: list[AxisFit]) -> str:
     """Return the table of one scenario and method: a line per term."""
     lines = [
         '| term | truth | bias % | RMSE % | median | said | coverage % (95 % band) | width |',
@@ -163,7 +198,7 @@ def table(scenario: str, rows: list[dict[str, Outcome]]) -> str:
     ]
     for term in TERMS:
         truth = getattr(SCENARIOS[scenario].truth, term)
-        got = [row[term] for row in rows]
+        got = [Outcome.of(fit.noise[term]) for fit in fits]
         value = np.array([g.value for g in got])
         shown, unit = to_datasheet(term, 'gyro', truth)
         cells = [f'{term} [{unit}]', f'{shown:.4g}']
@@ -186,20 +221,50 @@ def table(scenario: str, rows: list[dict[str, Outcome]]) -> str:
     return '\n'.join(lines)
 
 
+def beside(scenario: str, fits: list[AxisFit]) -> str:
+    """Return how often the fit rejected the five terms, and what it found beside them."""
+    failed = np.mean([fit.gof_z >= Z_FAIL for fit in fits])
+    lines = [f'fit rejected in {failed:.1%} of runs']
+    found = [fit.sinusoid for fit in fits if fit.sinusoid]
+    if found:
+        white = SCENARIOS[scenario].truth.N * SCENARIOS[scenario].rate ** 0.5
+        size = np.median([line.amplitude for line in found]) / white
+        hertz = np.median([line.frequency for line in found])
+        lines.append(
+            f'line in {len(found) / len(fits):.1%}: median {size:.4f} of the white noise per '
+            f'sample, {hertz:.4g} Hz'
+        )
+    drift = [fit.gauss_markov for fit in fits if fit.gauss_markov]
+    if drift:
+        white = SCENARIOS[scenario].truth.N * SCENARIOS[scenario].rate ** 0.5
+        share = np.median([g.sigma for g in drift]) ** 2 / white**2
+        time = np.median([g.correlation_time for g in drift])
+        lines.append(
+            f'Gauss-Markov noise in {len(drift) / len(fits):.1%}: median {share:.4f} of the '
+            f'variance per sample, {time:.4g} s'
+        )
+    misfit = np.mean([fit.misfit > 0.0 for fit in fits])
+    cut = np.mean([fit.m_min > 1 for fit in fits])
+    lines.append(f'misfit in {misfit:.1%}, shortest averages left out in {cut:.1%}')
+    return '; '.join(lines)
+
+
 def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
     """Draw, fit, and print a table for every method."""
-    rows: dict[str, list[dict[str, Outcome]]] = {method: [] for method in methods}
+    rows: dict[str, list[AxisFit]] = {method: [] for method in methods}
     spent = dict.fromkeys(methods, 0.0)
     for sums in draws(scenario, runs, keep):
         for method in methods:
             begin = time.process_time()
-            rows[method] += outcomes(sums, method)
+            rows[method] += fits_of(sums, method)
             spent[method] += time.process_time() - begin
     for method in methods:
         got = rows[method][:runs]
         cost = 1e3 * spent[method] / len(rows[method])
         print(f'\n{scenario}, {method}, {len(got)} runs, {cost:.1f} ms of CPU per axis\n')
         print(table(scenario, got), flush=True)
+        if method == 'gls':
+            print(f'\n{beside(scenario, got)}', flush=True)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -363,7 +363,7 @@ _word(
 _word(
     'no_noise',
     'warning',
-    'every sample is the same: there is no noise to measure',
+    'there is no noise to measure: the samples are constant or a straight line',
     'check that the sensor is powered and that its driver sends live values',
 )
 _word(

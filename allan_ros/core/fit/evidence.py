@@ -12,16 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..sums import AllanSums, LengthClass, SegmentRecord, ols_ramp_weights
 from .covariance import TERM_PAIRS, PairSums, pair_sums
-from .model import RANDOM_TERMS, Floats, avar_terms
+from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
 from .ramp import RampEffect, RampGeometry, ramp_geometry
 
 Ints = NDArray[np.int64]
+
+ROUNDING = 1e-12
+"""Part of the variance that is rounding when all else of it is the ramp's."""
 
 EMPTY_ROW = 1e-6
 """A factor whose differences keep less than this part of their variance without the ramp is left
@@ -63,7 +67,7 @@ class Table:
         """Return the covariance of ``avar`` under the powers, (factors, factors)."""
         p = np.maximum(power, 0.0)
         packed = np.array([p[a] * p[b] for a, b in TERM_PAIRS]) @ self.squares
-        covariance = unpacked(packed, len(self.m))
+        covariance = packed[_packing(len(self.m))]
         shares = self.terms * p
         noise = shares[:, : len(RANDOM_TERMS)].sum(axis=1)
         for exponent, share in zip(self.exponents, shares.T[len(RANDOM_TERMS) :]):
@@ -84,13 +88,14 @@ class Table:
         )
 
 
-def unpacked(packed: Floats, size: int) -> Floats:
-    """Return the symmetric matrix of values at pairs i <= j."""
-    out = np.empty((size, size))
+@lru_cache(maxsize=8)
+def _packing(size: int) -> Ints:
+    """Return where each element of a symmetric matrix stands among its pairs i <= j."""
+    at = np.empty((size, size), np.int64)
     i, j = np.triu_indices(size)
-    out[i, j] = packed
-    out[j, i] = packed
-    return out
+    at[i, j] = at[j, i] = np.arange(len(i))
+    at.flags.writeable = False
+    return at
 
 
 @dataclass(frozen=True)
@@ -158,6 +163,14 @@ class Evidence:
     def segments(self) -> Sequence[SegmentRecord]:
         """The kept segments, longest first."""
         return self.sums.segments
+
+    def is_noiseless(self, axis: int) -> bool:
+        """Return whether the samples of an axis are constant or a straight line, to rounding."""
+        if not np.any(self.sums.sum_sq[:, axis] > 0.0):
+            return True
+        table = self.table(axis, WHITE)
+        raw = self.sums.avar[np.isin(self.m, table.m), axis]
+        return not np.any(table.avar > ROUNDING * raw)
 
     def table(self, axis: int, power: Floats, ramps: Floats | None = None) -> Table:
         """Return the table of one axis, its ramps estimated as is best under the powers.

@@ -3,15 +3,7 @@
 """The two further terms of IEEE Std 952: Gauss-Markov noise and a sinusoid.
 
 They have a shape, their correlation time or frequency, besides their power, and are fitted only
-where the five terms fail (module `search`). In samples:
-
-    Gauss-Markov, variance g, correlation time T:
-        g (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T)))
-    sinusoid, amplitude^2 a, frequency f, averaged over its phase:
-        a sin^4(pi f m) / (m sin(pi f))^2
-
-IEEE Std 952-2020 annex C (exponentially correlated noise; sinusoidal noise), the latter for sums
-of samples instead of integrals.
+where the five terms fail (module `search`). Their Allan variance is that of module `terms`.
 """
 
 from __future__ import annotations
@@ -20,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..terms import gauss_markov_avar, sinusoid_avar
 from .evidence import Table
 from .model import RANDOM_TERMS, Floats, avar_terms
 
@@ -40,11 +33,8 @@ class GaussMarkovTerm:
 
         What removing the ramps took from it is what they took from its white noise.
         """
-        x = table.m / self.shape
-        # 3 - 4 exp(-x) + exp(-2x) without the loss of digits at small x
-        growth = 2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)
         taken = avar_terms(table.m)[:, N] - table.terms[:, N]
-        return np.asarray(growth / x**2 - self.white() * taken)
+        return gauss_markov_avar(table.m, self.shape) - self.white() * taken
 
     def white(self) -> float:
         """Return the w of white noise that it looks like over long times, at unit power."""
@@ -62,10 +52,7 @@ class SinusoidTerm:
 
     def column(self, table: Table) -> Floats:
         """Return its Allan variance at unit power, (factors,)."""
-        m = table.m.astype(float)
-        return np.asarray(
-            np.sin(np.pi * self.shape * m) ** 4 / (m * np.sin(np.pi * self.shape)) ** 2
-        )
+        return sinusoid_avar(table.m, self.shape)
 
     def white(self) -> float:
         """Return the w of white noise that it looks like over long times: none."""

@@ -22,6 +22,13 @@ M_MIN = (1, 2, 4, 8, 16, 32, 64)
 Z_LOW_PASS = -3.0
 """A negative q that chance brings about in one of 700 records: the samples are filtered."""
 
+Z_LOOK = 1.0
+"""A fit no worse than one in six is not looked at again."""
+
+SURE_GAIN = 21.0
+"""Fall of chi^2 for one more term that chance brings about in one of 2000 records, with some
+hundred shapes to choose from: enough to add it to a fit that passes."""
+
 MISFIT_GAIN = 0.7
 """An extra term that does not mend the fit must at least bring the misfit down to this part."""
 
@@ -57,12 +64,17 @@ class Chosen:
         """Whether a low-pass filter hides the shortest averaging times."""
         return self.z_quantization < Z_LOW_PASS
 
+    @property
+    def fits(self) -> bool:
+        """Whether the terms describe the table."""
+        return not goodness(self.fit.table, self.fit.power).fails
+
 
 def choose_frame(evidence: Evidence, axis: int) -> Chosen:
     """Return the fit of an axis in the simplest frame that describes its table.
 
-    In turn: the five terms; q negative, as behind a low-pass filter; without the shortest
-    averaging times; with a Gauss-Markov term or a line; with a fractional error of the model.
+    In turn: the five terms; q negative, as behind a low-pass filter; with a line or a Gauss-Markov
+    term; without the shortest averaging times; with a fractional error of the model.
     """
     free = point_fit(evidence, axis, Frame(signed=True))
     first = goodness(free.table, free.power)
@@ -70,15 +82,42 @@ def choose_frame(evidence: Evidence, axis: int) -> Chosen:
     if not chosen.filtered:
         plain = point_fit(evidence, axis, Frame(), np.maximum(free.power, 0.0))
         chosen = replace(chosen, fit=plain)
-    if not first.fails:
+    if first.z < Z_LOOK:
         return chosen
-    shorter = _without_the_shortest(evidence, axis, free)
-    if shorter is not None:
-        misfit = misfit_of(free.table, free.power, signed=True)
-        seen = candidates(free.table, free.power, misfit, evidence.segments[0].samples)
-        hint = next((c for c in seen if c.pinned and isinstance(c.extra, SinusoidTerm)), None)
-        return replace(chosen, fit=shorter, hint=hint)
-    return _with_extras(evidence, axis, chosen)
+    if not first.fails:
+        sure = [c for c in _candidates(evidence, chosen, 0.0) if c.gain > SURE_GAIN]
+        mended = [m for m in (_added(evidence, axis, chosen, c, 0.0) for c in sure) if m.fits]
+        return mended[0] if mended else chosen
+    return _mended(evidence, axis, chosen)
+
+
+def _candidates(evidence: Evidence, chosen: Chosen, misfit: float) -> list[Candidate]:
+    """Return the terms of other kinds that the table asks for, best first."""
+    have = {type(t.extra) for t in chosen.terms}
+    longest = evidence.segments[0].samples
+    found = candidates(chosen.fit.table, chosen.fit.power, misfit, longest)
+    return [c for c in found if c.pinned and type(c.extra) not in have]
+
+
+def _mended(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
+    """Return the fit with what mends it, or brings the misfit well down, or with the misfit."""
+    misfit = misfit_of(chosen.fit.table, chosen.fit.power, chosen.filtered)
+    for _ in range(MOST_EXTRAS + 1):
+        found = _candidates(evidence, chosen, misfit)
+        more = [_added(evidence, axis, chosen, c, misfit) for c in found]
+        for added in more:
+            if added.fits:
+                return added
+        shorter = _without_the_shortest(evidence, axis, chosen.fit)
+        if shorter is not None:
+            line = next((c for c in found if isinstance(c.extra, SinusoidTerm)), None)
+            return replace(chosen, fit=shorter, hint=line)
+        left = [misfit_of(a.fit.table, a.fit.power, chosen.filtered) for a in more]
+        if not left or min(left) > MISFIT_GAIN * misfit:
+            break
+        chosen, misfit = more[int(np.argmin(left))], min(left)
+    frame = replace(chosen.fit.frame, misfit=misfit)
+    return replace(chosen, fit=point_fit(evidence, axis, frame, chosen.fit.power))
 
 
 def _without_the_shortest(evidence: Evidence, axis: int, free: PointFit) -> PointFit | None:
@@ -91,28 +130,6 @@ def _without_the_shortest(evidence: Evidence, axis: int, free: PointFit) -> Poin
         if not goodness(fit.table, fit.power).fails:
             return fit
     return None
-
-
-def _with_extras(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
-    """Return the fit with the terms that mend it or at least bring the misfit well down."""
-    longest = evidence.segments[0].samples
-    misfit = misfit_of(chosen.fit.table, chosen.fit.power, chosen.filtered)
-    for _ in range(MOST_EXTRAS):
-        found = candidates(chosen.fit.table, chosen.fit.power, misfit, longest)
-        kinds = {type(t.extra) for t in chosen.terms}
-        new = [c for c in found if c.pinned and type(c.extra) not in kinds]
-        better = [_added(evidence, axis, chosen, c, misfit) for c in new]
-        left = [misfit_of(b.fit.table, b.fit.power, chosen.filtered) for b in better]
-        if not left or min(left) > MISFIT_GAIN * misfit:
-            break
-        chosen, misfit = better[int(np.argmin(left))], min(left)
-        if not goodness(chosen.fit.table, chosen.fit.power).fails:
-            return chosen
-        shorter = _without_the_shortest(evidence, axis, chosen.fit)
-        if shorter is not None:
-            return replace(chosen, fit=shorter)
-    frame = replace(chosen.fit.frame, misfit=misfit)
-    return replace(chosen, fit=point_fit(evidence, axis, frame, chosen.fit.power))
 
 
 def _added(

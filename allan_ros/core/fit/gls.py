@@ -42,7 +42,7 @@ def fit_gls(sums: AllanSums) -> NoiseFit:
 
 def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
     """Return the fit of one axis, and what to know of it."""
-    constant = not np.any(evidence.sums.sum_sq[:, axis] > 0.0)
+    constant = evidence.is_noiseless(axis)
     if constant or len(evidence.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(evidence, axis, constant)
     chosen = choose_frame(evidence, axis)

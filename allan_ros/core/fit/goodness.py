@@ -10,7 +10,7 @@ import numpy as np
 
 from .evidence import Table
 from .model import Floats
-from .solve import JITTER, solve, weights_at, whitener
+from .solve import JITTER, Whitening, solve, weights_at
 
 Z_FAIL = 3.0
 """A table of the model's own noise is further off than this once in several hundred."""
@@ -56,14 +56,15 @@ def goodness(table: Table, power: Floats, misfit: float = 0.0) -> Goodness:
     active terms: the jitter takes the weight off directions that hold no information.
     """
     covariance = weights_at(table, power, misfit)
-    lower, deviation = whitener(covariance)
+    whitening = Whitening.of(covariance)
     active = np.flatnonzero(power != 0.0)
-    columns = np.column_stack([table.terms[:, active], table.avar]) / deviation[:, None]
-    white = np.linalg.solve(lower, columns)
+    white = whitening.apply(np.column_stack([table.terms[:, active], table.avar]))
     design = white[:, :-1] / np.linalg.norm(white[:, :-1], axis=0)
     basis = np.linalg.qr(design)[0]
     rest = white[:, -1] - basis @ (basis.T @ white[:, -1])
-    eigenvalues = np.maximum(np.linalg.eigvalsh(covariance / np.outer(deviation, deviation)), 0.0)
+    deviation = whitening.deviation
+    correlation = covariance / np.outer(deviation, deviation)
+    eigenvalues = np.maximum(np.linalg.eigvalsh(correlation), 0.0)
     freedom = float(np.sum(eigenvalues / (eigenvalues + JITTER))) - len(active)
     return Goodness(float(rest @ rest), max(freedom, 1.0))
 

@@ -28,6 +28,9 @@ Floats = NDArray[np.float64]
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')
 """The terms with a column, in the order of every array of powers."""
 
+WHITE = np.array([0.0, 1.0, 0.0, 0.0])
+"""Powers of nothing but white noise: what weights are made for before the noise is known."""
+
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
 """coefficient = sqrt(power) tau0^exponent."""
 

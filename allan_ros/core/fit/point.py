@@ -10,7 +10,7 @@ import numpy as np
 
 from .evidence import Evidence, Table
 from .extra import Extra, with_extras
-from .model import RANDOM_TERMS, Floats
+from .model import RANDOM_TERMS, WHITE, Floats
 from .solve import N, first_guess, solve
 
 RAMP_ROUNDS = 4
@@ -85,8 +85,7 @@ def point_fit(
         Where to begin.
     """
     if power is None:
-        white = (np.arange(len(RANDOM_TERMS)) == N).astype(float)
-        power = first_guess(evidence.table(axis, white))
+        power = first_guess(evidence.table(axis, WHITE))
     power = np.concatenate([power, np.zeros(len(RANDOM_TERMS) + len(frame.extras) - len(power))])
     table = frame.table(evidence, axis, power)
     for _ in range(RAMP_ROUNDS):

@@ -12,7 +12,7 @@ from .active_set import nonnegative_least_squares
 from .evidence import Table
 from .extra import Extra, GaussMarkovTerm, SinusoidTerm
 from .model import Floats
-from .solve import Q, weights_at, whiten
+from .solve import Q, Whitening, weights_at
 
 SHAPES_PER_OCTAVE = 8
 """Shapes tried in the first search."""
@@ -86,15 +86,15 @@ class _Search:
 
     def __init__(self, table: Table, power: Floats, misfit: float) -> None:
         self.table = table
-        self.covariance = weights_at(table, power, misfit)
+        self.whitening = Whitening.of(weights_at(table, power, misfit))
         self.columns = np.column_stack([table.terms, table.avar])
-        white = whiten(self.covariance, self.columns)
+        white = self.whitening.apply(self.columns)
         self.without = _chi_squared(white[:, :-1], white[:, -1])
 
     def chi_squared(self, kind: Kind, shapes: Floats) -> Floats:
         """Return chi^2 with the term at each shape."""
         more = [kind(float(s)).column(self.table) for s in shapes]
-        white = whiten(self.covariance, np.column_stack([self.columns, *more]))
+        white = self.whitening.apply(np.column_stack([self.columns, *more]))
         known = self.columns.shape[1]
         return np.array(
             [

@@ -10,6 +10,7 @@ covariance as well would be biased.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -41,25 +42,41 @@ def first_guess(table: Table) -> Floats:
     return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
 
 
-def whitener(covariance: Floats) -> tuple[Floats, Floats]:
-    """Return the lower Cholesky factor of the correlation matrix, and the deviations."""
-    deviation = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviation, deviation)
-    jitter = JITTER
-    while True:
-        correlation[np.diag_indices_from(correlation)] = 1.0 + jitter
-        try:
-            return cholesky(correlation, lower=True, check_finite=False), deviation
-        except np.linalg.LinAlgError:
-            jitter *= 10.0
+@dataclass(frozen=True)
+class Whitening:
+    """The factor L of a covariance D L L' D, D its deviations: 1/D and 1/L make unit covariance."""
 
+    lower: Floats
+    deviation: Floats
 
-def whiten(covariance: Floats, columns: Floats) -> Floats:
-    """Return the columns in units in which the table has unit covariance."""
-    lower, deviation = whitener(covariance)
-    return np.asarray(
-        solve_triangular(lower, columns / deviation[:, None], lower=True, check_finite=False)
-    )
+    @classmethod
+    def of(cls, covariance: Floats) -> Whitening:
+        """Return the whitening of a covariance, its correlation with `JITTER` on the diagonal."""
+        deviation = np.sqrt(np.diag(covariance))
+        correlation = covariance / np.outer(deviation, deviation)
+        jitter = JITTER
+        while True:
+            correlation[np.diag_indices_from(correlation)] = 1.0 + jitter
+            try:
+                lower = cholesky(correlation, lower=True, check_finite=False)
+            except np.linalg.LinAlgError:
+                jitter *= 10.0
+            else:
+                return cls(lower, deviation)
+
+    def apply(self, columns: Floats) -> Floats:
+        """Return columns of table values in units of unit covariance."""
+        scaled = columns / self.deviation[:, None]
+        return np.asarray(solve_triangular(self.lower, scaled, lower=True, check_finite=False))
+
+    def weights(self, contrast: Floats) -> Floats:
+        """Return the weights on the table of weights on the whitened table."""
+        on_scaled = solve_triangular(self.lower, contrast, lower=True, trans=1, check_finite=False)
+        return np.asarray(on_scaled / self.deviation)
+
+    def scatter(self, contrast: Floats) -> Floats:
+        """Return the covariance of the table with that sum."""
+        return np.asarray(self.lower @ contrast * self.deviation)
 
 
 def solve(
@@ -99,7 +116,7 @@ def solve(
     offset = sum((table.terms[:, c] * v for c, v in held.items()), np.zeros(len(table.m)))
     both = np.column_stack([table.terms, table.avar - offset])
     for _ in range(rounds):
-        white = whiten(weights_at(table, now, misfit), both)
+        white = Whitening.of(weights_at(table, now, misfit)).apply(both)
         new = np.zeros(len(every))
         new[free] = nonnegative_least_squares(white[:, free], white[:, -1], negative)
         for c, v in held.items():
