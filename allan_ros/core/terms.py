@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The five noise terms of one axis and the Allan variance each of them makes."""
+"""The noise terms of one axis and the Allan variance each of them makes."""
 
 from __future__ import annotations
 
@@ -99,3 +99,47 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
         ],
         axis=-1,
     )
+
+
+def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
+    """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
+
+    (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
+    (exponentially correlated noise).
+
+    Parameters
+    ----------
+    m : (factors,) array
+        Averaging factors in samples.
+    correlation : float
+        Correlation time T in samples.
+
+    Returns
+    -------
+    (factors,) float64 array
+    """
+    x = np.asarray(m, float) / correlation
+    # 2x - 3 + 4 exp(-x) - exp(-2x) without the loss of digits at small x
+    growth = 2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)
+    return np.asarray(growth / x**2)
+
+
+def sinusoid_avar(m: ArrayLike, frequency: float) -> NDArray[np.float64]:
+    """Return the Allan variance of a sinusoid of unit amplitude, averaged over its phase.
+
+    sin^4(pi f m) / (m sin(pi f))^2, IEEE Std 952-2020 annex C (sinusoidal noise), here for sums
+    of samples instead of integrals.
+
+    Parameters
+    ----------
+    m : (factors,) array
+        Averaging factors in samples.
+    frequency : float
+        In cycles per sample.
+
+    Returns
+    -------
+    (factors,) float64 array
+    """
+    m = np.asarray(m, float)
+    return np.asarray(np.sin(np.pi * frequency * m) ** 4 / (m * np.sin(np.pi * frequency)) ** 2)

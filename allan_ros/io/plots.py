@@ -19,10 +19,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..core.batch import AXES, SENSORS
-from ..core.fit import TERMS
+from ..core.fit import TERMS, Coefficient
 from .envelope import SignalEnvelope
 from .results import AxisResult, Results
-from .shown import interval_text, shown_signal_unit, shown_unit, value_text
+from .shown import (
+    NOTHING_KNOWN,
+    ShownUnit,
+    interval_text,
+    shown_signal_unit,
+    shown_unit,
+    value_text,
+)
 
 Floats = NDArray[np.float64]
 
@@ -144,13 +151,24 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
             color=colour if known else 'none',
             ls=dashes,
             lw=1.4,
-            label=f'{term} {value_text(coefficient, its_unit)} {its_unit.name}\n'
-            f'    {interval_text(coefficient, its_unit)}'.rstrip(),
+            label=_legend_text(term, coefficient, its_unit),
         )
-    total = unit.factor * result.total_adev(curve.m)
-    panel.plot(curve.tau, total, color='black', lw=1.0, label='fit', zorder=1.9)
+    for name, adev_of_extra in result.extra_adev(curve.m).items():
+        shown = unit.factor * adev_of_extra
+        panel.plot(
+            curve.tau, np.where(shown > floor, shown, np.nan), color='0.45', lw=0.9, label=name
+        )
+    total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
+    panel.plot(curve.tau, unit.factor * total, color='black', lw=1.0, label='fit', zorder=1.9)
     panel.grid(which='major', color='0.88', lw=0.6)
     panel.legend(fontsize=7, loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def _legend_text(term: str, coefficient: Coefficient, unit: ShownUnit) -> str:
+    value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
+    if value == NOTHING_KNOWN:
+        return f'{term} not observable'
+    return f'{term} {value} {unit.name}\n    {interval}'.rstrip()
 
 
 def _draw_signal(panel: Axes, axis: str, signals: Sequence[SignalEnvelope], units: str) -> None:

@@ -19,7 +19,7 @@ from ..core.fit import TERMS, AxisFit, NoiseFit, fit_noise
 from ..core.fit.reading import Region, read_curve
 from ..core.health import Counts, Span
 from ..core.sums import AllanSums, ImuIdentity
-from ..core.terms import NoiseTerms, term_avar
+from ..core.terms import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
 from .recordings import SourceInfo
 
 
@@ -95,6 +95,18 @@ class AxisResult:
         """Return the deviation each of the five terms makes at factors m, (factors, 5), SI."""
         return np.sqrt(self._part_avar(m))
 
+    def extra_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+        """Return the deviation of the Gauss-Markov noise and the sinusoid, where there are any."""
+        drift, line = self.fit.gauss_markov, self.fit.sinusoid
+        extras = {}
+        if drift is not None:
+            unit = gauss_markov_avar(m, drift.correlation_time / self.tau0)
+            extras['Gauss-Markov'] = drift.sigma * np.sqrt(unit)
+        if line is not None:
+            unit = sinusoid_avar(m, line.frequency * self.tau0)
+            extras['sinusoid'] = line.amplitude * np.sqrt(unit)
+        return extras
+
     def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the deviation of the fit at factors m, (factors,), SI.
 
@@ -103,7 +115,8 @@ class AxisResult:
         parts = self._part_avar(m)
         if self.fit.noise['R'].status != 'estimated':
             parts[:, TERMS.index('R')] = 0.0
-        total: NDArray[np.float64] = np.sqrt(parts.sum(axis=1))
+        extras = sum(adev**2 for adev in self.extra_adev(m).values())
+        total: NDArray[np.float64] = np.sqrt(parts.sum(axis=1) + extras)
         return total
 
     def _part_avar(self, m: NDArray[np.int64]) -> NDArray[np.float64]:

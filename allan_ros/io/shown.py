@@ -17,6 +17,9 @@ SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 """Significant digits of a value and of the ends of its interval."""
 
+NOTHING_KNOWN = '-'
+"""Stands where there is neither a value nor a limit."""
+
 SHARP = 0.02
 """An interval narrower than this share of its upper end is shown with the digits of a value."""
 
@@ -62,7 +65,7 @@ def value_text(coefficient: Coefficient, unit: ShownUnit) -> str:
         return sign + significant(coefficient.value * unit.factor, VALUE_DIGITS)
     if coefficient.upper95 is not None and math.isfinite(coefficient.upper95):
         return f'< {significant(coefficient.upper95 * unit.factor, LIMIT_DIGITS)}'
-    return '-'
+    return NOTHING_KNOWN
 
 
 def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
