@@ -296,9 +296,8 @@ def test_a_real_static_recording_is_taken_whole_and_equals_a_reference(shared_da
     samples = np.hstack([gyro, counts['accel'] * (0.00333 * 9.80665)])
     (sums,) = accumulate(np.arange(1_000_000) * 10_000_000, samples, (32768,)).sums
     assert sums.samples == 1_000_000 and sums.segment_count == 1
-    table = np.genfromtxt(
-        shared_data / 'adis16405' / 'oadev_allantools.csv', delimiter=',', names=True, dtype=None
-    )
+    reference = shared_data / 'adis16405' / 'oadev_allantools.csv'
+    table = np.genfromtxt(reference, delimiter=',', names=True, dtype=None, encoding='utf-8')
     columns = {name: i for i, name in enumerate(('gx', 'gy', 'gz', 'ax', 'ay', 'az'))}
     compared = 0
     for row in table:
