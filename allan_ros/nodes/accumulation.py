@@ -124,7 +124,7 @@ class ImuWatch:
         """Return the health of the input."""
         self._update()
         known = self._accumulator.result()
-        reception, publishers = self._input.reception, self._input.publishers()
+        reception, publishers = self._input.reception(), self._input.publishers()
         silence = self._health.silence_s(now)
         stale_after = self._settings.input.value.stale_after
         found = self._health.observe(

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -26,23 +26,26 @@ from sensor_msgs.msg import Imu
 from ..core.batch import ImuBatch
 from ..core.input_health import Reception
 from ..io.imu_cdr import DecodedImus, MalformedMessage, decode_imus
+from .qos_events import NO_CALLBACKS, QosEvents
 from .settings import InputSettings
-
-try:
-    from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
-except ImportError:  # Humble
-    from rclpy.qos_event import SubscriptionEventCallbacks, UnsupportedEventTypeError
 
 DRAIN_LIMIT = 50_000
 """Messages taken in one drain: a publisher that outruns us must not lock the node in it."""
 
 
-class DrainedGroup(MutuallyExclusiveCallbackGroup):
-    """A callback group whose subscription is never executed, while its event handlers are."""
+class DrainedGroup(CallbackGroup):
+    """A callback group that never executes: its subscription stays out of the wait set."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Keep the subscription out of the executor's wait set."""
-        return not isinstance(entity, Subscription) and super().can_execute(entity)
+        """Return False: the queue is emptied by hand."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Return False, as `can_execute` does."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: nothing begins."""
 
 
 class ImuInput:
@@ -57,7 +60,7 @@ class ImuInput:
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
-        self.reception = Reception()
+        self._reception = Reception()
         self._node = node
         self._payloads: list[bytes] = []
         self._received_ns: list[int] = []
@@ -74,24 +77,19 @@ class ImuInput:
         if not self.lean and not settings.plain_callback:
             node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe(topic, qos, True)
+        self._events = QosEvents(self._subscription)
 
     def _subscribe(self, topic: str, qos: QoSProfile, plain: bool) -> Subscription:
-        """Subscribe with as many of the event handlers as the middleware knows."""
-        events = {'message_lost': self._on_lost, 'incompatible_qos': self._on_incompatible}
-        while True:
-            try:
-                return self._node.create_subscription(
-                    Imu,
-                    topic,
-                    self._collect,
-                    qos,
-                    callback_group=MutuallyExclusiveCallbackGroup() if plain else DrainedGroup(),
-                    event_callbacks=SubscriptionEventCallbacks(**events),
-                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                    raw=True,
-                )
-            except UnsupportedEventTypeError:
-                events.popitem()
+        return self._node.create_subscription(
+            Imu,
+            topic,
+            self._collect,
+            qos,
+            callback_group=MutuallyExclusiveCallbackGroup() if plain else DrainedGroup(),
+            event_callbacks=NO_CALLBACKS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            raw=True,
+        )
 
     def drain(self) -> None:
         """Empty the queue of the subscription."""
@@ -114,7 +112,7 @@ class ImuInput:
                 yield from self._split(decode_imus(payloads, 'cdr'), received)
                 return
             except MalformedMessage as error:
-                self.reception.malformed += 1
+                self._reception.malformed += 1
                 del payloads[error.index]
                 received = np.delete(received, error.index)
 
@@ -123,8 +121,14 @@ class ImuInput:
         known = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in known)
 
+    def reception(self) -> Reception:
+        """Return what happened to the messages so far."""
+        self._events.ask(self._reception)
+        return self._reception
+
     def destroy(self) -> None:
         """Leave the topic."""
+        self._events.destroy()
         self._node.destroy_subscription(self._subscription)
 
     def _can_drain(self) -> bool:
@@ -139,7 +143,7 @@ class ImuInput:
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
         """Keep one payload and count what is missing before it."""
-        self.reception.received += 1
+        self._reception.received += 1
         self._payloads.append(payload)
         if info is None:  # the plain callback
             self._received_ns.append(time.time_ns())
@@ -154,7 +158,7 @@ class ImuInput:
         self._last_number[who] = number
         # Before Kilted nothing tells the messages of two publishers apart.
         if missing > 0 and (gid is not None or self._node.count_publishers(self.topic) == 1):
-            self.reception.skipped_numbers += missing
+            self._reception.skipped_numbers += missing
 
     def _split(self, decoded: DecodedImus, received: NDArray[np.int64]) -> Iterator[ImuBatch]:
         """Yield the decoded messages in runs of one frame_id."""
@@ -166,9 +170,3 @@ class ImuInput:
                 received[start:stop],
                 decoded.frame_ids[decoded.frames[start]],
             )
-
-    def _on_lost(self, event: Any) -> None:
-        self.reception.reported_lost = event.total_count
-
-    def _on_incompatible(self, event: Any) -> None:
-        self.reception.incompatible_qos = event.total_count
