@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings
 from .options import add_settings, settings_of
-from .outcome import OutcomeSettings, Run, add_runs, finish
+from .outcome import OutcomeSettings, Run, add_runs, check_exports, finish
 from .progress import Progress
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from ..io.envelope import SignalEnvelope
     from ..io.recordings import ReadOptions, open_recordings
 
+    check_exports(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     settings = {**asdict(evidence), **asdict(reading), 'hardware_id': args.hardware_id}

@@ -16,6 +16,7 @@ from ..core.errors import AllanError
 VERBS = {
     'analyze': 'recordings in, coefficients, curves, plots and a report out',
     'merge': 'add the sums of several runs of one IMU and fit them together',
+    'export': 'write what was measured as the file a filter reads',
     'simulate': 'write a recording of an IMU whose noise is known',
 }
 """Verb -> what it does. Each is the module of that name beside this file, which has

@@ -34,6 +34,11 @@ class OutcomeSettings:
     units: str = parameter(
         'datasheet', 'Units shown: those of datasheets, or SI.', choices=('datasheet', 'si')
     )
+    export: tuple[str, ...] = parameter(
+        (),
+        'Files for filters to write besides: kalibr, openvins, px4 ... (`allan export --list` '
+        'tells all, `allan export` sets more).',
+    )
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,22 @@ def add_runs(runs: Iterable[Run]) -> Run:
     return Run(first.name, tuple(sums.values()), provenance)
 
 
+def check_exports(args: argparse.Namespace) -> None:
+    """Refuse what ``--export`` cannot do, before hours of recordings are read.
+
+    Raises
+    ------
+    AllanError
+        When a target is unknown, or there is no folder to write to.
+    """
+    from ..io.exporters import target_of
+
+    for name in args.export:
+        target_of(name)
+    if args.export and not args.output:
+        raise AllanError('--export writes into the folder of -o: give one')
+
+
 def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope] = ()) -> int:
     """Fit the run, write its files where ``--output`` says, and print what was found.
 
@@ -92,7 +113,9 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
     if args.output:
         from ..io.result_files import write_result_files
 
-        results, paths = write_result_files(args.output, results, run.sums, signals, args.units)
+        results, paths = write_result_files(
+            args.output, results, run.sums, signals, args.units, args.export
+        )
     print_results(results, args.units)
     if paths:
         print(f'\nwritten to {args.output}: {", ".join(sorted(path.name for path in paths))}')

@@ -439,3 +439,31 @@ _word(
     '{file} is not written ({why})',
     'the other files are complete',
 )
+
+# --- the files for filters: what a number in them is not ------------------------------------------
+_word(
+    'export_limits',
+    'info',
+    'not measured but the 95 % upper limit, because this record does not show it: {keys}',
+    'record longer, or refuse such numbers with --strict',
+)
+_word(
+    'export_clamped',
+    'warning',
+    '{key} would be {value:g}, outside the range {low:g} to {high:g} that is accepted; '
+    '{written:g} is written',
+    'nothing to do if the IMU is that good; else check unit and rate',
+)
+_word(
+    'export_half_of_noise',
+    'info',
+    '{keys} are the customary N sqrt(f), of which the midpoint rule of this filter propagates half '
+    'the variance',
+    'write N sqrt(2f) with --exact, or allow for it in --inflate',
+)
+_word(
+    'export_no_gauss_markov',
+    'info',
+    '{key} is B: no correlation time was found, so that corrtime is not measured for it',
+    'tune corrtime, or record until the curve bends down behind its flat part',
+)

@@ -78,6 +78,7 @@ UNITS = {
     'g': Unit('m/s^2', STANDARD_GRAVITY),
     'mg': Unit('m/s^2', 1e3 * MICRO_G),
     'ug': Unit('m/s^2', MICRO_G),
+    'mGal': Unit('m/s^2', 1e-5),
     'm/s^3/sqrt(Hz)': Unit('m/s^3/sqrt(Hz)', 1.0),
     'm/s^2/sqrt(s)': Unit('m/s^3/sqrt(Hz)', 1.0),
     'ug/sqrt(h)': Unit('m/s^3/sqrt(Hz)', MICRO_G / math.sqrt(HOUR)),

@@ -16,7 +16,7 @@ from ..core.sums import AllanSums
 from .atomic import write_atomic
 from .documents import results_to_document, sums_file_to_document, to_json
 from .envelope import SignalEnvelope
-from .exporters import export
+from .exporters import export, target_of
 from .report import render_report
 from .results import Results
 
@@ -27,8 +27,14 @@ def write_result_files(
     sums: Sequence[AllanSums],
     signals: Sequence[SignalEnvelope] = (),
     units: str = 'datasheet',
+    targets: Sequence[str] = (),
 ) -> tuple[Results, list[Path]]:
     """Write results.json, sums.json, imu.yaml, the pictures and the report.
+
+    Parameters
+    ----------
+    targets : sequence of str
+        Names of `exporters.TARGETS` to write files for, besides Kalibr.
 
     Returns
     -------
@@ -48,11 +54,12 @@ def write_result_files(
 
     folder = _made(Path(folder))
     paths = []
-    try:
-        paths.append(export(results, 'kalibr', folder))
-    except AllanError as error:
-        left_out = finding('file_left_out', file='imu.yaml', why=str(error))
-        results = replace(results, findings=(*results.findings, left_out))
+    for target in dict.fromkeys(('kalibr', *targets)):
+        try:
+            paths.append(export(results, target, folder))
+        except AllanError as error:
+            left_out = finding('file_left_out', file=target_of(target).file_name, why=str(error))
+            results = replace(results, findings=(*results.findings, left_out))
     pictures = {}
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:

@@ -2,33 +2,105 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters and calibration tools read, each written by the module of its name.
 
-A new target is a module beside this file, with ``FILE_NAME`` and
-``render(results, options) -> str``, and a line in `TARGETS`. What all share (which axis, interval,
-limits) is in `levels`.
+A new target is a module beside this file with a ``TARGET``, and a line in `TARGETS`. What they
+share: `model` gives numbers with their words, `header` the comment on top, the ``..._form``
+modules the text. The arithmetic is in `allan_ros.core.noise_model`.
 """
 
 from __future__ import annotations
 
 import importlib
 import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ...core.errors import AllanError
-from ..atomic import write_atomic
-from ..results import Results
-from .levels import ExportOptions
+from ...core.findings import Finding, finding
+from .options import ExportOptions
 
-__all__ = ['TARGETS', 'ExportOptions', 'export']
+if TYPE_CHECKING:
+    from ..results import Results
+    from .target import Target
+
+__all__ = ['TARGETS', 'Export', 'ExportOptions', 'export', 'make_export', 'target_of']
 
 TARGETS = {
-    'kalibr': 'Kalibr imu.yaml: continuous-time N and K',
+    'kalibr': 'Kalibr imu.yaml: continuous densities N and K',
+    'openvins': 'OpenVINS kalibr_imu_chain.yaml: continuous densities N and K',
+    'vins_fusion': 'VINS-Mono and VINS-Fusion: std per sample, N sqrt(f) or --exact, and K sqrt(f)',
+    'orb_slam3': 'ORB-SLAM3 settings: continuous densities N and K, and the rate',
+    'lio_sam': 'LIO-SAM ROS 2 parameters: continuous densities N and K',
+    'fast_lio': 'FAST-LIO and FAST-LIO2 ROS 2 parameters: variances N^2 f and K^2 f',
+    'gtsam': 'GTSAM PreintegrationCombinedParams in Python: continuous covariances N^2 and K^2',
+    'basalt': 'Basalt calibration JSON: continuous densities N and K of each axis',
+    'msckf_vio': 'MSCKF_VIO parameters: continuous densities N and K',
+    'px4': 'PX4 EKF2 parameters: std per EKF step, within their ranges',
+    'ardupilot': 'ArduPilot EK3 parameters: std per EKF step, within their ranges',
+    'kf_gins': 'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
+    'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
 }
 """Target -> what its file is."""
 
 
+@dataclass(frozen=True)
+class Export:
+    """A file for a filter as text, and what the user should know of it."""
+
+    text: str
+    findings: tuple[Finding, ...]
+
+
+def target_of(name: str) -> Target:
+    """Return the target of that name.
+
+    Raises
+    ------
+    AllanError
+        When it is unknown; it lists the known.
+    """
+    if name not in TARGETS:
+        raise AllanError(f'target {name!r} is unknown: choose one of {", ".join(TARGETS)}')
+    target: Target = importlib.import_module(f'.{name}', __package__).TARGET
+    return target
+
+
+def make_export(
+    results: Results,
+    name: str,
+    options: ExportOptions = ExportOptions(),
+    existing: str | None = None,
+) -> Export:
+    """Return the file of a target, or the user's existing text with its numbers merged in.
+
+    Raises
+    ------
+    AllanError
+        When the target is unknown, an option does not fit it, the results lack what its file must
+        hold, or the existing text cannot take it.
+    """
+    from .header import header_lines
+    from .model import NoiseModel
+
+    target = target_of(name)
+    model = NoiseModel(results, options, target)
+    entries = list(target.entries(model))
+    header = header_lines(name, target, model, entries)
+    text = (
+        target.form.render(entries, header)
+        if existing is None
+        else target.form.merge(existing, entries, header)
+    )
+    findings = [said for entry in entries for said in entry.findings]
+    limits = [entry.key for entry in entries if entry.is_limit]
+    if limits:
+        findings.append(finding('export_limits', keys=', '.join(limits)))
+    return Export(text, tuple(dict.fromkeys(findings)))
+
+
 def export(
     results: Results,
-    target: str,
+    name: str,
     folder: str | os.PathLike[str],
     options: ExportOptions = ExportOptions(),
 ) -> Path:
@@ -37,11 +109,10 @@ def export(
     Raises
     ------
     AllanError
-        When the target is unknown, or the results lack what its file must hold.
+        As `make_export`, or when the folder cannot be written.
     """
-    if target not in TARGETS:
-        raise AllanError(f'target {target!r} is unknown: choose one of {", ".join(TARGETS)}')
-    module = importlib.import_module(f'.{target}', __package__)
-    path = Path(folder) / str(module.FILE_NAME)
-    write_atomic(path, module.render(results, options))
+    from ..atomic import write_atomic
+
+    path = Path(folder) / target_of(name).file_name
+    write_atomic(path, make_export(results, name, options).text)
     return path

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kalibr's ``imu.yaml``: continuous-time noise densities N and random walks K.
+"""Kalibr's ``imu.yaml``: continuous-time densities N and K.
 
 Kalibr makes them discrete itself, dividing by sqrt(1/update_rate), and refuses a value <= 0
 (kalibr_common/ConfigReader.py, ImuParameters).
@@ -8,12 +8,12 @@ Kalibr makes them discrete itself, dividing by sqrt(1/update_rate), and refuses 
 
 from __future__ import annotations
 
-import yaml
+from collections.abc import Iterator
 
-from ..results import Results
-from .levels import ExportOptions, header, sensor_level
-
-FILE_NAME = 'imu.yaml'
+from ...core.units import SI_UNITS
+from .model import NoiseModel
+from .target import Entry, Target
+from .yaml_form import YamlForm
 
 KEYS = {
     'accelerometer_noise_density': ('accel', 'N'),
@@ -27,27 +27,21 @@ DEFAULT_TOPIC = '/imu0'
 """What Kalibr's own examples call it."""
 
 
-def render(results: Results, options: ExportOptions) -> str:
-    """Return the text of the file.
+def imu_entries(model: NoiseModel, parent: tuple[str, ...] = ()) -> Iterator[Entry]:
+    """Yield the keys of one IMU as Kalibr names them, below ``parent``."""
+    for key, (sensor, term) in KEYS.items():
+        unit = SI_UNITS[sensor][term]
+        yield model.number((*parent, key), sensor, term, '', unit)
+    given = model.options.topic
+    topics = [source.topic for source in model.results.provenance.sources if source.topic]
+    topic = given or next(iter(topics), DEFAULT_TOPIC)
+    yield Entry((*parent, 'rostopic'), topic, keep=not given)
+    yield Entry((*parent, 'update_rate'), model.rate)
 
-    Raises
-    ------
-    AllanError
-        When gyro or accel is absent, or a level has neither value nor limit.
-    """
-    levels = {key: sensor_level(results, *which, options) for key, which in KEYS.items()}
-    lines = header(
-        results,
-        'IMU noise for Kalibr',
-        'continuous time (Kalibr makes it discrete by update_rate)',
-        options,
-    )
-    lines += [f'{key}: {level.comment}' for key, level in levels.items()]
-    topics = [source.topic for source in results.provenance.sources if source.topic]
-    body = {
-        **{key: float(f'{level.value:.6g}') for key, level in levels.items()},
-        'rostopic': options.topic or next(iter(topics), DEFAULT_TOPIC),
-        'update_rate': float(f'{results.rate_hz:.6g}'),
-    }
-    text: str = yaml.safe_dump(body, sort_keys=False)
-    return ''.join(f'# {line}\n' for line in lines) + text
+
+TARGET = Target(
+    'imu.yaml',
+    'continuous time; Kalibr divides by sqrt(1/update_rate) itself (kalibr_common/ConfigReader.py)',
+    imu_entries,
+    YamlForm(),
+)

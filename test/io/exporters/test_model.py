@@ -71,7 +71,7 @@ def test_the_header_states_convention_unit_rate_rule_and_interval(
         '50.000 Hz',
         'axis rule: worst',
         'inflation: x5',
-        'gyro_z 0.0003000, 95 % interval 0.0002700 .. 0.0003300',
+        'N of gyro_z 0.0003000 rad/s/sqrt(Hz), 95 % interval 0.0002700 .. 0.0003300',
     ):
         assert any(words in line for line in head), words
 
@@ -84,7 +84,8 @@ def test_a_walk_that_is_not_observable_is_written_as_its_limit(
     )
     path = export(hidden, 'kalibr', tmp_path)
     assert yaml.safe_load(path.read_text())['gyroscope_random_walk'] == pytest.approx(7e-6)
-    assert 'gyro_y not observable: 95 % upper limit 7.00e-06' in path.read_text()
+    assert 'K of gyro_y not observable, 95 % upper limit 7.00e-06' in path.read_text()
+    assert 'upper limits instead of measurements: gyroscope_random_walk\n' in path.read_text()
     with pytest.raises(AllanError, match='K of gyro_y is not observable'):
         export(hidden, 'kalibr', tmp_path, ExportOptions(strict=True))
 

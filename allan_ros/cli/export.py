@@ -1,0 +1,81 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write what was measured as the file a filter reads.
+
+The input is a results.json of `allan analyze` or `allan merge`. Without -o or --merge-into the
+file goes to the standard output. What a number in it is not, is said beside it and on stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..core.errors import AllanError
+from ..io.exporters import TARGETS, ExportOptions
+from .options import add_settings, settings_of
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this verb."""
+    parser.add_argument('results', nargs='?', metavar='RESULTS.JSON', help='what was measured')
+    parser.add_argument(
+        '--to', metavar='TARGET', default='', help='filter or tool the file is for; see --list'
+    )
+    parser.add_argument('--list', action='store_true', help='tell the targets, one a line')
+    parser.add_argument(
+        '-o', '--output', metavar='FILE', help='file to write (default: standard output)'
+    )
+    parser.add_argument(
+        '--merge-into',
+        metavar='EXISTING',
+        help='your own YAML or JSON file, whose other keys and comments are kept; changed in '
+        'place unless -o says where to',
+    )
+    add_settings(parser, 'numbers', ExportOptions)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the results, make the file and put it where it belongs."""
+    if args.list:
+        width = max(map(len, TARGETS))
+        for name, what in TARGETS.items():
+            print(f'{name:{width}}  {what}')
+        return 0
+    if not args.results or not args.to:
+        raise AllanError('give a results.json and --to TARGET; --list tells the targets')
+    from ..io.atomic import write_atomic
+    from ..io.documents import read_json, results_from_document
+    from ..io.exporters import make_export, target_of
+
+    target = target_of(args.to)
+    options = settings_of(ExportOptions, args)
+    results = results_from_document(read_json(args.results), args.results)
+    existing = _text(args.merge_into) if args.merge_into else None
+    made = make_export(results, args.to, options, existing)
+    where = args.output or args.merge_into
+    if where:
+        path = Path(where)
+        write_atomic(path / target.file_name if path.is_dir() else path, made.text)
+    else:
+        sys.stdout.write(made.text)
+    for said in made.findings:
+        print(f'allan export: {said}', file=sys.stderr)
+    return 0
+
+
+def _text(path: str) -> str:
+    """Return what a file of the user says, line ends as they are.
+
+    Raises
+    ------
+    AllanError
+        When it cannot be read, or is no text.
+    """
+    try:
+        return Path(path).read_bytes().decode('utf-8')
+    except OSError as error:
+        raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
+    except UnicodeDecodeError:
+        raise AllanError(f'{path}: is no UTF-8 text: give the YAML or JSON file itself') from None

@@ -1,0 +1,75 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The comment every file starts with: source, date, convention, units, rate, axes, intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta, timezone
+
+from ... import __version__
+from ..results import Results
+from ..shown import duration_text, significant
+from .model import NoiseModel
+from .target import Entry, Target
+
+SHOWN_SOURCES = 3
+"""How many recordings are named; the rest are counted."""
+
+EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
+"""Stamps before it count from a start of the machine or the simulation: they are no date."""
+
+RULE_WORDS = {
+    'worst': 'worst (the largest of x, y, z)',
+    'mean': 'mean (root mean square of x, y, z)',
+    'each': 'each (x, y, z)',
+}
+
+
+def header_lines(
+    name: str, target: Target, model: NoiseModel, entries: Sequence[Entry]
+) -> list[str]:
+    """Return the lines, without the mark of a comment; each holds printable characters only."""
+    results, inflate = model.results, model.options.inflate
+    limits = [entry.key for entry in entries if entry.is_limit]
+    lines = [
+        f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
+        f'source: {_sources(results)}; {duration_text(results.duration_s)} at rest, '
+        f'{significant(results.rate_hz, 5)} Hz',
+        f'date: {model.options.date or _recorded(results)}',
+        f'convention: {target.convention}',
+        f'rate: f = {model.rate:g} Hz, {model.rate_words}',
+        f'axis rule: {RULE_WORDS[model.rule]}; inflation: {_inflation(inflate)}',
+        *(f'{entry.key} {entry.words}' for entry in entries if entry.words),
+        f'upper limits instead of measurements: {", ".join(limits) or "none"}',
+        *(f'note: {note}' for note in target.notes),
+        *dict.fromkeys(f'note: {said}' for entry in entries for said in entry.findings),
+    ]
+    return [''.join(c if c.isprintable() else '?' for c in line) for line in lines]
+
+
+def _inflation(factor: float) -> str:
+    if factor == 1.0:
+        return 'none'
+    return f'x{factor:g} on every N, K and bias, which stand below as measured'
+
+
+def _sources(results: Results) -> str:
+    sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
+    more = len(sources) - SHOWN_SOURCES
+    named = ', '.join(sources[:SHOWN_SOURCES]) + (f' and {more} more' if more > 0 else '')
+    return named or 'sums without a recording'
+
+
+def _recorded(results: Results) -> str:
+    starts = [span.start_ns for span in results.provenance.spans]
+    if not starts:
+        return 'not known'
+    try:
+        start = EPOCH + timedelta(microseconds=min(starts) // 1000)
+    except OverflowError:
+        return 'not known: the stamps are no dates'
+    if start < FIRST_DATE:
+        return 'not known: the stamps do not count from 1970'
+    return f'recorded from {start:%Y-%m-%d %H:%M:%S} UTC on'

@@ -1,0 +1,284 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""YAML files: written anew, or merged into the user's own with every other byte left as it was.
+
+Merging changes the text itself at the places the parser names, so comments, order, quotes and
+tags of others (``!!opencv-matrix``) stay. What comes out is read again and must hold what went
+in, or nothing is written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from ...core.errors import AllanError
+from .target import Entry, Value
+
+BLOCK_BEGIN = '>>> allan_ros: this block is replaced by the next merge'
+BLOCK_END = '<<< allan_ros'
+
+_OPENCV_MARK = '%YAML:1.0'
+_START = re.compile(r'\A\ufeff?(?:%YAML[^\n]*\n)?(?:---[^\n]*\n)?')
+_OLD_BLOCK = re.compile(
+    rf'^# {re.escape(BLOCK_BEGIN)}\n(?:#.*\n)*?# {re.escape(BLOCK_END)}\n', re.MULTILINE
+)
+
+INDENT = 2
+
+_BY_HAND = 'copy the numbers by hand from the file that is written without --merge-into'
+
+
+class _NotYamlError(AllanError):
+    """What is to be a YAML file of keys is none."""
+
+
+class _Row(list[float]):
+    """Numbers that stand in one line."""
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Lists of numbers in one line, and sequences indented as OpenCV wants them."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
+        return super().increase_indent(flow, False)
+
+
+_Dumper.add_representer(
+    _Row, lambda dumper, row: dumper.represent_sequence('tag:yaml.org,2002:seq', row, True)
+)
+
+
+@dataclass(frozen=True)
+class YamlForm:
+    """A YAML file; ``opencv`` for cv::FileStorage, which wants a first line of its own."""
+
+    opencv: bool = False
+
+    def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        """Return a file of these entries, its header in comments."""
+        first = f'{_OPENCV_MARK}\n' if self.opencv else ''
+        return first + ''.join(f'# {line}\n' for line in header) + _dumped(_tree(entries))
+
+    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        """Return the user's text with these entries in it and all else as it was.
+
+        A key is looked for at its path, else wherever it stands once. What is missing is added
+        beside its siblings.
+
+        Raises
+        ------
+        AllanError
+            When the text is not YAML, a key stands in several places, or a merge cannot be proved
+            to change nothing else.
+        """
+        text = _OLD_BLOCK.sub('', existing.replace('\r\n', '\n'))
+        start = _START.match(text)
+        head = start.group() if start else ''
+        body = text[len(head) :]
+        before = _flat(_composed(body))
+        wanted: dict[tuple[str, ...], Value] = {}
+        try:
+            for entry in entries:
+                body, place = _with_entry(body, entry, entries)
+                if place is not None:
+                    wanted[place] = entry.value
+            after = _flat(_composed(body))
+        except _NotYamlError:
+            raise AllanError(
+                f'the file is written in a way that takes no new keys: {_BY_HAND}'
+            ) from None
+        _prove(before, after, wanted)
+        block = [f'# {line}\n' for line in (BLOCK_BEGIN, *header, BLOCK_END)]
+        if self.opencv and not head.startswith('%YAML'):
+            head = f'{_OPENCV_MARK}\n{head}'
+        merged = head + ''.join(block) + body
+        return merged.replace('\n', '\r\n') if '\r\n' in existing else merged
+
+
+def _tree(entries: Sequence[Entry]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for entry in entries:
+        here = tree
+        for key in entry.path[:-1]:
+            here = here.setdefault(key, {})
+        here[entry.key] = _rows(entry.value)
+    return tree
+
+
+def _rows(value: Value) -> Any:
+    if isinstance(value, list):
+        nested = any(isinstance(item, list) for item in value)
+        return [_rows(item) for item in value] if nested else _Row(value)  # type: ignore[arg-type]
+    return value
+
+
+def _dumped(tree: object) -> str:
+    text: str = yaml.dump(
+        tree, Dumper=_Dumper, sort_keys=False, indent=INDENT, width=10**6, allow_unicode=True
+    )
+    return text
+
+
+def _inline(value: Value) -> str:
+    """Return the value as it can stand behind a key, in one line."""
+    dumped: str = yaml.dump(
+        value, Dumper=_Dumper, default_flow_style=True, width=10**6, allow_unicode=True
+    )
+    return dumped.removesuffix('\n').removesuffix('\n...')
+
+
+def _composed(body: str) -> yaml.Node | None:
+    try:
+        node: yaml.Node | None = yaml.compose(body, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        raise _NotYamlError(
+            f'the file to merge into is not YAML ({" ".join(str(error).split())}): {_BY_HAND}'
+        ) from None
+    except RecursionError:
+        raise _NotYamlError(f'the file to merge into is nested too deep: {_BY_HAND}') from None
+    if node is not None and not isinstance(node, yaml.MappingNode):
+        raise _NotYamlError(f'the file to merge into has no keys at its top: {_BY_HAND}')
+    return node
+
+
+def _with_entry(
+    body: str, entry: Entry, siblings: Sequence[Entry]
+) -> tuple[str, tuple[str, ...] | None]:
+    """Return the text with one entry in it, and its path there; None where it was left alone."""
+    root = _composed(body)
+    home, path = _home(root, entry, siblings)
+    if home is None:
+        return _added(body, root, entry), entry.path
+    place = (*path, entry.key)
+    found = _item(home, entry.key)
+    if found is None:
+        return _inserted(body, home, f'{entry.key}: {_inline(entry.value)}'), place
+    if entry.keep:
+        return body, None
+    key, value = found
+    if isinstance(value, yaml.MappingNode):
+        raise AllanError(f'{entry.key} of the file holds keys where a number belongs: {_BY_HAND}')
+    start, end = value.start_mark.index, _end(value)
+    if start == end or (isinstance(value, yaml.CollectionNode) and not value.flow_style):
+        # Nothing there, or a block below: the new value goes right behind the colon.
+        start = body.index(':', key.end_mark.index) + 1
+        return f'{body[:start]} {_inline(entry.value)}{body[max(start, end) :]}', place
+    return body[:start] + _inline(entry.value) + body[end:], place
+
+
+def _home(
+    root: yaml.Node | None, entry: Entry, siblings: Sequence[Entry]
+) -> tuple[yaml.MappingNode | None, tuple[str, ...]]:
+    """Return the mapping an entry belongs into, with its path; None where it is yet to be made."""
+    places = dict(_mappings(root))
+    parent = entry.path[:-1]
+    if parent in places and (parent or _item(places[parent], entry.key)):
+        return places[parent], parent
+    keys = {other.key for other in siblings if other.path[:-1] == parent and not other.keep}
+    found = [path for path, node in places.items() if any(_holds(node, key) for key in keys)]
+    if len(found) > 1:
+        where = ', '.join('/'.join(path) or 'the top' for path in found)
+        raise AllanError(f'{entry.key} could belong to {where} of the file: {_BY_HAND}')
+    if found:
+        return places[found[0]], found[0]
+    return (places[()], ()) if parent == () and () in places else (None, parent)
+
+
+def _mappings(
+    node: yaml.Node | None, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], yaml.MappingNode]]:
+    if isinstance(node, yaml.MappingNode):
+        yield path, node
+        for key, value in node.value:
+            yield from _mappings(value, (*path, str(key.value)))
+
+
+def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:
+    """Return the key and the value of that name."""
+    return next(((name, value) for name, value in node.value if name.value == key), None)
+
+
+def _holds(node: yaml.MappingNode, key: str) -> bool:
+    """Tell whether a mapping has a value, not keys, under that name."""
+    found = _item(node, key)
+    return found is not None and not isinstance(found[1], yaml.MappingNode)
+
+
+def _end(node: yaml.Node) -> int:
+    """Return where the text of a node ends; of a block, where its last item does."""
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
+    index: int = node.end_mark.index
+    return index
+
+
+def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
+    """Return the text with a line more at the end of a mapping."""
+    if home.flow_style or not home.value:
+        at = home.end_mark.index - 1
+        return f'{body[:at]}{", " if home.value else ""}{line}{body[at:]}'
+    at = _end(home)
+    if body[at - 1] != '\n':  # past the comment behind the last value
+        rest = body.find('\n', at)
+        at = len(body) if rest < 0 else rest + 1
+    gap = '' if body[at - 1] == '\n' else '\n'
+    indent = ' ' * home.value[0][0].start_mark.column
+    lines = ''.join(f'{indent}{one}\n' for one in line.splitlines())
+    return f'{body[:at]}{gap}{lines}{body[at:]}'
+
+
+def _added(body: str, root: yaml.Node | None, entry: Entry) -> str:
+    """Return the text with the entry and the mappings it needs, below those that are there."""
+    places = dict(_mappings(root))
+    depth = next((n for n in range(len(entry.path) - 1, -1, -1) if entry.path[:n] in places), None)
+    if depth is None:
+        return body + _dumped(_tree([entry]))
+    home = places[entry.path[:depth]]
+    below = Entry(entry.path[depth:], entry.value)
+    if home.flow_style or not home.value:
+        tree = _inline(_tree([below]))  # type: ignore[arg-type]
+        return _inserted(body, home, tree.strip()[1:-1])
+    return _inserted(body, home, _dumped(_tree([below])))
+
+
+def _flat(node: yaml.Node | None, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], str]:
+    """Return path -> tag and text of every scalar."""
+    if isinstance(node, yaml.CollectionNode):
+        pairs = (
+            [(str(key.value), value) for key, value in node.value]
+            if isinstance(node, yaml.MappingNode)
+            else [(str(i), value) for i, value in enumerate(node.value)]
+        )
+        return {
+            place: text
+            for key, value in pairs
+            for place, text in _flat(value, (*path, key)).items()
+        }
+    return {} if node is None else {path: f'{node.tag} {node.value}'}
+
+
+def _prove(
+    before: dict[tuple[str, ...], str],
+    after: dict[tuple[str, ...], str],
+    wanted: dict[tuple[str, ...], Value],
+) -> None:
+    """Refuse a text that does not hold the new values, or changed any other."""
+    expected = {
+        place: text
+        for place, text in before.items()
+        if not any(place[: len(path)] == path for path in wanted)
+    }
+    for path, value in wanted.items():
+        expected.update(_flat(yaml.compose(_inline(value), Loader=yaml.SafeLoader), path))
+    if after != expected:
+        places = sorted({*expected, *after})
+        changed = next(place for place in places if expected.get(place) != after.get(place))
+        raise AllanError(
+            f'the file cannot be merged into without changing {"/".join(changed)}: {_BY_HAND}'
+        )

@@ -1,0 +1,122 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`allan export` and `--export` from results to files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from allan_ros.cli.main import main
+from allan_ros.io.exporters import TARGETS, target_of
+
+
+@pytest.fixture(scope='module')
+def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('analysed')
+    targets = 'vins_fusion,basalt,gtsam'
+    assert main(['analyze', str(recording), '-o', str(folder), '--export', targets]) == 0
+    return folder
+
+
+def test_analyze_writes_the_files_asked_for_beside_kalibrs(folder: Path) -> None:
+    names = {path.name for path in folder.iterdir()}
+    assert {'imu.yaml', 'vins_fusion_imu.yaml', 'basalt_imu.json', 'gtsam_imu.py'} <= names
+    assert not [name for name in names if name.startswith('orb_slam3')]
+
+
+def test_analyze_and_export_write_the_same(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['export', str(folder / 'results.json'), '--to', 'vins_fusion']) == 0
+    assert capsys.readouterr().out == (folder / 'vins_fusion_imu.yaml').read_text()
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_every_target_is_written(folder: Path, tmp_path: Path, target: str) -> None:
+    results = str(folder / 'results.json')
+    assert main(['export', results, '--to', target, '-o', str(tmp_path)]) == 0
+    named = tmp_path / 'named'
+    assert main(['export', results, '--to', target, '-o', str(named)]) == 0
+    assert (tmp_path / target_of(target).file_name).read_bytes() == named.read_bytes()
+
+
+def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['export', '--list']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(TARGETS)
+    assert all(what in line for line, what in zip(lines, TARGETS.values()))
+
+
+def test_what_a_number_is_not_goes_to_stderr(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['export', str(folder / 'results.json'), '--to', 'orb_slam3']) == 0
+    shown = capsys.readouterr()
+    # Six minutes show no K of these sensors.
+    assert 'allan export: not measured but the 95 % upper limit' in shown.err
+    assert shown.out.startswith('%YAML:1.0\n')
+
+
+def test_merging_is_in_place_unless_a_file_is_given(folder: Path, tmp_path: Path) -> None:
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text('rostopic: /mine  # mine\n')
+    base = ['export', str(folder / 'results.json'), '--to', 'kalibr', '--merge-into', str(mine)]
+    assert main([*base, '-o', str(tmp_path / 'other.yaml')]) == 0
+    assert mine.read_text() == 'rostopic: /mine  # mine\n'
+    assert main(base) == 0
+    assert mine.read_bytes() == (tmp_path / 'other.yaml').read_bytes()
+    assert 'rostopic: /mine  # mine\n' in mine.read_text()
+    assert yaml.safe_load(mine.read_text())['gyroscope_noise_density'] > 0.0
+
+
+def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None:
+    mine = tmp_path / 'calibration.json'
+    mine.write_text('{"value0": {"T_imu_cam": [{"px": 0.1}], "gyro_noise_std": 7.0}}')
+    results = str(folder / 'results.json')
+    assert main(['export', results, '--to', 'basalt', '--merge-into', str(mine)]) == 0
+    found = json.loads(mine.read_text())
+    assert list(found) == ['value0', 'allan_ros']
+    assert found['value0']['T_imu_cam'] == [{'px': 0.1}]
+    assert len(found['value0']['gyro_noise_std']) == 3
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['export'], 'give a results.json and --to TARGET'),
+        (['export', '{results}'], 'give a results.json and --to TARGET'),
+        (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
+        (['export', '{results}', '--to', 'klibr'], 'choose one of kalibr, openvins'),
+        (['export', '{sums}', '--to', 'kalibr'], 'schema is'),
+        (['export', '{results}', '--to', 'kalibr', '--strict'], 'is not observable'),
+        (['export', '{results}', '--to', 'kalibr', '--exact'], 'vins_fusion only'),
+        (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),
+        (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
+        (['export', '{results}', '--to', 'kalibr', '-o', '/no/such/imu.yaml'], 'cannot be written'),
+        (
+            ['export', '{results}', '--to', 'kalibr', '--merge-into', '/no/such.yaml'],
+            'cannot be read',
+        ),
+        (['export', '{results}', '--to', 'px4', '--merge-into', '{results}'], 'needs no merging'),
+        (['export', '{results}', '--to', 'gtsam', '--merge-into', '{results}'], 'Python module'),
+        (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
+        (['analyze', '{results}', '--export', 'kalibr'], 'folder of -o'),
+        (['merge', '{sums}', '--export', 'klibr', '-o', '/tmp'], 'choose one of kalibr'),
+    ],
+)
+def test_what_a_user_can_mend_is_one_line_and_exit_1(
+    folder: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {
+        '{results}': str(folder / 'results.json'),
+        '{sums}': str(folder / 'sums.json'),
+        '{yaml}': str(folder / 'imu.yaml'),
+    }
+    assert main([files.get(word, word) for word in words]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]

@@ -1,0 +1,61 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One fixed results document, with levels that a head can reckon with."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from allan_ros.core.batch import AXES
+from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.health import Span
+from allan_ros.core.sums import ImuIdentity
+from allan_ros.io.documents import results_from_document, results_to_document, to_json
+from allan_ros.io.recordings import SourceInfo
+from allan_ros.io.results import AxisResult, Provenance, Results
+
+RATE = 200.0
+SHARES = {'x': 0.6, 'y': 0.8, 'z': 1.0}
+"""What an axis has of the level of its sensor: z is the worst, the mean is sqrt(2/3) of it."""
+
+LEVELS = {'gyro': {'N': 1e-3, 'B': 1e-4, 'K': 1e-5}, 'accel': {'N': 2e-3, 'B': 3e-4, 'K': 2e-5}}
+"""In SI. K of accel_z is not observable and its limit is 3e-5."""
+
+START_NS = 1_700_000_000 * 10**9
+"""2023-11-14 22:13:20 UTC."""
+
+
+def measured(value: float) -> Coefficient:
+    return Coefficient(value, (0.9 * value, 1.1 * value), 1.08 * value)
+
+
+def hidden(limit: float) -> Coefficient:
+    return Coefficient(None, None, limit, 'not_observable')
+
+
+def axis_fit(axis: str) -> AxisFit:
+    sensor, letter = axis.split('_')
+    noise = {term: measured(v * SHARES[letter]) for term, v in LEVELS[sensor].items()}
+    if axis == 'accel_z':
+        noise['K'] = hidden(3e-5)
+    return AxisFit({'Q': hidden(1e-7), 'R': hidden(1e-8), **noise})
+
+
+@pytest.fixture
+def known_results() -> Results:
+    """Return the fixed results, as read from their document."""
+    source = SourceInfo('runs/one.mcap', '/imu/data', 'sensor_msgs/msg/Imu', 'mcap')
+    results = Results(
+        ImuIdentity('imu_link', ''),
+        'gls',
+        1.0 / RATE,
+        1_440_000,
+        7200.0,
+        1,
+        {axis: AxisResult(1.0 / RATE, axis_fit(axis)) for axis in AXES},
+        Provenance((source,), (Span(START_NS, 1_440_000, 7200.0),)),
+        (),
+    )
+    return results_from_document(json.loads(to_json(results_to_document(results))))

@@ -1,0 +1,380 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every target: its numbers reckoned by hand, its file word for word, and read as its reader does.
+
+The golden files under ``golden`` are what the command writes of the fixed results; the version of
+the package stands as VERSION in them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import allan_ros
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fit import Coefficient, GaussMarkov
+from allan_ros.io.exporters import TARGETS, ExportOptions, make_export, target_of
+from allan_ros.io.results import Results
+
+GOLDEN = Path(__file__).parent / 'golden'
+
+
+def near(value: Any) -> Any:
+    """Return what equals a number to the six digits that are written."""
+    return pytest.approx(value, rel=2e-6)
+
+
+def read_yaml(text: str) -> Any:
+    return yaml.safe_load(text.removeprefix('%YAML:1.0\n'))
+
+
+def read_lines(text: str) -> dict[str, float]:
+    """Return key -> number of a parameter file, of either autopilot."""
+    rows = [line.replace(',', '\t').split('\t') for line in text.splitlines() if line[0] != '#']
+    return {
+        row[-3] if len(row) > 2 else row[0]: float(row[-2 if len(row) > 2 else 1]) for row in rows
+    }
+
+
+def run_python(text: str) -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    exec(text, names)
+    return names
+
+
+EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]] = {
+    # N, K as they are: 1e-3, 1e-5 (gyro) and 2e-3, limit 3e-5 (accelerometer).
+    'kalibr': (
+        read_yaml,
+        (),
+        {
+            'accelerometer_noise_density': 2e-3,
+            'accelerometer_random_walk': 3e-5,
+            'gyroscope_noise_density': 1e-3,
+            'gyroscope_random_walk': 1e-5,
+            'update_rate': 200.0,
+        },
+    ),
+    'openvins': (
+        read_yaml,
+        ('imu0',),
+        {
+            'accelerometer_noise_density': 2e-3,
+            'accelerometer_random_walk': 3e-5,
+            'gyroscope_noise_density': 1e-3,
+            'gyroscope_random_walk': 1e-5,
+            'update_rate': 200.0,
+        },
+    ),
+    # times sqrt(200) = 14.1421
+    'vins_fusion': (
+        read_yaml,
+        (),
+        {'acc_n': 0.0282843, 'gyr_n': 0.0141421, 'acc_w': 4.24264e-4, 'gyr_w': 1.41421e-4},
+    ),
+    'orb_slam3': (
+        read_yaml,
+        (),
+        {
+            'IMU.NoiseGyro': 1e-3,
+            'IMU.NoiseAcc': 2e-3,
+            'IMU.GyroWalk': 1e-5,
+            'IMU.AccWalk': 3e-5,
+            'IMU.Frequency': 200.0,
+        },
+    ),
+    'lio_sam': (
+        read_yaml,
+        ('/**', 'ros__parameters'),
+        {'imuAccNoise': 2e-3, 'imuGyrNoise': 1e-3, 'imuAccBiasN': 3e-5, 'imuGyrBiasN': 1e-5},
+    ),
+    # squares times 200
+    'fast_lio': (
+        read_yaml,
+        ('/**', 'ros__parameters', 'mapping'),
+        {'acc_cov': 8e-4, 'gyr_cov': 2e-4, 'b_acc_cov': 1.8e-7, 'b_gyr_cov': 2e-8},
+    ),
+    # squares of 0.6, 0.8 and 1 times the level
+    'gtsam': (
+        run_python,
+        (),
+        {
+            'accelerometerCovariance': [1.44e-6, 2.56e-6, 4e-6],
+            'gyroscopeCovariance': [3.6e-7, 6.4e-7, 1e-6],
+            'biasAccCovariance': [1.44e-10, 2.56e-10, 9e-10],
+            'biasOmegaCovariance': [3.6e-11, 6.4e-11, 1e-10],
+        },
+    ),
+    'basalt': (
+        json.loads,
+        ('value0',),
+        {
+            'imu_update_rate': 200.0,
+            'accel_noise_std': [1.2e-3, 1.6e-3, 2e-3],
+            'gyro_noise_std': [6e-4, 8e-4, 1e-3],
+            'accel_bias_std': [1.2e-5, 1.6e-5, 3e-5],
+            'gyro_bias_std': [6e-6, 8e-6, 1e-5],
+        },
+    ),
+    'msckf_vio': (
+        read_yaml,
+        ('noise',),
+        {'gyro': 1e-3, 'acc': 2e-3, 'gyro_bias': 1e-5, 'acc_bias': 3e-5},
+    ),
+    # times sqrt(100), the step of EKF2
+    'px4': (
+        read_lines,
+        (),
+        {
+            'EKF2_GYR_NOISE': 0.01,
+            'EKF2_ACC_NOISE': 0.02,
+            'EKF2_GYR_B_NOISE': 1e-4,
+            'EKF2_ACC_B_NOISE': 3e-4,
+        },
+    ),
+    # times sqrt(1 / 0.012) = 9.12871, the step of EK3
+    'ardupilot': (
+        read_lines,
+        (),
+        {
+            'EK3_GYRO_P_NSE': 9.12871e-3,
+            'EK3_ACC_P_NSE': 0.0182574,
+            'EK3_GBIAS_P_NSE': 9.12871e-5,
+            'EK3_ABIAS_P_NSE': 2.73861e-4,
+        },
+    ),
+    # 1e-3 rad/sqrt(s) is 180/pi 60 times that in deg/sqrt(h), 3.43775; 1e-4 rad/s is 20.6265 deg/h;
+    # 2e-3 m/s/sqrt(s) is 0.12 m/s/sqrt(h); 3e-4 m/s^2 is 30 mGal
+    'kf_gins': (
+        read_yaml,
+        ('imunoise',),
+        {
+            'arw': [2.06265, 2.75020, 3.43775],
+            'vrw': [0.072, 0.096, 0.12],
+            'gbstd': [12.3759, 16.5012, 20.6265],
+            'abstd': [18.0, 24.0, 30.0],
+            'corrtime': 4.0,
+        },
+    ),
+    # sqrt(3/4 (1e-6/10 + 0.441271 1e-8)) and sqrt(3/4) 1e-5 / sqrt(10)
+    'imu_filter_madgwick': (
+        read_yaml,
+        ('imu_filter', 'ros__parameters'),
+        {'gain': 2.79838e-4, 'zeta': 2.73861e-6},
+    ),
+}
+
+
+def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
+    """Return the numbers of a file as its reader finds them."""
+    read, path, _ = EXPECTED[name]
+    found = read(make_export(results, name, ExportOptions(**options)).text)
+    for key in path:
+        found = found[key]
+    return found
+
+
+def test_no_target_is_without_numbers_by_hand() -> None:
+    assert list(EXPECTED) == list(TARGETS)
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_the_numbers_are_those_reckoned_by_hand(known_results: Results, name: str) -> None:
+    found = numbers(known_results, name)
+    expected = EXPECTED[name][2]
+    assert {key: found[key] for key in expected} == {key: near(v) for key, v in expected.items()}
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_the_file_is_word_for_word(known_results: Results, name: str) -> None:
+    text = make_export(known_results, name).text
+    text = text.replace(f'allan_ros {allan_ros.__version__} ', 'allan_ros VERSION ')
+    assert text == (GOLDEN / f'{name}.txt').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_the_header_says_all_that_is_asked_of_it(known_results: Results, name: str) -> None:
+    text = make_export(known_results, name, ExportOptions(inflate=2.0)).text
+    for words in (
+        'source: runs/one.mcap /imu/data; 2.00 h at rest',
+        'date: recorded from 2023-11-14 22:13:20 UTC on',
+        'convention: ',
+        'rate: f = ',
+        'axis rule: ',
+        'inflation: x2 on every N, K and bias, which stand below as measured',
+        '95 % interval',
+        'upper limits instead of measurements: ',
+    ):
+        assert words in text
+    entries = [key for key in EXPECTED[name][2] if key not in ('update_rate', 'imu_update_rate')]
+    for key in entries:
+        assert f'{key} [' in text or key in ('IMU.Frequency', 'corrtime')
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_inflation_multiplies_what_is_linear_and_squares_what_is_not(
+    known_results: Results, name: str
+) -> None:
+    plain, inflated = (numbers(known_results, name, inflate=factor) for factor in (1.0, 3.0))
+    power = 2.0 if name in ('fast_lio', 'gtsam') else 1.0
+    fixed = {'update_rate', 'imu_update_rate', 'IMU.Frequency', 'corrtime'}
+    for key in EXPECTED[name][2]:
+        factor = 1.0 if key in fixed else 3.0**power
+        values = plain[key] if isinstance(plain[key], list) else [plain[key]]
+        scaled = [factor * value for value in values]
+        found = inflated[key] if isinstance(inflated[key], list) else [inflated[key]]
+        assert found == [pytest.approx(value, rel=2e-5) for value in scaled], key
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_the_mean_is_the_root_mean_square(known_results: Results, name: str) -> None:
+    worst, mean = (numbers(known_results, name, axis=rule) for rule in ('worst', 'mean'))
+    for key in ('gyroscope_noise_density', 'gyr_n', 'IMU.NoiseGyro', 'imuGyrNoise', 'gain'):
+        if key in worst:
+            assert mean[key] == pytest.approx(worst[key] * math.sqrt(2.0 / 3.0), rel=1e-5)
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_strict_refuses_a_limit(known_results: Results, name: str) -> None:
+    if name in ('kf_gins', 'imu_filter_madgwick'):  # they take no K of the accelerometer
+        assert make_export(known_results, name, ExportOptions(strict=True)).text
+        return
+    with pytest.raises(AllanError, match='K of accel_z is not observable'):
+        make_export(known_results, name, ExportOptions(strict=True))
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_a_limit_is_said_in_the_file_and_beside_it(known_results: Results, name: str) -> None:
+    made = make_export(known_results, name)
+    limits = [said for said in made.findings if said.id == 'export_limits']
+    assert ('not observable, 95 % upper limit 3.00e-05' in made.text) == bool(limits)
+    assert bool(limits) == (name not in ('kf_gins', 'imu_filter_madgwick'))
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_three_numbers_are_given_where_the_file_takes_them(
+    known_results: Results, name: str
+) -> None:
+    if target_of(name).three:
+        found = numbers(known_results, name, axis='each')
+        assert any(isinstance(v, list) and len(set(v)) == 3 for v in found.values())
+        found = numbers(known_results, name, axis='worst')
+        vectors = [found[k] for k, v in EXPECTED[name][2].items() if isinstance(v, list)]
+        assert all(len(set(v)) == 1 for v in vectors)
+    else:
+        with pytest.raises(AllanError, match='one number a sensor'):
+            numbers(known_results, name, axis='each')
+
+
+@pytest.mark.parametrize('name', EXPECTED)
+def test_no_character_of_a_path_leaves_the_comment(known_results: Results, name: str) -> None:
+    (source,) = known_results.provenance.sources
+    odd = replace(source, path='a\nacc_n: 7\rb\u2028c"""\x00', topic='')
+    known = replace(known_results, provenance=replace(known_results.provenance, sources=(odd,)))
+    assert numbers(known, name).keys() == numbers(known_results, name).keys()
+
+
+def test_the_filter_rate_takes_the_place_of_the_recordings(known_results: Results) -> None:
+    assert numbers(known_results, 'vins_fusion', filter_rate=400.0)['gyr_n'] == near(0.02)
+    assert numbers(known_results, 'px4', filter_rate=400.0)['EKF2_GYR_NOISE'] == near(0.02)
+    assert numbers(known_results, 'kalibr', filter_rate=400.0)['update_rate'] == 400.0
+
+
+def test_vins_exact_propagates_all_of_the_noise(known_results: Results) -> None:
+    exact = numbers(known_results, 'vins_fusion', exact=True)
+    assert exact['gyr_n'] == near(0.02)  # 1e-3 sqrt(400)
+    assert exact['gyr_w'] == near(1.41421e-4)
+    assert not any(
+        said.id == 'export_half_of_noise'
+        for said in make_export(known_results, 'vins_fusion', ExportOptions(exact=True)).findings
+    )
+    with pytest.raises(AllanError, match='vins_fusion only'):
+        numbers(known_results, 'kalibr', exact=True)
+
+
+def test_orb_slam3_reads_real_numbers(known_results: Results) -> None:
+    assert 'IMU.Frequency: 200.0\n' in make_export(known_results, 'orb_slam3').text
+
+
+@pytest.mark.parametrize('name', ['px4', 'ardupilot'])
+def test_a_range_of_the_autopilot_is_kept_and_said(known_results: Results, name: str) -> None:
+    quiet = {
+        axis: replace(
+            result,
+            fit=replace(
+                result.fit, noise={**result.fit.noise, 'N': Coefficient(1e-7, (9e-8, 1.1e-7))}
+            ),
+        )
+        for axis, result in known_results.axes.items()
+    }
+    made = make_export(replace(known_results, axes=quiet), name)
+    found = read_lines(made.text)
+    gyro, accel, *_ = found.values()
+    assert (gyro, accel) == (1e-4, 0.01)
+    assert [said.id for said in made.findings].count('export_clamped') == 2
+    assert 'lies outside [0.0001, 0.1]' in made.text
+    loud = numbers(known_results, name, inflate=1000.0)
+    high = {'px4': (0.1, 1.0, 0.01, 0.01), 'ardupilot': (0.1, 1.0, 1e-3, 0.02)}[name]
+    assert tuple(loud.values()) == high
+
+
+def with_process(results: Results, axis: str, sigma: float, hours: float) -> Results:
+    """Return results where an axis has a Gauss-Markov bias."""
+    seconds = 3600.0 * hours
+    process = GaussMarkov(
+        sigma, (0.9 * sigma, 1.1 * sigma), seconds, (0.8 * seconds, 1.3 * seconds)
+    )
+    had = results.axes[axis]
+    changed = replace(had, fit=replace(had.fit, gauss_markov=process))
+    return replace(results, axes={**results.axes, axis: changed})
+
+
+def test_kf_gins_takes_the_gauss_markov_process_where_there_is_one(known_results: Results) -> None:
+    known = with_process(known_results, 'gyro_y', 5e-4, 0.5)
+    known = with_process(known, 'accel_x', 1e-3, 2.0)
+    found = numbers(known, 'kf_gins')
+    assert found['gbstd'] == near([12.3759, 103.132, 20.6265])  # 5e-4 rad/s is 103.132 deg/h
+    assert found['abstd'] == near([100.0, 24.0, 30.0])
+    assert found['corrtime'] == near(0.5)  # the shorter of the two
+    said = {f.axes for f in make_export(known, 'kf_gins').findings}
+    assert said == {('gyro_x', 'gyro_z'), ('accel_y', 'accel_z')}
+    assert 'sigma of gyro_y 0.0005000 rad/s, 95 % interval' in make_export(known, 'kf_gins').text
+
+
+def test_madgwick_takes_the_ramp_where_every_axis_shows_one(known_results: Results) -> None:
+    ramp = Coefficient(4e-7, (3e-7, 5e-7), sign=-1)
+    known = replace(
+        known_results,
+        axes={
+            axis: replace(r, fit=replace(r.fit, noise={**r.fit.noise, 'R': ramp}))
+            for axis, r in known_results.axes.items()
+        },
+    )
+    assert numbers(known, 'imu_filter_madgwick')['zeta'] == near(3.46410e-7)  # sqrt(3/4) 4e-7
+
+
+def test_madgwick_needs_no_accelerometer(known_results: Results) -> None:
+    gyro = {name: axis for name, axis in known_results.axes.items() if name.startswith('gyro')}
+    assert numbers(replace(known_results, axes=gyro), 'imu_filter_madgwick')['gain'] > 0.0
+
+
+def test_a_date_that_is_none_is_said(known_results: Results) -> None:
+    def date(start_ns: int) -> str:
+        provenance = known_results.provenance
+        spans = tuple(span._replace(start_ns=start_ns) for span in provenance.spans)
+        known = replace(known_results, provenance=replace(provenance, spans=spans))
+        text = make_export(known, 'kalibr').text
+        return next(line for line in text.splitlines() if line.startswith('# date: '))
+
+    assert date(12_000_000_000) == '# date: not known: the stamps do not count from 1970'
+    assert date(2**62).startswith('# date: recorded from 2116')
+    given = make_export(known_results, 'kalibr', ExportOptions(date='last Tuesday')).text
+    assert '# date: last Tuesday\n' in given

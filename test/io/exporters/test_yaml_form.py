@@ -1,0 +1,219 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Merging into a user's YAML: new numbers in, every other byte as it was, or nothing at all."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from allan_ros.core.errors import AllanError
+from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.io.exporters.target import Entry
+from allan_ros.io.exporters.yaml_form import BLOCK_BEGIN, BLOCK_END, YamlForm
+from allan_ros.io.results import Results
+
+HEADER = ['first', 'second']
+BLOCK = f'# {BLOCK_BEGIN}\n# first\n# second\n# {BLOCK_END}\n'
+
+
+def merged(existing: str, *entries: Entry, opencv: bool = False) -> str:
+    return YamlForm(opencv).merge(existing, entries, HEADER)
+
+
+def entry(path: str, value: float | str | list[float] = 0.5, keep: bool = False) -> Entry:
+    return Entry(tuple(path.split('.')), value, keep=keep)
+
+
+def test_only_the_value_changes() -> None:
+    mine = "# mine\na:   0.1   # why\n\n'b' : 'x'\nc: [1,  2]\n"
+    assert merged(mine, entry('a')) == BLOCK + mine.replace('0.1', '0.5')
+
+
+def test_merging_twice_is_merging_once() -> None:
+    once = merged('a: 0.1\n', entry('a'), entry('new'))
+    assert merged(once, entry('a'), entry('new')) == once
+    assert once.count(BLOCK_BEGIN) == 1
+
+
+def test_what_is_missing_is_added_beside_its_siblings() -> None:
+    mine = 'top:\n    a: 1.0 # first\n    c: 3\n# tail\nother: 1\n'
+    wanted = 'top:\n    a: 0.5 # first\n    c: 3\n    b: 0.5\n# tail\nother: 1\n'
+    assert merged(mine, entry('top.a'), entry('top.b')) == BLOCK + wanted
+
+
+def test_a_file_without_its_last_line_end() -> None:
+    assert merged('a: 1', entry('b')) == f'{BLOCK}a: 1\nb: 0.5\n'
+
+
+def test_an_empty_file_and_one_of_comments_only() -> None:
+    assert yaml.safe_load(merged('', entry('a.b'))) == {'a': {'b': 0.5}}
+    assert merged('# mine\n', entry('a')) == f'{BLOCK}# mine\na: 0.5\n'
+
+
+def test_missing_parents_are_made() -> None:
+    assert merged('x: 1\n', entry('p.q.r')).endswith('x: 1\np:\n  q:\n    r: 0.5\n')
+    assert merged('p:\n   z: 1\n', entry('p.q.r')).endswith('p:\n   z: 1\n   q:\n     r: 0.5\n')
+
+
+def test_keys_are_found_under_another_node_name() -> None:
+    mine = 'laser_mapping:\n  ros__parameters:\n    mapping: {acc_cov: 0.1, gyr_cov: 0.1}\n'
+    found = yaml.safe_load(
+        merged(
+            mine,
+            entry('/**.ros__parameters.mapping.acc_cov'),
+            entry('/**.ros__parameters.mapping.n'),
+        )
+    )
+    assert found == {
+        'laser_mapping': {
+            'ros__parameters': {'mapping': {'acc_cov': 0.5, 'gyr_cov': 0.1, 'n': 0.5}}
+        }
+    }
+
+
+def test_a_key_in_two_places_is_refused() -> None:
+    with pytest.raises(AllanError, match='imu0, imu1'):
+        merged('imu0:\n  n: 1\nimu1:\n  n: 2\n', entry('imu2_.n'), entry('n'))
+
+
+def test_the_path_itself_comes_before_any_namesake() -> None:
+    mine = 'imu0:\n  n: 1\nimu1:\n  n: 2\n'
+    assert merged(mine, entry('imu1.n')) == f'{BLOCK}imu0:\n  n: 1\nimu1:\n  n: 0.5\n'
+
+
+def test_what_is_no_measurement_is_left_alone() -> None:
+    mine = 'topic: /mine\n'
+    assert merged(mine, entry('topic', '/ours', keep=True)) == BLOCK + mine
+    assert merged('a: 1\n', entry('topic', '/ours', keep=True)) == f'{BLOCK}a: 1\ntopic: /ours\n'
+
+
+def test_lists_in_any_style_give_way_to_a_list() -> None:
+    lists = ('v: [1, 2, 3]', 'v:\n- 1\n- 2 # two\n- 3', 'v: 7', 'v:', 'v: # none yet')
+    for mine in (f'{one}\nw: 1\n' for one in lists):
+        text = merged(mine, entry('v', [0.1, 0.2, 0.3]))
+        assert yaml.safe_load(text) == {'v': [0.1, 0.2, 0.3], 'w': 1}
+        assert 'w: 1\n' in text
+
+
+def test_opencv_files_keep_their_first_line_and_their_matrices() -> None:
+    mine = (
+        '%YAML:1.0\n---\n# camera\nIMU.T_b_c1: !!opencv-matrix\n   rows: 1\n   cols: 2\n'
+        '   dt: f\n   data: [1.0, 0.0,\n      0.0, 1.0]\nacc_n: 0.1   # tune\n'
+    )
+    head, tail = '%YAML:1.0\n---\n', mine.removeprefix('%YAML:1.0\n---\n')
+    assert merged(mine, entry('acc_n'), opencv=True) == head + BLOCK + tail.replace(
+        '0.1  ', '0.5  '
+    )
+    assert merged('acc_n: 1\n', entry('acc_n'), opencv=True) == f'%YAML:1.0\n{BLOCK}acc_n: 0.5\n'
+
+
+def test_windows_line_ends_and_a_byte_order_mark_stay() -> None:
+    assert merged('a: 1\r\nb: 2\r\n', entry('a')) == (BLOCK + 'a: 0.5\nb: 2\n').replace(
+        '\n', '\r\n'
+    )
+    assert merged('\ufeffa: 1\n', entry('a')) == f'\ufeff{BLOCK}a: 0.5\n'
+
+
+@pytest.mark.parametrize(
+    ('mine', 'said'),
+    [
+        ('- 1\n- 2\n', 'no keys at its top'),
+        ('a: [1\n', 'is not YAML'),
+        ('just words\n', 'no keys at its top'),
+        ('a: &x 0.1\nb: *x\n', 'takes no new keys'),
+        ('[' * 3000, 'is not YAML|nested too deep'),
+        ('a: 1\n---\na: 2\n', 'is not YAML'),
+        ('a:\n  b: 1\n', 'holds keys where a number belongs'),
+    ],
+)
+def test_what_cannot_be_merged_safely_is_refused(mine: str, said: str) -> None:
+    with pytest.raises(AllanError, match=said) as refusal:
+        merged(mine, entry('a'))
+    assert '\n' not in str(refusal.value)
+
+
+scalars = st.one_of(
+    st.integers(-9, 9), st.floats(-9, 9), st.text('abé :#\'"[]{}-&*!\n', max_size=6), st.none()
+)
+keys = st.text('abcdefgh_.', min_size=1, max_size=4)
+documents = st.dictionaries(
+    keys,
+    st.recursive(
+        scalars,
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=3), st.dictionaries(keys, inner, max_size=3)
+        ),
+        max_leaves=8,
+    ),
+    max_size=5,
+)
+
+
+@settings(max_examples=60)
+@given(
+    document=documents,
+    flow=st.sampled_from([None, False, True]),
+    path=st.lists(keys, min_size=1, max_size=3),
+)
+def test_any_document_takes_a_number_and_loses_nothing(
+    document: dict, flow: bool | None, path: list[str]
+) -> None:
+    mine = yaml.safe_dump(document, default_flow_style=flow, sort_keys=False)
+    wanted = Entry(tuple(path), 0.12345)
+    try:
+        text = YamlForm().merge(mine, [wanted], HEADER)
+    except AllanError:
+        return  # nothing is written
+    found = numbers(yaml.safe_load(text))
+    assert found.count(0.12345) == 1
+    given_way = max(map(len, under(document, path[-1])), default=0)
+    assert len(found) >= len(numbers(document)) + 1 - given_way
+    assert YamlForm().merge(text, [wanted], HEADER) == text
+
+
+def under(tree: object, name: str) -> list[list[float]]:
+    """Return the numbers under every key of that name."""
+    if isinstance(tree, dict):
+        here = [numbers(value) for key, value in tree.items() if key == name]
+        return here + [found for value in tree.values() for found in under(value, name)]
+    return []
+
+
+def numbers(tree: object) -> list[float]:
+    if isinstance(tree, dict):
+        return [n for value in tree.values() for n in numbers(value)]
+    if isinstance(tree, list):
+        return [n for value in tree for n in numbers(value)]
+    return [tree] if isinstance(tree, float) else []
+
+
+def test_a_kalibr_file_keeps_its_topic_and_its_comments(known_results: Results) -> None:
+    mine = (
+        '#Accelerometers\naccelerometer_noise_density: 1.86e-03   #Noise density\n'
+        'accelerometer_random_walk: 4.33e-04\n\n#Gyroscopes\n'
+        'gyroscope_noise_density: 1.87e-04\ngyroscope_random_walk: 2.66e-05\n\n'
+        'rostopic: /imu7      #mine\nupdate_rate: 400.0\n'
+    )
+    text = make_export(known_results, 'kalibr', existing=mine).text
+    assert text.partition(f'# {BLOCK_END}\n')[2] == (
+        '#Accelerometers\naccelerometer_noise_density: 0.002   #Noise density\n'
+        'accelerometer_random_walk: 3.0e-05\n\n#Gyroscopes\n'
+        'gyroscope_noise_density: 0.001\ngyroscope_random_walk: 1.0e-05\n\n'
+        'rostopic: /imu7      #mine\nupdate_rate: 200.0\n'
+    )
+    named = make_export(known_results, 'kalibr', ExportOptions(topic='/imu9'), mine).text
+    assert 'rostopic: /imu9      #mine\n' in named
+
+
+def test_openvins_keeps_what_was_calibrated(known_results: Results) -> None:
+    mine = '%YAML:1.0\n\nimu0:\n  T_i_b:\n    - [0.0, 1.0]\n  gyroscope_noise_density: 1.0\n'
+    found = yaml.safe_load(
+        make_export(known_results, 'openvins', existing=mine).text.removeprefix('%YAML:1.0\n')
+    )['imu0']
+    assert found['T_i_b'] == [[0.0, 1.0]]
+    assert found['gyroscope_noise_density'] == 1e-3
+    assert found['model'] == 'kalibr'
+    assert found['Tw'] == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
