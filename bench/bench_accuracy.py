@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from allan_ros.core.engine import RunningAllan
-from allan_ros.core.fit import TERMS, AxisFit, fit_noise
+from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
 from allan_ros.core.fit.goodness import Z_FAIL
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 from allan_ros.core.sums import AllanSums
