@@ -18,6 +18,9 @@ from .model import RANDOM_TERMS, Floats, avar_terms
 
 N = RANDOM_TERMS.index('N')
 
+LINE_PEAK = 0.371
+"""f m where sin^4(pi f m)/(pi f m)^2 is largest."""
+
 
 @dataclass(frozen=True)
 class GaussMarkovTerm:
@@ -27,6 +30,11 @@ class GaussMarkovTerm:
 
     exponent = 2.0
     """It scatters like the noise it joins: the covariance grows as V^2."""
+
+    @property
+    def scale(self) -> float:
+        """Averaging factor at which it stands out."""
+        return self.shape
 
     def column(self, table: Table) -> Floats:
         """Return its Allan variance at unit power, (factors,).
@@ -49,6 +57,11 @@ class SinusoidTerm:
 
     exponent = 1.0
     """It does not scatter, but multiplies with the noise: the covariance grows as V."""
+
+    @property
+    def scale(self) -> float:
+        """Averaging factor at which it stands out."""
+        return LINE_PEAK / self.shape
 
     def column(self, table: Table) -> Floats:
         """Return its Allan variance at unit power, (factors,)."""

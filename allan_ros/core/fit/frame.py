@@ -10,7 +10,7 @@ import numpy as np
 
 from .evidence import Evidence
 from .extra import SinusoidTerm
-from .goodness import Goodness, goodness, misfit_of
+from .goodness import Z_FAIL, Goodness, fairest, misfit_of
 from .intervals import Score
 from .point import Frame, PointFit, point_fit
 from .search import Candidate, candidates
@@ -23,7 +23,7 @@ Z_LOW_PASS = -3.0
 """A negative q that chance brings about in one of 700 records: the samples are filtered."""
 
 Z_LOOK = 1.0
-"""A fit no worse than one in six is not looked at again."""
+"""A fit no worse than one in six is not looked at again, and good enough for a part of a table."""
 
 SURE_GAIN = 21.0
 """Fall of chi^2 for one more term that chance brings about in one of 2000 records, with some
@@ -31,6 +31,10 @@ hundred shapes to choose from: enough to add it to a fit that passes."""
 
 MISFIT_GAIN = 0.7
 """An extra term that does not mend the fit must at least bring the misfit down to this part."""
+
+CLEAR_OF_CUT = 2.0
+"""An extra term is preferred to cutting the shortest averages off if it stands out at factors
+this many times those that would be lost."""
 
 MOST_EXTRAS = 2
 """Extra terms that are looked for, of different kinds."""
@@ -67,7 +71,7 @@ class Chosen:
     @property
     def fits(self) -> bool:
         """Whether the terms describe the table."""
-        return not goodness(self.fit.table, self.fit.power).fails
+        return not fairest(self.fit.table, self.fit.power).fails
 
 
 def choose_frame(evidence: Evidence, axis: int) -> Chosen:
@@ -77,7 +81,7 @@ def choose_frame(evidence: Evidence, axis: int) -> Chosen:
     term; without the shortest averaging times; with a fractional error of the model.
     """
     free = point_fit(evidence, axis, Frame(signed=True))
-    first = goodness(free.table, free.power)
+    first = fairest(free.table, free.power)
     chosen = Chosen(free, first, Score(free.table, Q, free.power)(0.0))
     if not chosen.filtered:
         plain = point_fit(evidence, axis, Frame(), np.maximum(free.power, 0.0))
@@ -105,10 +109,12 @@ def _mended(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
     for _ in range(MOST_EXTRAS + 1):
         found = _candidates(evidence, chosen, misfit)
         more = [_added(evidence, axis, chosen, c, misfit) for c in found]
-        for added in more:
-            if added.fits:
-                return added
         shorter = _without_the_shortest(evidence, axis, chosen.fit)
+        cut = None if shorter is None else shorter.frame.m_min
+        for added in more:
+            # A filter looks like correlated noise of a few samples: then rather cut them off.
+            if added.fits and (cut is None or added.terms[-1].extra.scale > CLEAR_OF_CUT * cut):
+                return added
         if shorter is not None:
             line = next((c for c in found if isinstance(c.extra, SinusoidTerm)), None)
             return replace(chosen, fit=shorter, hint=line)
@@ -121,15 +127,23 @@ def _mended(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
 
 
 def _without_the_shortest(evidence: Evidence, axis: int, free: PointFit) -> PointFit | None:
-    """Return the fit from the smallest factor on from which the table is described, if any."""
+    """Return the fit from the smallest factor on from which the table is described, if any.
+
+    A table that just passes may still be bent at its short end, so one that passes well is
+    looked for first.
+    """
+    passing: PointFit | None = None
     for m_min in M_MIN[1:]:
         rows = free.table.rows(free.table.m >= m_min)
         if len(rows.m) <= rows.terms.shape[1]:
-            return None
-        fit = point_fit(evidence, axis, replace(free.frame, m_min=m_min), free.power)
-        if not goodness(fit.table, fit.power).fails:
+            break
+        frame = replace(free.frame, m_min=m_min, signed=True, misfit=0.0)
+        fit = point_fit(evidence, axis, frame, free.power)
+        z = fairest(fit.table, fit.power).z
+        if z < Z_LOOK:
             return fit
-    return None
+        passing = fit if passing is None and z < Z_FAIL else passing
+    return passing
 
 
 def _added(

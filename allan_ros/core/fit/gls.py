@@ -17,6 +17,7 @@ from .frame import Chosen, choose_frame
 from .intervals import PowerInterval, power_interval
 from .model import RANDOM_TERMS, to_si
 from .ramp_interval import RampInterval, ramp_interval
+from .search import Candidate
 from .solve import K, N, Q, solve
 from .values import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseFit, Sinusoid
 
@@ -100,6 +101,16 @@ def _nothing() -> AxisFit:
     return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
 
 
+def _size_ends(term: Candidate, power: float, interval: PowerInterval) -> tuple[float, float]:
+    """Return the interval of the size of an extra term: at its shape, and over its shapes.
+
+    The two are independent, so their half-widths add as squares.
+    """
+    low = math.hypot(power - min(interval.low, power), power * (1.0 - term.power_low))
+    high = math.hypot(max(interval.high, power) - power, power * (term.power_high - 1.0))
+    return math.sqrt(max(power - low, 0.0)), math.sqrt(power + high)
+
+
 def _extras(
     chosen: Chosen, intervals: list[PowerInterval], tau0: float
 ) -> tuple[GaussMarkov | None, Sinusoid | None]:
@@ -109,7 +120,7 @@ def _extras(
     powers = chosen.fit.power[len(RANDOM_TERMS) :]
     for term, interval, power in zip(chosen.terms, intervals, powers):
         size = math.sqrt(max(float(power), 0.0))
-        ends = (min(math.sqrt(interval.low), size), max(math.sqrt(interval.high), size))
+        ends = _size_ends(term, float(power), interval)
         shape, low, high = term.extra.shape, term.low, term.high
         if isinstance(term.extra, GaussMarkovTerm):
             gauss_markov = GaussMarkov(size, ends, shape * tau0, (low * tau0, high * tau0))

@@ -9,11 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from .evidence import Table
+from .intervals import power_interval
 from .model import Floats
-from .solve import JITTER, Whitening, solve, weights_at
+from .solve import JITTER, K, Whitening, solve, weights_at
 
 Z_FAIL = 3.0
 """A table of the model's own noise is further off than this once in several hundred."""
+
+Z_HOPELESS = 50.0
+"""A table so far off is not looked at twice."""
 
 MISFIT_LIMIT = 10.0
 """Fractional error beyond which the terms describe nothing."""
@@ -67,6 +71,24 @@ def goodness(table: Table, power: Floats, misfit: float = 0.0) -> Goodness:
     eigenvalues = np.maximum(np.linalg.eigvalsh(correlation), 0.0)
     freedom = float(np.sum(eigenvalues / (eigenvalues + JITTER))) - len(active)
     return Goodness(float(rest @ rest), max(freedom, 1.0))
+
+
+def fairest(table: Table, power: Floats) -> Goodness:
+    """Return the goodness at the fitted powers, or with the walk at its upper limit if better.
+
+    Where a walk rules the longest averages, k rests on few degrees of freedom, and a low draw makes
+    everything else look too large. A table is only rejected if no walk within the interval of k
+    accounts for it.
+    """
+    first = goodness(table, power)
+    if not first.fails or first.z > Z_HOPELESS:
+        return first
+    most = power.copy()
+    most[K] = power_interval(table, K, power).upper
+    if not np.isfinite(most[K]):
+        return first
+    other = goodness(table, most)
+    return other if other.z < first.z else first
 
 
 def misfit_of(table: Table, power: Floats, signed: bool) -> float:

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step of rounded samples, recovered from the phase.
 
-Samples that are whole multiples of a step (plus the first one) have a phase of whole multiples.
+Samples that are whole multiples of a step (plus the first one) have a phase of whole multiples, to
+double precision; samples that passed through single precision are not told.
 Rounding adds white noise of step^2/12 per sample to N; it is not the quantization noise Q, which
 is white in the phase (Widrow & Kollar, Quantization Noise, 2008).
 """
@@ -33,18 +34,18 @@ def lattice_step(phase: Floats, deviation: float) -> float | None:
     deviation : float
         Standard deviation of the white noise per sample: far finer steps are of no account.
     """
-    moved = np.unique(np.abs(phase[phase != 0.0]))
+    least = COARSEST_IGNORED * deviation
+    moved = np.unique(np.abs(phase[np.abs(phase) > least]))
     if len(moved) < LEAST_POINTS or not deviation > 0.0:
         return None
-    least = COARSEST_IGNORED * deviation
     step = 0.0
-    for value in moved:
+    for i, value in enumerate(moved):
         step = _common_divisor(float(value), step, least)
         if step < least:
             return None
-    # Euclid gathers rounding errors; the multiples it found give the step anew.
-    multiples = np.round(moved / step)
-    step = float(moved @ multiples / (multiples @ multiples))
+        # Euclid gathers rounding errors; the multiples so far, the smallest first, take them out.
+        for known in moved[: i + 1]:
+            step = float(known / np.round(known / step))
     off = np.abs(moved / step - np.round(moved / step))
     return step if off.max() < NEAR_WHOLE else None
 

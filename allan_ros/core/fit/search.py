@@ -44,11 +44,24 @@ Kind = type[GaussMarkovTerm] | type[SinusoidTerm]
 
 @dataclass(frozen=True)
 class Candidate:
-    """An extra term with the interval of its shape, and how far it brings chi^2 down."""
+    """An extra term that the table may ask for.
+
+    Attributes
+    ----------
+    extra : Extra
+    low, high : float
+        The 95 % interval of its shape.
+    power_low, power_high : float
+        Its power at the ends of that interval that are least and greatest, relative to its power.
+    gain : float
+        How far it brings chi^2 down.
+    """
 
     extra: Extra
     low: float
     high: float
+    power_low: float
+    power_high: float
     gain: float
 
     @property
@@ -89,38 +102,47 @@ class _Search:
         self.whitening = Whitening.of(weights_at(table, power, misfit))
         self.columns = np.column_stack([table.terms, table.avar])
         white = self.whitening.apply(self.columns)
-        self.without = _chi_squared(white[:, :-1], white[:, -1])
+        self.without = _fitted(white[:, :-1], white[:, -1])[0]
 
-    def chi_squared(self, kind: Kind, shapes: Floats) -> Floats:
-        """Return chi^2 with the term at each shape."""
+    def tried(self, kind: Kind, shapes: Floats) -> tuple[Floats, Floats]:
+        """Return chi^2 with the term at each shape, and its power there."""
         more = [kind(float(s)).column(self.table) for s in shapes]
         white = self.whitening.apply(np.column_stack([self.columns, *more]))
         known = self.columns.shape[1]
-        return np.array(
-            [
-                _chi_squared(np.column_stack([white[:, : known - 1], column]), white[:, known - 1])
-                for column in white[:, known:].T
-            ]
-        )
+        terms, target = white[:, : known - 1], white[:, known - 1]
+        fits = [_fitted(np.column_stack([terms, c]), target) for c in white[:, known:].T]
+        chi_squared, power = np.array(fits).T
+        return chi_squared, power
 
     def best(self, kind: Kind, low: float, high: float) -> Candidate:
         """Return the shape of least chi^2 and its interval."""
         number = int(np.log2(high / low) * SHAPES_PER_OCTAVE) + 2
         shapes = np.geomspace(low, high, number)
-        at = shapes[int(np.argmin(self.chi_squared(kind, shapes)))]
+        at = shapes[int(np.argmin(self.tried(kind, shapes)[0]))]
         step = shapes[1] / shapes[0]
         fine = at * np.geomspace(1.0 / step, step, 2 * SHAPES_PER_OCTAVE + 1)
         fine = fine[(fine >= low) & (fine <= high)]
-        near = self.chi_squared(kind, fine)
-        shape, least = float(fine[np.argmin(near)]), float(near.min())
+        near, powers = self.tried(kind, fine)
+        middle = int(np.argmin(near))
+        shape, least, power = float(fine[middle]), float(near[middle]), float(powers[middle])
         reach = shape * np.geomspace(1.0 / PINNED_RATIO, PINNED_RATIO, 4 * SHAPES_PER_OCTAVE + 1)
-        inside = reach[self.chi_squared(kind, reach) < least + PINNED_RISE]
-        ends = (shape, shape) if not len(inside) else (float(inside.min()), float(inside.max()))
+        around, powers = self.tried(kind, reach)
+        inside = around < least + PINNED_RISE
+        inside[len(reach) // 2] = True
         spacing = float(reach[1] / reach[0])
-        return Candidate(kind(shape), ends[0] / spacing, ends[1] * spacing, self.without - least)
+        relative = powers[inside] / power if power > 0.0 else np.ones(1)
+        return Candidate(
+            kind(shape),
+            float(reach[inside].min()) / spacing,
+            float(reach[inside].max()) * spacing,
+            min(float(relative.min()), 1.0),
+            max(float(relative.max()), 1.0),
+            self.without - least,
+        )
 
 
-def _chi_squared(design: Floats, target: Floats) -> float:
-    """Return the least squared residual, with q of either sign."""
-    rest = target - design @ nonnegative_least_squares(design, target, (Q,))
-    return float(rest @ rest)
+def _fitted(design: Floats, target: Floats) -> tuple[float, float]:
+    """Return the least squared residual, with q of either sign, and the last power."""
+    power = nonnegative_least_squares(design, target, (Q,))
+    rest = target - design @ power
+    return float(rest @ rest), float(power[-1])

@@ -66,7 +66,9 @@ def test_poor_records_are_answered_without_numbers_that_are_none(samples):
 def test_constant_axis_does_not_disturb_its_neighbour():
     rng = np.random.default_rng(3)
     white = simulate_axis(20000, TAU0, NoiseTerms(N=1e-3), rng)
-    both = fit_gls(sums_of(np.column_stack([np.full(20000, 9.8), white]), axes=('gyro_x', 'accel_z')))
+    both = fit_gls(
+        sums_of(np.column_stack([np.full(20000, 9.8), white]), axes=('gyro_x', 'accel_z'))
+    )
     alone = fit_gls(sums_of(white, axes=('accel_z',)))
     assert all(c.value is None for c in both.axes['gyro_x'].noise.values())
     assert same(both.axes['accel_z'].noise, alone.axes['accel_z'].noise)

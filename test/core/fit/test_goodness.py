@@ -1,0 +1,52 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.fit.evidence import Evidence
+from allan_ros.core.fit.goodness import goodness, misfit_of
+from allan_ros.core.fit.point import point_fit
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+
+TAU0 = 0.01
+
+
+def fit_of(seed, samples=20000):
+    engine = RunningAllan(axes=('gyro_x',))
+    rng = np.random.default_rng(seed)
+    y = simulate_axis(samples, TAU0, NoiseTerms(N=1e-3, B=3e-4), rng)
+    engine.update(y[:, None], 0, round((samples - 1) * TAU0 * 1e9))
+    engine.end_segment()
+    return point_fit(Evidence(engine.sums), 0)
+
+
+def test_the_model_itself_fits_to_nothing():
+    fit = fit_of(0)
+    table = replace(fit.table, avar=fit.table.terms @ fit.power)
+    assert goodness(table, fit.power).chi_squared < 1e-6
+
+
+def test_noise_of_the_model_is_as_far_off_as_expected():
+    """40 records: the mean of z is 0 within 4 standard errors (false alarm 6e-5)."""
+    z = []
+    for seed in range(40):
+        fit = fit_of(seed)
+        z.append(goodness(fit.table, fit.power).z)
+    assert abs(np.mean(z)) < 4.0 / np.sqrt(40)
+    assert 0.5 < np.std(z) < 1.7
+
+
+@pytest.mark.parametrize('error', [0.03, 0.2])
+def test_misfit_is_the_error_that_was_made(error):
+    fit = fit_of(1, 400000)
+    rng = np.random.default_rng(2)
+    wrong = 1.0 + error * rng.standard_normal(len(fit.table.m))
+    table = replace(fit.table, avar=fit.table.avar * np.abs(wrong))
+    assert goodness(table, fit.power).fails
+    misfit = misfit_of(table, fit.power, signed=False)
+    assert 0.5 * error < misfit < 1.6 * error
+    loose = goodness(table, fit.power, misfit)
+    assert loose.chi_squared < 2.0 * loose.freedom

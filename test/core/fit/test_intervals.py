@@ -1,0 +1,63 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from scipy import special
+
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.fit.evidence import Evidence
+from allan_ros.core.fit.intervals import Score, cross, normal_deviate, power_interval
+from allan_ros.core.fit.point import point_fit
+from allan_ros.core.fit.solve import B, K, N
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+
+
+@pytest.fixture(scope='module')
+def fit():
+    """Ten minutes of white noise and a walk that shows, at 100 Hz."""
+    engine = RunningAllan(axes=('gyro_x',))
+    rng = np.random.default_rng(11)
+    y = simulate_axis(60000, 0.01, NoiseTerms(N=1e-3, K=3e-4), rng)
+    engine.update(y[:, None], 0, 599_990_000_000)
+    engine.end_segment()
+    return point_fit(Evidence(engine.sums), 0)
+
+
+@pytest.mark.parametrize('freedom', [6.0, 15.0, 60.0])
+@pytest.mark.parametrize('tail', [0.01, 0.05, 0.5, 0.95, 0.975])
+def test_chi_squared_becomes_normal(freedom, tail):
+    z = (special.chdtri(freedom, 1.0 - tail) - freedom) / np.sqrt(2.0 * freedom)
+    assert normal_deviate(z, np.sqrt(8.0 / freedom)) == pytest.approx(special.ndtri(tail), abs=0.08)
+
+
+def test_without_skewness_nothing_changes():
+    assert normal_deviate(1.7, 0.0) == 1.7
+    assert normal_deviate(1.7, 2e-3) == pytest.approx(1.7, abs=1e-3)
+
+
+@pytest.mark.parametrize('outer', [1.1, 2.0, 50.0])
+def test_ends_are_found_from_any_start(outer):
+    assert cross(lambda c: -(c**3), -27.0, 1.0, outer, np.inf) == pytest.approx(3.0, abs=1e-2)
+    assert cross(lambda c: -(c**3), 27.0, -1.0, -outer, -np.inf) == pytest.approx(-3.0, abs=1e-2)
+
+
+def test_what_is_never_reached_is_the_limit():
+    assert cross(lambda c: -np.arctan(c), -5.0, 0.0, 1.0, np.inf) == np.inf
+    assert cross(lambda c: -c, -5.0, 0.0, 1.0, 2.0) == 2.0
+
+
+@pytest.mark.parametrize('term', [N, K])
+def test_ends_are_where_the_score_says(fit, term):
+    interval = power_interval(fit.table, term, fit.power)
+    assert interval.observable
+    assert interval.low < fit.power[term] < interval.high
+    score = Score(fit.table, term, fit.power)
+    assert score(interval.high) == pytest.approx(-1.96, abs=0.03)
+    assert score(interval.low) == pytest.approx(1.96, abs=0.03)
+
+
+def test_an_absent_term_has_a_limit_and_no_interval(fit):
+    interval = power_interval(fit.table, B, fit.power)
+    assert not interval.observable
+    assert interval.low == 0.0
+    assert 0.0 < interval.upper < np.inf
