@@ -50,6 +50,7 @@ setup(
         'matplotlib>=3.5',
         'numpy>=1.21',
         'PyYAML>=5.4',
+        'rich>=10',  # draws the table of allan_watch, which is plain without it
         'rosbags>=0.11.7',
         'scipy>=1.8',
         'zstandard>=0.18',  # reads the same without it, more slowly
@@ -57,6 +58,12 @@ setup(
     extras_require={
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
+        # Those who read the files for filters, to prove that they can. gtsam 4.2 goes with
+        # numpy 1 only, and there is no newer one for Python 3.10.
+        'consumers': [
+            'gtsam>=4.3; python_version >= "3.11" and python_version < "3.14"',
+            'opencv-python-headless>=4.5',
+        ],
         # The tools are pinned, so that a lint that passes today passes next year.
         'lint': ['mypy==2.4.1', 'ruff==0.17.5', 'types-PyYAML'],
         'test': ['allantools==2024.6', 'hypothesis>=6.100', 'pytest>=7', 'pytest-xdist>=3'],

@@ -54,7 +54,7 @@ def add_settings(
             type=_words if isinstance(default, tuple) else type(default),
             choices=info.choices or None,
             default=default,
-            metavar=None if info.choices else _metavar(default),
+            metavar=_metavar(default, info.choices),
             help=f'{words}{unit}{shown}',
         )
 
@@ -80,7 +80,9 @@ def _shown(default: object) -> str:
     return f'{default:g}' if isinstance(default, float) else str(default)
 
 
-def _metavar(default: object) -> str:
+def _metavar(default: object, choices: tuple[str, ...]) -> str:
+    if choices:
+        return f'{{{",".join(word for word in choices if word)}}}'
     if isinstance(default, tuple):
         return 'A,B,..'
     return 'TEXT' if isinstance(default, str) else 'NUMBER'
