@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from ..core.compare import Comparison
 from ..core.findings import Finding, finding
+from ..core.fit.duration import record_times
 from ..core.fit.values import TERMS, Coefficient
 from ..core.recent import Change, RecentCurve
 from ..core.sums import AllanSums
@@ -63,6 +64,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
+            ('next coefficient', _next_term(view, view.result, evidence) or None),
         ]
     pairs += [
         ('evidence [s]', evidence),
@@ -180,7 +182,25 @@ def _summary(view: AxisView, evidence: float) -> str:
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')
-    return f'{", ".join(shown)} from {duration_text(evidence)} of evidence'
+    known = f'{", ".join(shown)} from {duration_text(evidence)} of evidence'
+    upcoming = _next_term(view, view.result, evidence)
+    return f'{known}; {upcoming}' if upcoming else known
+
+
+def _next_term(view: AxisView, result: AxisResult, evidence: float) -> str:
+    """Return which coefficient shows next, and how much more evidence that takes; '' if unknown."""
+    if view.method != 'gls':
+        return ''  # the times are those of that fit
+    times = record_times(result.fit, result.tau0, evidence)
+    more = {
+        term: time.observable - evidence
+        for term, time in times.items()
+        if time.observable is not None and result.fit.noise[term].status == 'not_observable'
+    }
+    if not more:
+        return ''
+    term = min(more, key=lambda name: more[name])
+    return f'{term} shows after about {duration_text(max(more[term], 0.0))} more'
 
 
 def _longest_tau(sums: AllanSums) -> float | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import time
+import traceback
 from collections.abc import Sequence
 from concurrent.futures import Future
 from functools import partial
@@ -17,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from ..core.compare import Reference, compare, reference_of_run
 from ..core.errors import AllanError
-from ..core.recent import Change, RecentView
+from ..core.recent import Change, RecentCurve, RecentView
 from ..core.sums import AllanSums
 from ..io.documents import read_json, results_from_document, results_to_document
 from ..io.results import Results, analyse_sums
@@ -30,7 +31,7 @@ from .qos import LATCHED
 from .settings import EstimatorSettings
 from .worker import Worker
 
-FIT_SHARE = 0.1
+FIT_SHARE = 0.05
 """A fit may keep a core busy for at most this share of the time."""
 
 
@@ -89,6 +90,7 @@ class ImuEstimate:
         self._fitting: Future[tuple[Results, float]] | None = None
         self._fit_ended = self._next_fit = 0.0
         self._recent: dict[tuple[str, ...], RecentView] = {}
+        self._curves: dict[tuple[str, ...], RecentCurve | None] = {}
         self._changes: dict[str, Change] = {}
         home = f'~/{label}/' if label else '~/'
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
@@ -113,6 +115,10 @@ class ImuEstimate:
             self._results, took = fitting.result()
         except AllanError as error:
             self._trouble = str(error)
+            return
+        except Exception as error:  # a fault of ours must not end the gathering of evidence
+            self._trouble = f'the fit failed ({error!r}); please report it with the log'
+            self._node.get_logger().error(''.join(traceback.format_exception(error)))
             return
         self._trouble = ''
         self._fit_ended, self._next_fit = now, now + took * (1.0 / FIT_SHARE - 1.0)
@@ -144,7 +150,7 @@ class ImuEstimate:
                         c for r in self._references if fit for c in compare(axis, noise, r, margin)
                     ),
                     margin=margin,
-                    recent=self._recent[s.axes].curve() if s.axes in self._recent else None,
+                    recent=self._curves.get(s.axes),
                     change=change if change and change.beyond(margin) else None,
                 )
                 name = status_name(
@@ -158,10 +164,11 @@ class ImuEstimate:
         """Hold what came lately against what was before."""
         now = self._node.get_clock().now().nanoseconds * 1e-9
         self._recent = {s.axes: self._recent.get(s.axes) or self._new_recent() for s in sums}
-        self._changes = {}
+        self._curves, self._changes = {}, {}
         for s in sums:
             recent = self._recent[s.axes]
             recent.update(s, now)
+            self._curves[s.axes] = recent.curve()
             for change in recent.changes():
                 known = self._changes.get(change.axis)
                 if known is None or change.evidence > known.evidence:

@@ -35,6 +35,9 @@ CLOCK_PERIOD_S = 0.025
 POLL_S = 0.05
 """How often waiting for subscribers or acknowledgements looks whether it should stop."""
 
+SETTLE_S = 0.5
+"""How long it waits after a subscriber was found: that one may not have found the player yet."""
+
 LINGER_S = 0.5
 """How long the publisher stays after the last acknowledgement, for readers to take their queue."""
 
@@ -154,6 +157,7 @@ class Player(Node):
         wanted = self._options.wait
         while self._publisher.get_subscription_count() < wanted and not self._stop.is_set():
             self._stop.wait(POLL_S)
+        self._stop.wait(SETTLE_S)
 
     def _wait_for_acknowledgements(self) -> None:
         poll = Duration(seconds=POLL_S)

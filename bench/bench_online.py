@@ -1,0 +1,106 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes cost: CPU per message, messages lost in bursts, memory; over real DDS.
+
+    python bench/bench_online.py             CPU and bursts, about 3 min
+    python bench/bench_online.py memory 600  memory over so many seconds at 4 kHz
+
+CPU is compared within one run with an empty raw subscriber on the same topic, so a busy machine
+changes little. Trials of what the nodes survive are in online_trials.py.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from online_nodes import Client, Process, node
+
+from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.io.imu_cdr import encode_imus
+
+RATES_HZ = (200, 1000, 4000)
+SETTLE_S = 10.0
+MEASURE_S = 20.0
+EMPTY_SUBSCRIBER = """
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+rclpy.init()
+node = rclpy.create_node('empty')
+qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+node.create_subscription(Imu, 'imu/data', lambda raw: None, qos, raw=True)
+rclpy.spin(node)
+"""
+BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 150
+
+
+def cpu() -> None:
+    """Print CPU per message of the accumulator, the monitor and an empty raw subscriber."""
+    print('CPU per message in microseconds, and its ratio to the empty subscriber')
+    print(f'{"":>8} {"empty":>8} {"accumulator":>12} {"ratio":>6} {"monitor":>8} {"ratio":>6}')
+    for rate in RATES_HZ:
+        length = str(SETTLE_S + MEASURE_S + 5.0)
+        empty = Process('-c', EMPTY_SUBSCRIBER)
+        with (
+            node('accumulator') as accumulator,
+            node('monitor') as monitor,
+            node('player', '--simulate', length, '--frequency', str(rate), '--wait', '3'),
+        ):
+            time.sleep(SETTLE_S)
+            watched = (empty, accumulator, monitor)
+            before, began = [n.cpu_s() for n in watched], time.monotonic()
+            time.sleep(MEASURE_S)
+            messages = rate * (time.monotonic() - began)
+            cost = [(n.cpu_s() - b) / messages * 1e6 for n, b in zip(watched, before)]
+        empty.end(signal.SIGKILL)
+        print(
+            f'{rate:>5} Hz {cost[0]:8.1f} {cost[1]:12.1f} {cost[1] / cost[0]:6.2f} '
+            f'{cost[2]:8.1f} {cost[2] / cost[0]:6.2f}',
+            flush=True,
+        )
+
+
+def bursts() -> None:
+    """Print how many messages are lost when they come 400 at a time, with the default QoS."""
+    client = Client()
+    terms = [NoiseTerms(N=5e-5)] * 3
+    with node('monitor'):
+        publisher = client.publisher()
+        sent = 0
+        for batch in simulate_imu(BURST * BURSTS / 2000.0, 2000.0, terms, terms):
+            payloads = encode_imus(batch, 'cdr')
+            for first in range(0, len(payloads), BURST):
+                due = time.monotonic() + BURST_PERIOD_S
+                for payload in payloads[first : first + BURST]:
+                    publisher.publish(bytes(payload))
+                    sent += 1
+                client.spin(due - time.monotonic())
+        client.spin(3.0)
+        received = int(client.value('input', 'received'))
+        lost = client.value('input', 'lost on the way')
+    print(f'bursts of {BURST} at 2 kHz mean: {sent} sent, {received} received, {lost} lost')
+
+
+def memory(seconds: float) -> None:
+    """Print the memory of the monitor while 4 kHz come in."""
+    client = Client()
+    length = str(seconds + 10.0)
+    with node('monitor') as monitor, node('player', '--simulate', length, '--frequency', '4000'):
+        for _ in range(10):
+            client.spin(seconds / 10)
+            received = client.value('input', 'received')
+            lost = client.value('input', 'lost on the way')
+            print(f'{received:>9} messages, {lost} lost: {monitor.memory_mb():6.1f} MB', flush=True)
+
+
+if __name__ == '__main__':
+    if sys.argv[1:2] == ['memory']:
+        memory(float(sys.argv[2]))
+    else:
+        cpu()
+        bursts()

@@ -1,0 +1,125 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes and a client for the benchmarks over real DDS."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+TICKS = os.sysconf('SC_CLK_TCK')
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ.setdefault('ROS_DOMAIN_ID', '99')
+
+RELIABLE = (
+    'qos_overrides./imu/data.subscription.reliability:=reliable',
+    'qos_overrides./imu/data.subscription.history:=keep_all',
+)
+"""Parameters with which a played recording comes whole, at any speed."""
+
+
+class Process:
+    """A Python process, with what it costs."""
+
+    def __init__(self, *command: str) -> None:
+        self.popen = subprocess.Popen(
+            [sys.executable, *command], env={**os.environ, 'PYTHONPATH': str(ROOT)}
+        )
+
+    def cpu_s(self) -> float:
+        """Return the CPU time used so far, in s."""
+        fields = Path(f'/proc/{self.popen.pid}/stat').read_text().rsplit(') ', 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / TICKS
+
+    def memory_mb(self) -> float:
+        """Return the resident memory in MB."""
+        text = Path(f'/proc/{self.popen.pid}/status').read_text()
+        found = re.search(r'VmRSS:\s+(\d+)', text)
+        return int(found[1]) / 1024 if found else float('nan')
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and return the exit code."""
+        self.popen.send_signal(number)
+        return self.popen.wait(60)
+
+
+def start(name: str, *arguments: str, ros: Iterable[str] = ()) -> Process:
+    """Start one of our nodes with parameters ``name:=value``."""
+    given = [x for parameter in ros for x in ('-p', parameter)]
+    ros_args = ['--ros-args', '--log-level', 'error', *given]
+    return Process('-m', f'allan_ros.nodes.{name}', *arguments, *ros_args)
+
+
+@contextmanager
+def node(name: str, *arguments: str, ros: Iterable[str] = ()) -> Iterator[Process]:
+    """Run one of our nodes within the block."""
+    started = start(name, *arguments, ros=ros)
+    try:
+        yield started
+    finally:
+        if started.popen.poll() is None:
+            started.end()
+
+
+class Client:
+    """A node that hears the diagnostics, publishes Imu and calls services."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        rclpy.init()
+        self.node = rclpy.create_node('bench')
+        self.statuses: dict[str, Any] = {}
+        self.on_status: Callable[[Any], None] = lambda status: None
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 100)
+
+    def _hear(self, message: Any) -> None:
+        for status in message.status:
+            self.statuses[status.name] = status
+            self.on_status(status)
+
+    def spin(self, seconds: float) -> None:
+        """Let time pass."""
+        import rclpy
+
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            rclpy.spin_once(self.node, timeout_sec=left)
+
+    def value(self, ending: str, key: str) -> str:
+        """Return one value of the status whose name ends so; '' where there is none."""
+        for name, status in self.statuses.items():
+            if name.endswith(ending):
+                return next((v.value for v in status.values if v.key.startswith(key)), '')
+        return ''
+
+    def publisher(self) -> Any:
+        """Return a publisher of Imu that a subscriber has found."""
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import Imu
+
+        publisher = self.node.create_publisher(Imu, 'imu/data', QoSProfile(depth=1000))
+        while not publisher.get_subscription_count():
+            self.spin(0.1)
+        return publisher
+
+    def call(self, service: str) -> Any:
+        """Call a Trigger service and return its response."""
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, service)
+        client.wait_for_service()
+        future = client.call_async(Trigger.Request())
+        while not future.done():
+            self.spin(0.1)
+        return future.result()

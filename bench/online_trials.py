@@ -1,0 +1,204 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes survive and what they say: trials over real DDS, each some minutes long.
+
+python bench/online_trials.py identity   a bag played at its own speed and at 50x, bit for bit
+python bench/online_trials.py kills      20 kills (SIGKILL) at random moments of one run
+python bench/online_trials.py faults     what the diagnostics say of faults, and how soon
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+from online_nodes import RELIABLE, Client, node, start
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import AXES, ImuBatch
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.core.sums_document import sums_from_document, sums_to_document
+from allan_ros.io.imu_cdr import encode_imus
+from allan_ros.io.recordings import open_recordings
+from allan_ros.io.writing import write_recording
+
+GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
+START_NS = 10**18
+
+
+def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
+    """Compare the sums of a bag with gaps and knocks, played through DDS, with those offline."""
+    with tempfile.TemporaryDirectory() as folder:
+        bag, checkpoint = Path(folder) / 'bag', Path(folder) / 'sums.json'
+        whole = next(simulate_imu(length_s, rate, GYRO, ACCEL, start_ns=START_NS))
+        rng = np.random.default_rng(1)
+        keep = np.ones(len(whole), bool)
+        for at in rng.integers(2000, len(whole) - 2000, 4):
+            keep[at : at + 300] = False  # gaps that cut
+            whole.samples[at + 900 : at + 940] += rng.normal(0.0, 1.0, (40, 6))  # knocks
+        keep[rng.integers(0, len(whole), 30)] = False  # lost samples that are bridged
+        batch = ImuBatch(whole.stamps_ns[keep], whole.samples[keep], frame_id='imu')
+        write_recording(bag, [batch])
+        offline = ImuAccumulator()
+        for piece in open_recordings([bag])[0].batches():
+            offline.update(piece)
+        offline.end()
+        expected = [sums_to_document(s) for s in offline.result().sums]
+        client = Client()
+        for speed, ros in (('1', RELIABLE), ('50', RELIABLE), ('0', RELIABLE), ('50', ())):
+            checkpoint.unlink(missing_ok=True)
+            with node('accumulator', ros=(*ros, f'checkpoint.path:={checkpoint}')):
+                with node('player', str(bag), '--rate', speed) as player:
+                    while player.popen.poll() is None:
+                        client.spin(0.5)
+                client.spin(2.0)
+                saved = client.call('/allan_accumulator/save')
+                lost = client.value('input', 'lost on the way')
+            same = json.loads(checkpoint.read_text())['sums'] == expected
+            how = 'reliable' if ros else 'best effort'
+            print(
+                f'speed {speed:>2}, {how}: {saved.message}, '
+                f'{len(expected[0]["segments"])} segments, {lost} lost, bit-identical: {same}',
+                flush=True,
+            )
+
+
+def kills(count: int = 20, speed: float = 20.0, rate: float = 200.0) -> None:
+    """Kill the accumulator again and again while a bag plays, and account for every sample."""
+    rng = random.Random(4)
+    pauses = [rng.uniform(3.0, 6.0) for _ in range(count)]
+    length_s = (sum(pauses) + 4.0 * count + 10.0) * speed
+    with tempfile.TemporaryDirectory() as folder:
+        bag, checkpoint = Path(folder) / 'bag', Path(folder) / 'sums.json'
+        batches = list(simulate_imu(length_s, rate, GYRO, ACCEL, start_ns=START_NS))
+        write_recording(bag, batches)
+        ros = (f'checkpoint.path:={checkpoint}', 'checkpoint.period:=0.5')
+        accumulator = start('accumulator', ros=ros)
+        with node('player', str(bag), '--rate', str(speed)) as player:
+            print(f'{"kill":>4} {"after":>7} {"samples in the checkpoint":>26}')
+            for number, pause in enumerate(pauses, 1):
+                time.sleep(pause + 2.0)
+                accumulator.end(signal.SIGKILL)
+                held = _samples(checkpoint)
+                print(f'{number:>4} {pause + 2.0:5.1f} s {held:>26}', flush=True)
+                accumulator = start('accumulator', ros=ros)
+            while player.popen.poll() is None:
+                time.sleep(0.5)
+        time.sleep(2.0)
+        accumulator.end()
+        document = json.loads(checkpoint.read_text())
+        total = sums_from_document(document['sums'][0])
+    # the sums of the surviving spans of the bag, each a segment of its own, in one uncut run
+    stamps = np.concatenate([b.stamps_ns for b in batches])
+    samples = np.concatenate([b.samples for b in batches])
+    expected = RunningAllan(total.identity, AXES)
+    for span in document['segments']:
+        first = int(np.searchsorted(stamps, span['start_ns']))
+        rows = slice(first, first + span['samples'])
+        expected.update(samples[rows], int(stamps[rows][0]), int(stamps[rows][-1]))
+        expected.end_segment()
+    worst = float(np.max(np.abs(total.sum_sq / expected.sums.sum_sq - 1.0)))
+    lost = len(stamps) - total.samples
+    print(
+        f'{len(stamps)} samples played, {total.samples} in {total.segment_count} segments of the '
+        f'final sums, {lost} between a checkpoint and the restart '
+        f'({lost / rate / speed / count:.2f} s of wall time a kill)\n'
+        f'counts equal those of the surviving spans: '
+        f'{bool(np.array_equal(total.count, expected.sums.count))}; '
+        f'largest relative difference of the sums: {worst:.1e}'
+    )
+
+
+def _samples(checkpoint: Path) -> int:
+    if not checkpoint.exists():
+        return 0
+    return int(sums_from_document(json.loads(checkpoint.read_text())['sums'][0]).samples)
+
+
+def faults() -> None:
+    """Print every change of a status while faults are put in, with the delay to the last fault."""
+    client = Client()
+    began = time.monotonic()
+    latest = ['start', began]
+    seen: dict[str, tuple[bytes, str]] = {}
+
+    def on_status(status) -> None:  # type: ignore[no-untyped-def]
+        words = status.message.split(' (')[0]
+        key = (
+            status.level,
+            ''.join(c for c in words if not c.isdigit()) if status.level != b'\0' else '',
+        )
+        if seen.get(status.name) != key:
+            seen[status.name] = key
+            now = time.monotonic()
+            level = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR'}[status.level]
+            print(
+                f'{now - began:6.1f} s {now - latest[1]:+5.1f} s after {latest[0]:<22} {level:5} '
+                f'{status.name.split(": ")[1]}: {status.message}',
+                flush=True,
+            )
+
+    client.on_status = on_status
+    with node('monitor', ros=('segmenter.declared_rate:=200.0',)):
+        publisher = client.publisher()
+        thread = threading.Thread(target=_play_faults, args=(publisher, latest), daemon=True)
+        thread.start()
+        while thread.is_alive():
+            client.spin(0.5)
+        client.spin(5.0)
+
+
+def _play_faults(publisher, latest: list) -> None:  # type: ignore[no-untyped-def,type-arg]
+    for name, batch in _fault_script():
+        latest[:] = [name, time.monotonic()]
+        if batch is None:
+            time.sleep(10.0)
+            continue
+        payloads = encode_imus(batch, 'cdr')
+        origin = int(batch.stamps_ns[0])
+        shift = time.time_ns() - origin
+        began = time.monotonic()
+        stamped = ImuBatch(batch.stamps_ns + shift, batch.samples, frame_id='imu')
+        payloads = encode_imus(stamped, 'cdr')
+        for payload, stamp in zip(payloads, batch.stamps_ns.tolist()):
+            wait = began + (stamp - origin) * 1e-9 - time.monotonic()
+            if wait > 0:
+                time.sleep(wait)
+            publisher.publish(bytes(payload))
+
+
+def _fault_script() -> Iterator[tuple[str, ImuBatch | None]]:
+    def imu(seconds: float, rate: float, seed: int) -> ImuBatch:
+        (batch,) = simulate_imu(seconds, rate, GYRO, ACCEL, seed=seed, start_ns=START_NS)
+        return batch
+
+    yield 'a healthy start', imu(120.0, 200.0, 1)
+    louder = imu(60.0, 200.0, 2)
+    louder.samples[:, 2] *= 1.5
+    yield 'gyro z noise x 1.5', louder
+    yield 'unplugged for 10 s', None
+    yield 'plugged in again', imu(40.0, 200.0, 3)
+    yield 'rate halved', imu(60.0, 100.0, 4)
+    stuck = imu(30.0, 100.0, 5)
+    stuck.samples[:, 4] = stuck.samples[0, 4]
+    yield 'accel y stuck', stuck
+    yield 'healthy again', imu(30.0, 100.0, 6)
+
+
+if __name__ == '__main__':
+    trials = {'identity': identity, 'kills': kills, 'faults': faults}
+    if sys.argv[1:2] and sys.argv[1] in trials:
+        trials[sys.argv[1]]()
+    else:
+        print(__doc__)

@@ -1,0 +1,144 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Values of core become statuses that say what is so, in which unit, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.compare import Comparison
+from allan_ros.core.findings import finding
+from allan_ros.core.fit.values import TERMS, AxisFit, Coefficient
+from allan_ros.core.health import Counts, StreamHealth
+from allan_ros.core.input_health import Reception
+from allan_ros.core.recent import Change
+from allan_ros.io.results import AxisResult
+from allan_ros.nodes.axis_diagnostics import AxisView, axis_status
+from allan_ros.nodes.diagnostics import InputView, input_status, key_values
+
+DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
+N = 0.2 * DEG_PER_SQRT_H
+NOT_SEEN = Coefficient(None, None, 1e-6, 'not_observable')
+
+
+@pytest.fixture(scope='module')
+def sums():
+    accumulator = ImuAccumulator()
+    noise = np.random.default_rng(0).normal(size=(5000, 6))
+    accumulator.update(ImuBatch(10**18 + np.arange(5000) * 5 * 10**6, noise, frame_id='imu'))
+    return accumulator.result().sums[0]
+
+
+def fit(**noise: Coefficient) -> AxisResult:
+    found = {term: noise.get(term, NOT_SEEN) for term in TERMS}
+    found['N'] = noise.get('N', Coefficient(N, (0.95 * N, 1.05 * N)))
+    return AxisResult(0.005, AxisFit(found))
+
+
+def status_of(sums, **changes) -> DiagnosticStatus:
+    view = AxisView('gyro_z', sums, fit(), 'gls', 3.0, '', (), 0.2, None, None)
+    return axis_status('node: imu gyro z', 'imu', replace(view, **changes))
+
+
+def values(status: DiagnosticStatus) -> dict[str, str]:
+    return {v.key: v.value for v in status.values}
+
+
+def test_the_coefficients_stand_in_both_unit_systems(sums):
+    status = status_of(sums)
+    told = values(status)
+    assert status.level == DiagnosticStatus.OK and status.hardware_id == 'imu'
+    assert status.message.startswith('N 0.2000 deg/sqrt(h), B < 0.206 deg/h')
+    assert status.message.endswith('from 25.0 s of evidence')
+    assert float(told['N [rad/s/sqrt(Hz)]']) == pytest.approx(N, rel=1e-3)
+    assert told['N [deg/sqrt(h)]'] == '0.2000'
+    assert told['N 95 % [deg/sqrt(h)]'] == '0.190..0.210'
+    assert told['N verdict'] == 'estimated' and told['K verdict'] == 'not observable'
+    assert told['B [deg/h]'] == '< 0.206'
+    assert told['evidence [s]'] == '24.995' and told['fit age [s]'] == '3'
+
+
+def test_before_a_fit_it_says_so(sums):
+    assert status_of(sums, result=None).message.startswith('no coefficients yet, from 25.0 s')
+    assert 'why' in status_of(sums, result=None, trouble='why').message
+
+
+def test_it_says_what_shows_next_and_when(sums):
+    almost = Coefficient(2e-5, None, 1e-4, 'not_observable')
+    status = status_of(sums, result=fit(B=almost))
+    assert 'B shows after about ' in status.message
+    assert values(status)['next coefficient'] in status.message
+    assert 'shows' not in status_of(sums, result=fit(B=almost), method='paper').message
+
+
+def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):
+    beyond = Comparison('ADIS', 'gyro_z', 'N', 0.1 * DEG_PER_SQRT_H, 'beyond')
+    within = Comparison('ADIS', 'gyro_z', 'B', 1.0, 'within')
+    status = status_of(sums, comparisons=(within, beyond))
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message.startswith(
+        'N is 0.2000 deg/sqrt(h) (0.190..0.210), above the 0.100 deg/sqrt(h) of ADIS by more than '
+        '20%; look for vibration'
+    )
+    assert values(status)['N against ADIS'] == 'beyond, limit 0.100 deg/sqrt(h)'
+    assert values(status)['B against ADIS'].startswith('within')
+    assert status_of(sums, comparisons=(within,)).level == DiagnosticStatus.OK
+
+
+def test_a_change_is_told_in_the_coefficient_that_rules_there(sums):
+    tau = 0.04
+    change = Change('gyro_z', 8, tau, N / tau**0.5, 1.5 * N / tau**0.5, (1.48, 1.52), 2400.0, 99.0)
+    status = status_of(sums, change=change)
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message.startswith(
+        'N rose from 0.200 to 0.300 deg/sqrt(h) 40.0 min ago (ratio 1.48..1.52)'
+    )
+    flicker = Coefficient(1.0, (0.9, 1.1))
+    assert (
+        'the deviation at 0.040 s rose from'
+        in status_of(sums, change=change, result=fit(B=flicker)).message
+    )
+
+
+def view(**changes) -> InputView:
+    health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'still', 200.0)
+    reception = Reception(received=9000)
+    given = InputView('/imu', health, reception, (), (), (), ('/driver',), 0.0, 'draining')
+    return replace(given, **changes)
+
+
+def test_the_input_is_told_by_its_gravest_finding():
+    silent = finding('input_silent', topic='/imu', seconds=3.2, publishers=1)
+    several = finding('several_publishers', topic='/imu', count=2, names='/a, /b')
+    status = input_status('node: imu input', 'imu', view(findings=(silent, several)))
+    assert status.level == DiagnosticStatus.ERROR
+    assert status.message.startswith('no message on /imu for 3.2 s')
+    assert status.message.endswith('(and 1 more)')
+    assert values(status)['finding: several_publishers'].startswith('2 publishers')
+
+
+def test_moving_is_ok_and_says_that_evidence_waits():
+    health = StreamHealth(Counts(), 'moving', 100.0)
+    status = input_status('node: imu input', 'imu', view(health=health))
+    assert status.level == DiagnosticStatus.OK
+    assert status.message == 'moving at 100 Hz: evidence waits, 0 s of evidence so far'
+
+
+def test_the_share_of_still_time_is_a_number():
+    assert values(input_status('n', 'i', view()))['share of still time'] == '0.8'
+    fresh = input_status('n', 'i', view(health=StreamHealth(Counts())))
+    assert values(fresh)['share of still time'] == 'unknown'
+
+
+def test_values_are_strings():
+    pairs = [('a', 1), ('b', 0.1234567), ('c', None), ('d', 'x'), ('e', float('nan'))]
+    assert [v.value for v in key_values(pairs)] == ['1', '0.123457', 'unknown', 'x', 'nan']
