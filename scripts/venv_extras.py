@@ -22,7 +22,7 @@ def main() -> None:
         and sys.platform == 'linux'
         and platform.machine() == 'x86_64'
     ):
-        extras.append(distro)
+        extras += [distro, 'consumers']
     else:
         print(
             f'no rclpy wheels for {platform.python_implementation()} '

@@ -1,0 +1,154 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The files in the hands of those who read them: OpenCV's FileStorage and GTSAM itself.
+
+Both come with the extra ``consumers``, which `make venv` installs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from allan_ros.core.fit import Coefficient
+from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.terms import NoiseTerms
+from allan_ros.io.exporters import make_export
+from allan_ros.io.results import Results
+
+RATE = 200.0
+N, K = 1e-3, 3e-3
+"""Of every axis in the test of GTSAM: such that K rules as much as N within five seconds."""
+
+OPENCV = {
+    'vins_fusion': {
+        'acc_n': 0.0282843,
+        'gyr_n': 0.0141421,
+        'acc_w': 4.24264e-4,
+        'gyr_w': 1.41421e-4,
+    },
+    'orb_slam3': {
+        'IMU.NoiseGyro': 1e-3,
+        'IMU.NoiseAcc': 2e-3,
+        'IMU.GyroWalk': 1e-5,
+        'IMU.AccWalk': 3e-5,
+        'IMU.Frequency': 200.0,
+    },
+    'openvins': {
+        'accelerometer_noise_density': 2e-3,
+        'accelerometer_random_walk': 3e-5,
+        'gyroscope_noise_density': 1e-3,
+        'gyroscope_random_walk': 1e-5,
+        'update_rate': 200.0,
+        'time_offset': 0.0,
+    },
+    # Kalibr itself reads YAML with PyYAML; OpenVINS reads the same keys with OpenCV.
+    'kalibr': {'accelerometer_noise_density': 2e-3, 'gyroscope_random_walk': 1e-5},
+}
+
+
+@pytest.fixture
+def opencv_node() -> Callable[[str, str], Any]:
+    """Return what opens a text with cv::FileStorage, below ``imu0`` for OpenVINS."""
+    cv2 = pytest.importorskip('cv2', reason='needs the extra "consumers"')
+    storages = []  # a node is nothing without the storage it is of
+
+    def node(text: str, name: str) -> Any:
+        signed = text if text.startswith('%YAML:1.0\n') else f'%YAML:1.0\n{text}'
+        storage = cv2.FileStorage(signed, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        assert storage.isOpened()
+        storages.append(storage)
+        return storage.getNode('imu0') if name == 'openvins' else storage.root()
+
+    return node
+
+
+@pytest.mark.parametrize('name', OPENCV)
+def test_opencv_reads_every_number_as_real(
+    known_results: Results, name: str, opencv_node: Callable[[str, str], Any]
+) -> None:
+    node = opencv_node(make_export(known_results, name).text, name)
+    for key, value in OPENCV[name].items():
+        assert node.getNode(key).isReal(), key
+        assert node.getNode(key).real() == pytest.approx(value, rel=2e-6)
+
+
+def test_opencv_reads_the_rest_of_openvins(
+    known_results: Results, opencv_node: Callable[[str, str], Any]
+) -> None:
+    imu = opencv_node(make_export(known_results, 'openvins').text, 'openvins')
+    assert imu.getNode('rostopic').string() == '/imu/data'
+    assert imu.getNode('model').string() == 'kalibr'
+    rows = imu.getNode('T_i_b')
+    read = [[rows.at(i).at(j).real() for j in range(4)] for i in range(4)]
+    assert read == np.eye(4).tolist()
+
+
+def test_opencv_reads_a_merged_file_with_its_matrices(
+    known_results: Results, opencv_node: Callable[[str, str], Any]
+) -> None:
+    mine = (
+        '%YAML:1.0\n---\n# mine\ngyr_n: 7.\nbody_T_cam0: !!opencv-matrix\n   rows: 1\n   cols: 2\n'
+        '   dt: d\n   data: [1., 2.]\n'
+    )
+    node = opencv_node(make_export(known_results, 'vins_fusion', existing=mine).text, 'vins_fusion')
+    assert node.getNode('gyr_n').real() == pytest.approx(0.0141421)
+    assert node.getNode('acc_w').real() == pytest.approx(4.24264e-4)
+    assert node.getNode('body_T_cam0').mat().tolist() == [[1.0, 2.0]]
+
+
+def gtsam_covariance(gtsam: Any, text: str, steps: int, dt: float) -> NDArray[np.float64]:
+    """Return what GTSAM expects of a still IMU: angle, position, velocity, accel and gyro bias."""
+    names: dict[str, Any] = {}
+    exec(text, names)
+    params = names['set_noise'](gtsam.PreintegrationCombinedParams.MakeSharedU(9.81))
+    params.setIntegrationCovariance(np.zeros((3, 3)))  # no error of the IMU
+    sums = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
+    for _ in range(steps):
+        sums.integrateMeasurement(np.array([0.0, 0.0, 9.81]), np.zeros(3), dt)
+    covariance: NDArray[np.float64] = np.diag(sums.preintMeasCov())
+    return covariance
+
+
+def runs_of(terms: NoiseTerms, runs: int, steps: int, seed: int) -> NDArray[np.float64]:
+    """Return samples of still IMUs, (runs, steps): each starts with a bias of zero."""
+    rng = np.random.default_rng(seed)
+    whole = simulate_axis(runs * steps + 1, 1.0 / RATE, terms, rng)
+    pieces = whole[1:].reshape(runs, steps)
+    return pieces - whole[:-1:steps, None] if terms.K else pieces
+
+
+def of_levels(results: Results, n: float, k: float) -> Results:
+    """Return results with these levels on every axis."""
+    noise = {'N': Coefficient(n), 'K': Coefficient(k)}
+    axes = {
+        axis: replace(result, fit=replace(result.fit, noise={**result.fit.noise, **noise}))
+        for axis, result in results.axes.items()
+    }
+    return replace(results, axes=axes)
+
+
+def test_gtsam_expects_the_growth_that_a_simulated_imu_shows(known_results: Results) -> None:
+    # 6000 runs give a variance to 1.8 %; that any of the five is off by 5 % has a chance of 3 %.
+    gtsam = pytest.importorskip('gtsam', reason='needs the extra "consumers"')
+    runs, steps, dt = 6000, 1000, 1.0 / RATE
+    text = make_export(of_levels(known_results, N, K), 'gtsam').text
+    expected = gtsam_covariance(gtsam, text, steps, dt)
+
+    bias = runs_of(NoiseTerms(K=K), runs, steps, seed=11)
+    samples = bias + runs_of(NoiseTerms(N=N), runs, steps, seed=12)
+    once = np.cumsum(samples * dt, axis=1)
+    twice = np.cumsum(once * dt, axis=1)
+    for place, shown in (
+        (2, once),  # angle about z, of the gyro
+        (5, twice),  # position along z, of the accelerometer
+        (8, once),  # velocity along z
+        (11, bias),  # bias of the accelerometer
+        (14, bias),  # bias of the gyro
+    ):
+        assert shown[:, -1].var() == pytest.approx(expected[place], rel=0.05), place
