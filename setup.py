@@ -65,7 +65,7 @@ setup(
             'opencv-python-headless>=4.5',
         ],
         # The tools are pinned, so that a lint that passes today passes next year.
-        'lint': ['mypy==2.4.1', 'ruff==0.17.5', 'types-PyYAML'],
+        'lint': ['mypy==2.4.1', 'ruff==0.17.5'],
         'test': ['allantools==2024.6', 'hypothesis>=6.100', 'pytest>=7', 'pytest-xdist>=3'],
     },
     zip_safe=True,
