@@ -1,0 +1,113 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Fisher bound: how well any unbiased estimator can know the coefficients of a record.
+
+    python bench/fisher.py table1_x table1_y table1_z
+
+The steps of the samples are a stationary Gaussian sequence, so the information of all samples is
+that of Whittle, 1/2 per frequency and pair of spectra. It errs at the lowest frequencies, where
+the record ends and the ramp is taken out: there the information of the phase at `BLOCKS` points,
+which is small enough to be computed exactly, takes the place of its Whittle approximation.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from bench_accuracy import SCENARIOS
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.linalg import toeplitz
+
+from allan_ros.core.fit.model import RANDOM_TERMS, phase_covariance
+
+Floats = NDArray[np.float64]
+
+BLOCKS = 1200
+"""Points of the phase that are treated exactly."""
+
+LAGS = 1 << 15
+"""Lags of the autocovariance that make a spectrum."""
+
+
+def bend_covariance(lags: int, step: int) -> Floats:
+    """Return the autocovariances of second differences of the phase over ``step``, (4, lags)."""
+    at = np.arange(-2.0, lags + 2.0) * step
+    fourth = np.convolve([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
+    rows = [np.convolve(g, fourth, mode='valid') for g in phase_covariance(at)]
+    if step == 1:
+        # Far off the difference of t^2 ln t / (2 pi) cancels: its expansion there.
+        t = np.arange(lags, dtype=float)
+        far = t > 60.0
+        rows[2][far] = -(2.0 / t[far] ** 2 + 2.0 / t[far] ** 4) / (2.0 * np.pi)
+    return np.stack(rows)
+
+
+def spectra(step: int) -> tuple[Floats, Floats]:
+    """Return frequencies and the spectra of those differences per unit power, (4, frequencies)."""
+    rows = bend_covariance(LAGS, step)
+    even = np.concatenate([rows, rows[:, -2:0:-1]], axis=1)
+    return np.arange(LAGS) / (2.0 * LAGS - 2.0), fft.rfft(even, axis=1).real
+
+
+def whittle(count: int, power: Floats, step: int) -> Floats:
+    """Return the information of ``count`` second differences, (4, 4)."""
+    known, rows = spectra(step)
+    f = np.arange(1, count // 2 + 1) / count
+    # Divided by sin the flicker spectrum is smooth enough to interpolate.
+    sine = 2.0 * np.sin(np.pi * known[1:])
+    s = np.stack([np.interp(f, known[1:], r[1:] / sine) * 2.0 * np.sin(np.pi * f) for r in rows])
+    if step == 1:
+        square = (2.0 * np.sin(np.pi * f)) ** 2
+        s[0], s[1], s[3] = square**2, square, 1.0
+    total = power @ s
+    return np.asarray((s / total) @ (s / total).T)
+
+
+def exact(count: int, power: Floats, step: int) -> tuple[Floats, float]:
+    """Return the information of block second differences, the ramp being free, and its sd."""
+    rows = bend_covariance(count, step)
+    inverse = np.linalg.inv(toeplitz(power @ rows))
+    ramp = inverse @ np.full(count, float(step) ** 2)
+    knowledge = float(ramp.sum() * step**2)
+    project = inverse - np.outer(ramp, ramp) / knowledge
+    parts = [project @ toeplitz(row) for row in rows]
+    information = [[0.5 * float(np.sum(a * b.T)) for b in parts] for a in parts]
+    return np.array(information), knowledge**-0.5
+
+
+def bound(samples: int, power: Floats) -> tuple[Floats, float]:
+    """Return the least standard deviations of the powers that are not 0, and of the ramp."""
+    step = samples // BLOCKS
+    low, ramp = exact(BLOCKS - 1, power, step)
+    information = whittle(samples - 1, power, 1) + low - whittle(BLOCKS - 1, power, step)
+    present = np.flatnonzero(power)
+    scale = power[present]
+    covariance = np.linalg.inv(information[np.ix_(present, present)] * np.outer(scale, scale))
+    out = np.full(len(power), np.nan)
+    out[present] = scale * np.sqrt(np.diag(covariance))
+    return out, ramp
+
+
+def main() -> None:
+    """Print the bound of the scenarios asked for, in percent of each coefficient."""
+    parser = argparse.ArgumentParser(description='Fisher bounds of the scenarios.')
+    parser.add_argument('scenarios', nargs='+', choices=sorted(SCENARIOS))
+    for name in parser.parse_args().scenarios:
+        scenario = SCENARIOS[name]
+        *squares, r = scenario.truth.in_sample_units(1.0 / scenario.rate)
+        power = np.array(squares)
+        powers, ramp = bound(round(scenario.rate * scenario.seconds), power)
+        cells = [
+            f'{term} {50.0 * sd / p:.3f} %'
+            for term, sd, p in zip(RANDOM_TERMS, powers, power)
+            if p > 0.0
+        ]
+        if r != 0.0:
+            cells.append(f'R {100.0 * ramp / abs(r):.1f} %')
+        print(name, *cells, sep='  ')
+
+
+if __name__ == '__main__':
+    main()
