@@ -209,6 +209,7 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'gof_z': _finite(fit.gof_z),
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
+        'sample_std': _finite(axis.sample_std),
         'gauss_markov': asdict(fit.gauss_markov) if fit.gauss_markov else None,
         'sinusoid': asdict(fit.sinusoid) if fit.sinusoid else None,
         'reading': [asdict(region) for region in axis.regions],
@@ -236,6 +237,7 @@ def _axis_from_document(fields: Fields) -> AxisResult:
             Region(r.number('tau_low'), r.number('tau_high'), r.text('term'), r.number('slope'))
             for r in fields.each('reading')
         ),
+        fields.optional_number('sample_std'),
     )
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, NoiseFit, fit_noise
 from ..core.fit.reading import Region, read_curve
 from ..core.health import Counts, Span
+from ..core.sample_variance import sample_variance
 from ..core.sums import AllanSums, ImuIdentity
 from ..core.terms import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
 from .recordings import SourceInfo
@@ -84,12 +86,15 @@ class AxisResult:
         None where only the coefficients were passed on.
     regions : tuple of Region
         Which noise rules in which range of tau.
+    sample_std : float or None
+        Standard deviation of the samples about their mean of up to a second, as measured.
     """
 
     tau0: float
     fit: AxisFit
     curve: AxisCurve | None = None
     regions: tuple[Region, ...] = ()
+    sample_std: float | None = None
 
     def part_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the deviation each of the five terms makes at factors m, (factors, 5), SI."""
@@ -195,6 +200,7 @@ def _axis_results(
 ) -> Iterable[tuple[str, AxisResult]]:
     for curve, fit in fitted:
         for i, name in enumerate(curve.axes):
+            variance = sample_variance(curve.m, curve.adev[:, i], fit.tau0)
             yield (
                 name,
                 AxisResult(
@@ -209,5 +215,6 @@ def _axis_results(
                         curve.ci_high[:, i],
                     ),
                     tuple(read_curve(curve, name, fit.axes[name])),
+                    None if variance is None else math.sqrt(variance),
                 ),
             )
