@@ -18,19 +18,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
+from .mcap_chunk import MESSAGE, MESSAGE_HEAD, RECORD, chunk_messages, records
 
 MAGIC = b'\x89MCAP0\r\n'
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+FOOTER, SCHEMA, CHANNEL, CHUNK = 0x02, 0x03, 0x04, 0x06
 CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
-RECORD = struct.Struct('<BQ')
-"""Opcode and length in front of every record."""
-MESSAGE_HEAD = struct.Struct('<HIQQ')
-"""Channel, sequence, log time, publish time."""
 CHUNK_HEAD = struct.Struct('<QQQI')
 """First and last log time, uncompressed size, CRC-32 (0: none)."""
+CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
+"""First and last log time, start and length of the chunk, bytes of the map that follows."""
 FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
 LOOSE_BYTES = 1 << 20
 """Messages outside of chunks are read in runs of about this many bytes."""
@@ -41,12 +38,16 @@ REMEDY = 'copy it again, or mend it with "mcap recover"'
 
 @dataclass(frozen=True, order=True)
 class Span:
-    """A stretch of the file that holds messages: a chunk record, or a run of loose messages."""
+    """A stretch of the file that holds messages: a chunk record, or a run of loose messages.
+
+    Behind a chunk lie ``index_length`` bytes of records that say where its messages begin.
+    """
 
     start_ns: int
     offset: int
     length: int
     is_chunk: bool
+    index_length: int = 0
 
 
 class McapStorage:
@@ -81,8 +82,8 @@ class McapStorage:
         in_order = InOrder()
         ends = [span.start_ns for span in self._spans[1:]] + [None]
         for span, until in zip(self._spans, ends):
-            data = self._data(span)
-            yield in_order.add(_uniform(data, ids) or _one_by_one(data, ids), until)
+            index = self._read(span.offset + span.length, span.index_length)
+            yield in_order.add(chunk_messages(self._data(span), ids, index), until)
 
     def _read(self, offset: int, length: int) -> bytes:
         self._file.seek(offset)
@@ -119,12 +120,10 @@ class McapStorage:
             return False
         data = self._read(start, end - start)
         has_counts = False
-        for opcode, at, stop in _records(data):
+        for opcode, at, stop in records(data):
             self._learn(opcode, data, at, stop)
             if opcode == CHUNK_INDEX:
-                first, _, offset, length = struct.unpack_from('<QQQQ', data, at)
-                head = RECORD.size
-                self._spans.append(Span(first, offset + head, length - head, True))
+                self._spans.append(_chunk_span(data, at))
             elif opcode == STATISTICS:
                 has_counts = True
                 (size,) = struct.unpack_from('<I', data, at + 42)
@@ -157,7 +156,7 @@ class McapStorage:
                 span = Span(first, start, length, True)
                 self._spans.append(span)
                 data = self._data(span)
-                for inner, inner_at, stop in _records(data):
+                for inner, inner_at, stop in records(data):
                     self._learn(inner, data, inner_at, stop, count=True)
             elif opcode == MESSAGE:
                 data = self._read(start, MESSAGE_HEAD.size)
@@ -198,53 +197,11 @@ class McapStorage:
             self._channels[number] = Topic(number, topic, normal_type(name), encoding, form, text)
 
 
-def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, first byte and end of each record."""
-    at, size = 0, len(data)
-    while at + RECORD.size <= size:
-        opcode, length = RECORD.unpack_from(data, at)
-        start = at + RECORD.size
-        at = start + length
-        if at > size:
-            raise struct.error('a record is longer than what holds it')
-        yield opcode, start, at
-
-
-def _uniform(data: bytes, ids: set[int]) -> Block | None:
-    """Take the messages of a chunk as one array, if behind its first all are of one length."""
-    found = next((record for record in _records(data) if record[0] == MESSAGE), None)
-    if found is None:
-        return None
-    _, start, end = found
-    first, length = start - RECORD.size, end - start
-    dtype = np.dtype(
-        [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
-        + [('log_time', '<i8'), ('publish_time', '<u8')]
-        + [('payload', np.void, length - MESSAGE_HEAD.size)]
-    )
-    if (len(data) - first) % dtype.itemsize or length == MESSAGE_HEAD.size:
-        return None
-    records = np.frombuffer(data, dtype, offset=first)
-    if (records['opcode'] != MESSAGE).any() or (records['length'] != length).any():
-        return None
-    mine = np.isin(records['channel'], list(ids))
-    if not mine.all():
-        records = records[mine]
-    return Block(records['log_time'].astype(np.int64), records['payload'])
-
-
-def _one_by_one(data: bytes, ids: set[int]) -> Block:
-    """Take the messages of a chunk, whatever their lengths."""
-    view = memoryview(data)
-    times: list[int] = []
-    payloads: list[bytes | memoryview] = []
-    for opcode, start, end in _records(data):
-        if opcode == MESSAGE:
-            channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(data, start)
-            if channel in ids:
-                times.append(log_time)
-                payloads.append(view[start + MESSAGE_HEAD.size : end])
-    return Block(np.array(times, dtype=np.int64), payloads)
+def _chunk_span(data: bytes, at: int) -> Span:
+    """Return the chunk that a ChunkIndex record speaks of."""
+    first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
+    (index_length,) = struct.unpack_from('<Q', data, at + CHUNK_INDEX_HEAD.size + map_bytes)
+    return Span(first, offset + RECORD.size, length - RECORD.size, True, index_length)
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
@@ -15,7 +15,18 @@ import numpy as np
 from .bag_storage import Block, Cut, Topic, damaged, normal_type, translated
 
 ROWS = 8192
-"""Rows fetched at a time: a few MB."""
+"""Most rows fetched at a time: a few MB."""
+FIRST_ROWS = 64
+"""Rows of the first batch, when nothing is known of their size."""
+BATCH_BYTES = 1 << 22
+"""Batches are of about this many bytes."""
+_USUAL_TABLE = """
+SELECT 1 FROM pragma_table_info('messages') AS field, pragma_index_list('messages') AS list,
+pragma_index_info(list.name) AS part
+WHERE field.name = 'id' AND field.pk = 1 AND upper(field.type) = 'INTEGER'
+AND NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
+"""
+"""Has a row where ids are row numbers and there is an index of the record times."""
 _LIBRARY_ERRORS = (sqlite3.Error, OverflowError, ValueError, TypeError)
 """What reading raises on a damaged database: SQLite's own, and cells of another type."""
 REMEDY = 'copy it again, or mend it with "sqlite3 FILE .recover"'
@@ -26,9 +37,10 @@ class Sqlite3Storage:
 
     cut: Cut | None = None
 
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, is_settled: bool) -> None:
         self._path = path
         self._connection = connection
+        self._is_settled = is_settled
         self.topics = self._read_topics()
 
     def _read_topics(self) -> list[Topic]:
@@ -58,21 +70,87 @@ class Sqlite3Storage:
 
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
-        marks = ', '.join('?' * len(ids))
-        sql = (
-            f'SELECT timestamp, data FROM messages WHERE topic_id IN ({marks}) '
-            'ORDER BY timestamp, id'
-        )
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
-            rows = self._query(sql, *ids)
-            while batch := rows.fetchmany(ROWS):
-                times, payloads = zip(*batch)
-                if set(map(type, payloads)) != {bytes}:
-                    raise ValueError('a message is no BLOB')
-                yield Block(np.array(times, dtype=np.int64), list(payloads))
+            yield from self._blocks(ids)
+
+    def _blocks(self, ids: set[int]) -> Iterator[Block]:
+        first, last = next(self._query('SELECT min(id), max(id) FROM messages'))
+        if first is None:
+            return
+        done = first - 1
+        if self._can_batch():
+            done = yield from self._batches(ids, done, last)
+        if done < last:
+            # the plus keeps SQLite from sorting the whole file: it shall go by the time index
+            yield from self._rows(ids, '+id > ? ORDER BY timestamp, id', done)
+
+    def _can_batch(self) -> bool:
+        """Return whether messages can be fetched many at a time: the usual file of a recorder."""
+        ((encoding,),) = self._query('PRAGMA encoding')
+        return encoding == 'UTF-8' and self._is_settled and bool(list(self._query(_USUAL_TABLE)))
+
+    def _batches(self, ids: set[int], done: int, last: int) -> Generator[Block, None, int]:
+        """Yield messages by ranges of ids while their order is that of time.
+
+        Returns
+        -------
+        int
+            The id up to which all messages have been yielded, in order.
+        """
+        joined = (
+            "SELECT max(length(data)), CAST(group_concat(data, '') AS BLOB), "
+            f'group_concat(timestamp) FROM messages WHERE id > ? AND id <= ? AND {_topics(ids)}'
+        )
+        earlier = (
+            'SELECT 1 FROM messages WHERE timestamp >= ? AND timestamp < ? AND +id > ? '
+            f'AND {_topics(ids)} LIMIT 1'
+        )
+        rows, start_ns = FIRST_ROWS, -(2**63)
+        while done < last:
+            until = done + rows
+            longest, data, stamps = next(self._query(joined, done, until))
+            if longest is None:
+                ((following,),) = self._query('SELECT min(id) FROM messages WHERE id > ?', until)
+                done = last if following is None else following - 1
+                continue
+            alike = _equal_block(longest, data, stamps)
+            range_of_ids = 'id > ? AND id <= ? ORDER BY +timestamp, id'
+            blocks = [alike] if alike else list(self._rows(ids, range_of_ids, done, until))
+            end_ns = int(blocks[-1].record_ns[-1])
+            if list(self._query(earlier, start_ns, end_ns, until)):
+                return done  # a later row was recorded earlier
+            yield from blocks
+            done, start_ns = until, end_ns
+            rows = max(1, min(ROWS, BATCH_BYTES // max(longest, 1)))
+        return last
+
+    def _rows(self, ids: set[int], which: str, *values: int) -> Iterator[Block]:
+        """Yield messages row by row."""
+        sql = f'SELECT timestamp, data FROM messages WHERE {_topics(ids)} AND {which}'
+        rows = self._query(sql, *values)
+        while batch := rows.fetchmany(ROWS):
+            times, payloads = zip(*batch)
+            if set(map(type, payloads)) != {bytes}:
+                raise ValueError('a message is no BLOB')
+            yield Block(np.array(times, dtype=np.int64), list(payloads))
 
     def _query(self, sql: str, *values: int) -> sqlite3.Cursor:
         return self._connection.execute(sql, values)
+
+
+def _topics(ids: set[int]) -> str:
+    return f'topic_id IN ({", ".join(str(int(number)) for number in sorted(ids))})'
+
+
+def _equal_block(length: int, data: bytes, stamps: str) -> Block | None:
+    """Return joined messages as a block, or None when they differ in length or are in disorder.
+
+    SQLite joins in whatever order it likes, but all columns in the same one.
+    """
+    times = np.fromstring(stamps, np.int64, sep=',')
+    if not length or len(data) != length * len(times) or (times[1:] < times[:-1]).any():
+        return None
+    return Block(times, np.frombuffer(data, np.dtype((np.void, length))))
 
 
 @contextmanager
@@ -89,10 +167,11 @@ def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     # A write-ahead log beside it holds the last messages of a recorder that was killed. Without
     # one the file is taken as it stands, which works on read-only media too.
     log = path.with_name(path.name + '-wal')
-    how = 'mode=ro' if log.exists() and log.stat().st_size else 'immutable=1'
+    is_settled = not (log.exists() and log.stat().st_size)
+    how = 'immutable=1' if is_settled else 'mode=ro'
     with translated(shown, _LIBRARY_ERRORS, REMEDY):
         connection = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{how}', uri=True)
     with closing(connection):
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
-            storage = Sqlite3Storage(shown, connection)
+            storage = Sqlite3Storage(shown, connection, is_settled)
         yield storage

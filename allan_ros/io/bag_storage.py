@@ -133,6 +133,20 @@ def decompress(data: bytes, compression: str) -> bytes:
     raise ValueError(f'compression {compression!r} is not known')
 
 
+def decompress_all(
+    messages: list[bytes | memoryview], compression: str
+) -> list[bytes | memoryview] | None:
+    """Return messages that were compressed one by one, or None if they are not all plain sailing.
+
+    Then `decompress` tells of each.
+    """
+    reused = _reused_zstd() if compression == 'zstd' else None
+    if reused:
+        with suppress(reused.error):  # one is damaged, or does not state its size
+            return list(map(reused.decompress, messages))
+    return None
+
+
 def frame_compression(head: bytes | memoryview) -> str:
     """Tell by its first bytes how a whole file or message is compressed; '' if it is not."""
     start = bytes(head[:4])
@@ -166,7 +180,7 @@ def _translated(error_type: type[Exception], function: Any, data: bytes) -> byte
 
 
 class _ReusedZstd(NamedTuple):
-    decompress: Callable[[bytes], bytes]
+    decompress: Callable[[bytes | memoryview], bytes]
     error: type[Exception]
 
 
@@ -208,16 +222,29 @@ class InOrder:
         in_order = bool((times[1:] >= times[:-1]).all())
         if in_order and not self._held and (until is None or not len(times) or times[-1] < until):
             return block
-        payloads = [one for part in (*self._held, block) for one in as_list(part.payloads)]
+        payloads = _joined([part.payloads for part in (*self._held, block)])
         if not in_order:
             order = np.argsort(times, kind='stable')
             times = times[order]
-            payloads = [payloads[row] for row in order.tolist()]
+            payloads = (
+                [payloads[row] for row in order.tolist()]
+                if isinstance(payloads, list)
+                else payloads[order]
+            )
         ready = len(times) if until is None else int(np.searchsorted(times, until))
         self._held = [Block(times[ready:], payloads[ready:])] if ready < len(times) else []
         return Block(times[:ready], payloads[:ready])
 
 
+def _joined(parts: list[Payloads]) -> Payloads:
+    """Return the messages of all parts, as one array where all have the same length."""
+    arrays = [part for part in parts if isinstance(part, np.ndarray) and len(part)]
+    of_one_length = len({array.itemsize for array in arrays}) == 1
+    if of_one_length and sum(map(len, arrays)) == sum(map(len, parts)):
+        return np.concatenate(arrays)
+    return [one for part in parts for one in as_list(part)]
+
+
 def as_list(payloads: Payloads) -> list[bytes | memoryview]:
     """Return the messages one by one."""
-    return payloads if isinstance(payloads, list) else [one.tobytes() for one in payloads]
+    return payloads if isinstance(payloads, list) else payloads.tolist()

@@ -16,7 +16,16 @@ from ..core.batch import ImuBatch
 from ..core.errors import AllanError
 from ..core.findings import finding
 from .bag_folder import BagFiles, bag_files, open_storage
-from .bag_storage import Block, Cut, Payloads, Topic, as_list, decompress, frame_compression
+from .bag_storage import (
+    Block,
+    Cut,
+    Payloads,
+    Topic,
+    as_list,
+    decompress,
+    decompress_all,
+    frame_compression,
+)
 from .imu_cdr import DecodedImus, MalformedMessage, decode_imus
 from .imu_fields import IMU_TYPE, imu_fields, is_unknown, nested_decoder
 from .recordings import BATCH, ReadOptions, Recording, Report, SourceInfo
@@ -269,8 +278,11 @@ def _plain(payloads: Payloads) -> Payloads:
     compression = frame_compression(bytes(payloads[0]))
     if not compression:
         return payloads
+    packed = as_list(payloads)
+    if all_plain := decompress_all(packed, compression):
+        return all_plain
     plain: list[bytes | memoryview] = []
-    for index, payload in enumerate(as_list(payloads)):
+    for index, payload in enumerate(packed):
         try:
             plain.append(decompress(bytes(payload), compression))
         except ValueError as error:

@@ -21,9 +21,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.batch import AXES, ImuBatch
+from ..core.batch import AXES, SENSORS, ImuBatch
 
 Encoding = Literal['cdr', 'ros1']
+
+Rows = slice | NDArray[np.intp]
+"""Places of messages in their batch; a slice where they are all of it."""
 
 NANOSECONDS = 10**9
 ABSENT = -1.0
@@ -130,49 +133,64 @@ def decode_imus(
     """
     n = len(payloads)
     decoded = DecodedImus(
-        np.empty(n, np.int64), np.empty((n, len(AXES))), [], np.zeros(n, dtype=np.intp)
+        np.empty(n, np.int64), np.empty((len(AXES), n)).T, [], np.zeros(n, dtype=np.intp)
     )
     if isinstance(payloads, np.ndarray):
-        every = np.arange(n, dtype=np.intp)
-        _decode_equal(payloads.tobytes(), payloads.itemsize, encoding, every, decoded)
+        _decode_equal(payloads, encoding, slice(0, n), decoded)
         return decoded
     lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
         same = payloads if len(rows) == n else [payloads[row] for row in rows.tolist()]
-        _decode_equal(b''.join(same), int(length), encoding, rows, decoded)
+        if not length:
+            raise _too_few(int(rows[0]), 0)
+        joined = np.frombuffer(b''.join(same), np.dtype((np.void, int(length))))
+        _decode_equal(joined, encoding, slice(0, n) if len(rows) == n else rows, decoded)
     return decoded
 
 
+def _too_few(index: int, length: int) -> MalformedMessage:
+    return MalformedMessage(index, f'{length} bytes are too few for an Imu')
+
+
 def _decode_equal(
-    joined: bytes, length: int, encoding: Encoding, rows: NDArray[np.intp], into: DecodedImus
+    payloads: NDArray[np.void], encoding: Encoding, rows: Rows, into: DecodedImus
 ) -> None:
     """Decode payloads of one length; those of another byte order or frame length apart."""
+    length = payloads.itemsize
     if length < imu_dtype(encoding, '<', 0).itemsize:
-        raise MalformedMessage(int(rows[0]), f'{length} bytes are too few for an Imu')
-    head = np.frombuffer(joined, imu_dtype(encoding, '<', 0, length))
+        raise _too_few(_first(rows), length)
+    head = payloads.view(imu_dtype(encoding, '<', 0, length))
     # What decides the layout, as one integer: the byte order and the raw length field.
     kind = head['frame_bytes'].astype(np.int64)
     if encoding == 'cdr':
-        kind += (head['encapsulation'][:, 0].astype(np.int64) << 40) + (
-            head['encapsulation'][:, 1].astype(np.int64) << 32
-        )
+        representation = head['encapsulation'][:, :2].copy().view('>u2')[:, 0]
+        kind += representation.astype(np.int64) << 32
+    if (kind == kind[:1]).all():
+        _decode_alike(payloads, int(kind[0]), encoding, rows, into)
+        return
+    places = np.arange(len(into.frames))[rows]
     for value in np.unique(kind):
         chosen = kind == value
-        if chosen.all():
-            part, part_rows = joined, rows
-        else:
-            raw = np.frombuffer(joined, np.dtype((np.void, length)))
-            part, part_rows = raw[chosen].tobytes(), rows[chosen]
-        first = int(part_rows[0])
-        order, frame_bytes = _order_and_frame_bytes(int(value), encoding, first)
-        try:
-            dtype = imu_dtype(encoding, order, frame_bytes, length)
-        except (ValueError, OverflowError) as error:
-            raise MalformedMessage(
-                first, f'its frame_id of {frame_bytes} bytes does not fit {length} bytes'
-            ) from error
-        _fill(np.frombuffer(part, dtype), encoding, part_rows, into)
+        _decode_alike(payloads[chosen], int(value), encoding, places[chosen], into)
+
+
+def _decode_alike(
+    payloads: NDArray[np.void], kind: int, encoding: Encoding, rows: Rows, into: DecodedImus
+) -> None:
+    """Decode payloads of one layout."""
+    order, frame_bytes = _order_and_frame_bytes(kind, encoding, _first(rows))
+    try:
+        dtype = imu_dtype(encoding, order, frame_bytes, payloads.itemsize)
+    except (ValueError, OverflowError) as error:
+        reason = f'its frame_id of {frame_bytes} bytes does not fit {payloads.itemsize} bytes'
+        raise MalformedMessage(_first(rows), reason) from error
+    _fill(payloads.view(dtype), encoding, rows, into)
+
+
+def _first(rows: Rows) -> int:
+    """Return the place of the first message of some rows."""
+    return int(rows.start if isinstance(rows, slice) else rows[0])
 
 
 def _order_and_frame_bytes(kind: int, encoding: Encoding, index: int) -> tuple[str, int]:
@@ -187,30 +205,31 @@ def _order_and_frame_bytes(kind: int, encoding: Encoding, index: int) -> tuple[s
     raise MalformedMessage(index, f'its encapsulation {representation:#06x} is not plain CDR')
 
 
-def _fill(
-    records: NDArray[Any], encoding: Encoding, rows: NDArray[np.intp], into: DecodedImus
-) -> None:
+def _fill(records: NDArray[Any], encoding: Encoding, rows: Rows, into: DecodedImus) -> None:
     """Write the records of one layout to their rows."""
     into.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
-    samples = np.concatenate([records['gyro'], records['accel']], axis=1)
-    samples = samples.astype(np.float64, copy=False)
-    for name, axes in (('gyro', slice(0, 3)), ('accel', slice(3, 6))):
+    for name, axes in SENSORS.items():
+        for i, axis in enumerate(range(len(AXES))[axes]):
+            into.samples[rows, axis] = records[name][:, i]
         first = records[f'{name}_covariance'][:, 0]
-        absent = (first == ABSENT) | np.isnan(first)
-        if absent.any():
-            samples[absent, axes] = np.nan
-    into.samples[rows] = samples
+        if not (first >= 0.0).all():
+            absent = (first == ABSENT) | np.isnan(first)
+            into.samples[np.arange(len(into.frames))[rows][absent], axes] = np.nan
 
-    names = records['frame_id']
-    distinct, which = names[:1], np.zeros(len(rows), dtype=np.intp)
-    if (names != names[0]).any():
+    names = records['frame_id'].copy()
+    distinct, which = names[:1], np.zeros(len(records), dtype=np.intp)
+    size, flat = names.shape[1], names.ravel()
+    if (flat[size:] != flat[: flat.size - size]).any():
         distinct, which = np.unique(names, axis=0, return_inverse=True)
         which = which.reshape(-1)  # numpy 2.0 returned it as a column
-    for code, name in enumerate(distinct):
-        text = name.tobytes().rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+    texts = [
+        name.tobytes().rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+        for name in distinct
+    ]
+    for text in texts:
         if text not in into.frame_ids:
             into.frame_ids.append(text)
-        into.frames[rows[which == code]] = into.frame_ids.index(text)
+    into.frames[rows] = np.array([into.frame_ids.index(text) for text in texts])[which]
 
 
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
@@ -229,7 +248,7 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
     records['frame_id'] = np.array(list(frame), dtype=np.uint8)
     records['orientation'][:, 3] = 1.0
     records['orientation_covariance'][:, 0] = ABSENT
-    for name, axes in (('gyro', slice(0, 3)), ('accel', slice(3, 6))):
+    for name, axes in SENSORS.items():
         values = batch.samples[:, axes]
         absent = np.asarray(np.isnan(values).all(axis=1))
         records[name] = np.where(absent[:, None], 0.0, values)
