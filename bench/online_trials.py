@@ -35,6 +35,8 @@ from allan_ros.io.writing import write_recording
 
 GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
 START_NS = 10**18
+SCRIPT_S = 350.0
+"""Length of the fault script in s."""
 
 
 def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
@@ -74,8 +76,12 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
             )
 
 
-def kills(count: int = 20, speed: float = 20.0, rate: float = 200.0) -> None:
+def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
     """Kill the accumulator again and again while a bag plays, and account for every sample."""
+    # reliable, but the player must not wait for the acknowledgements of the dead
+    forgetful = [
+        f'qos_overrides./imu/data.publisher.{p}' for p in ('history:=keep_last', 'depth:=5000')
+    ]
     rng = random.Random(4)
     pauses = [rng.uniform(3.0, 6.0) for _ in range(count)]
     length_s = (sum(pauses) + 4.0 * count + 10.0) * speed
@@ -83,9 +89,9 @@ def kills(count: int = 20, speed: float = 20.0, rate: float = 200.0) -> None:
         bag, checkpoint = Path(folder) / 'bag', Path(folder) / 'sums.json'
         batches = list(simulate_imu(length_s, rate, GYRO, ACCEL, start_ns=START_NS))
         write_recording(bag, batches)
-        ros = (f'checkpoint.path:={checkpoint}', 'checkpoint.period:=0.5')
+        ros = (RELIABLE[0], f'checkpoint.path:={checkpoint}', 'checkpoint.period:=0.5')
         accumulator = start('accumulator', ros=ros)
-        with node('player', str(bag), '--rate', str(speed)) as player:
+        with node('player', str(bag), '--rate', str(speed), ros=forgetful) as player:
             print(f'{"kill":>4} {"after":>7} {"samples in the checkpoint":>26}')
             for number, pause in enumerate(pauses, 1):
                 time.sleep(pause + 2.0)
@@ -160,40 +166,40 @@ def faults() -> None:
 
 
 def _play_faults(publisher, latest: list) -> None:  # type: ignore[no-untyped-def,type-arg]
-    for name, batch in _fault_script():
+    """Publish each sample when it is due, and note when each part of the script begins."""
+    batches = list(simulate_imu(SCRIPT_S, 200.0, GYRO, ACCEL, start_ns=time.time_ns()))
+    batch = ImuBatch(
+        np.concatenate([b.stamps_ns for b in batches]), np.concatenate([b.samples for b in batches])
+    )
+    began, origin = time.monotonic(), int(batch.stamps_ns[0])
+    for name, samples in _fault_script(batch):
         latest[:] = [name, time.monotonic()]
-        if batch is None:
-            time.sleep(10.0)
-            continue
-        payloads = encode_imus(batch, 'cdr')
-        origin = int(batch.stamps_ns[0])
-        shift = time.time_ns() - origin
-        began = time.monotonic()
-        stamped = ImuBatch(batch.stamps_ns + shift, batch.samples, frame_id='imu')
-        payloads = encode_imus(stamped, 'cdr')
-        for payload, stamp in zip(payloads, batch.stamps_ns.tolist()):
+        for payload, stamp in zip(encode_imus(samples, 'cdr'), samples.stamps_ns.tolist()):
             wait = began + (stamp - origin) * 1e-9 - time.monotonic()
             if wait > 0:
                 time.sleep(wait)
             publisher.publish(bytes(payload))
 
 
-def _fault_script() -> Iterator[tuple[str, ImuBatch | None]]:
-    def imu(seconds: float, rate: float, seed: int) -> ImuBatch:
-        (batch,) = simulate_imu(seconds, rate, GYRO, ACCEL, seed=seed, start_ns=START_NS)
-        return batch
+def _fault_script(batch: ImuBatch) -> Iterator[tuple[str, ImuBatch]]:
+    """Yield the parts of one recording at 200 Hz, with a fault in each but the first and last."""
 
-    yield 'a healthy start', imu(120.0, 200.0, 1)
-    louder = imu(60.0, 200.0, 2)
-    louder.samples[:, 2] *= 1.5
+    def part(start_s: float, stop_s: float, step: int = 1) -> ImuBatch:
+        return batch[round(start_s * 200) : round(stop_s * 200) : step]
+
+    yield 'a healthy start', part(0, 120)
+    louder = part(120, 180)
+    mean = louder.samples[:, 2].mean()
+    louder.samples[:, 2] = mean + 1.5 * (louder.samples[:, 2] - mean)
     yield 'gyro z noise x 1.5', louder
-    yield 'unplugged for 10 s', None
-    yield 'plugged in again', imu(40.0, 200.0, 3)
-    yield 'rate halved', imu(60.0, 100.0, 4)
-    stuck = imu(30.0, 100.0, 5)
+    yield 'unplugged for 10 s', part(180, 180)
+    time.sleep(10.0)
+    yield 'plugged in again', part(190, 230)
+    yield 'rate halved', part(230, 290, 2)
+    stuck = part(290, 320, 2)
     stuck.samples[:, 4] = stuck.samples[0, 4]
     yield 'accel y stuck', stuck
-    yield 'healthy again', imu(30.0, 100.0, 6)
+    yield 'healthy again', part(320, SCRIPT_S, 2)
 
 
 if __name__ == '__main__':

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tool on an IMU whose noise is known: simulate, analyse, show found against true.
+"""The tool on an IMU whose noise is known: simulate, analyse, show found against true, watch live.
 
 usage: demo.py FOLDER [--hours H]
 
@@ -15,7 +15,10 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
+
+from demo_online import play
 
 from allan_ros.cli.main import main as allan
 from allan_ros.core.fit import TERMS, Coefficient
@@ -49,7 +52,10 @@ def main() -> int:
         print(f'({time.monotonic() - began:.1f} s)\n', flush=True)
     results = results_from_document(read_json(args.folder / 'results.json'))
     print('\n'.join(comparison(results, read_noise(truth_path(bag)))))
-    return 0
+    if find_spec('rclpy') is None:
+        print('\nno rclpy here: the nodes are left out (it is there inside ROS, or by `make venv`)')
+        return 0
+    return play(bag, args.folder, 'adis16475-3')
 
 
 def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:

@@ -79,8 +79,10 @@ def row(status: DiagnosticStatus, age_s: float) -> Row:
         keys = [k for k in values if k in {f'{term} [{unit}]' for unit in DATASHEET_UNITS}]
         unit = keys[0].split(' ', 1)[1].strip('[]') if keys else ''
         terms.append(f'{values[keys[0]]} {unit}' if keys and values[keys[0]] != '-' else '')
-    name = status.name.split(': ', 1)[-1]
-    return LEVEL_WORDS[level][0], name, terms[0], terms[1], terms[2], status.message
+    name, message = status.name.split(': ', 1)[-1], status.message
+    if level == DiagnosticStatus.OK and any(terms):
+        message = message.partition(' from ')[2]  # what comes before stands in the columns
+    return LEVEL_WORDS[level][0], name, terms[0], terms[1], terms[2], message
 
 
 def _display(plain: bool) -> tuple[Callable[[list[Row]], None], Callable[[], None]]:

@@ -1,0 +1,104 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes on a recording: play it into allan_monitor over DDS, watch /diagnostics live.
+
+The bag is played as fast as the monitor takes it, so hours pass in a minute; at the end the sums of
+the monitor are compared with those of the offline analysis.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+RELIABLE = [
+    *('-p', 'qos_overrides./imu/data.subscription.reliability:=reliable'),
+    *('-p', 'qos_overrides./imu/data.subscription.history:=keep_all'),
+]
+"""With these a full queue makes the player wait, so that nothing is lost at any speed."""
+
+PATIENCE_S = 300.0
+
+
+def play(bag: Path, folder: Path, sensor: str) -> int:
+    """Play the bag into a monitor and return 0 when the sums are those of ``sums.json``."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'  # what runs here stays here
+    checkpoint = folder / 'online_sums.json'
+    checkpoint.unlink(missing_ok=True)
+    parameters = {
+        'checkpoint.path': checkpoint,
+        'estimator.sensor': sensor,
+        'publish.sums_period': 2.0,
+        'input.stale_after': 3600.0,  # the end of a recording is no fault
+        # while hours are squeezed into a minute, "lately" has another meaning
+        'estimator.recent_window': 604800.0,
+    }
+    given = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]
+    print(f'$ ros2 run allan_ros allan_monitor   # and: allan_player {bag} --rate 0; allan_watch')
+    monitor = _start('monitor', '--ros-args', *RELIABLE, *given)
+    watch = _start('watch')
+    player = _start('player', str(bag), '--rate', '0')
+    began = time.monotonic()
+    try:
+        if player.wait():
+            return 1
+        took = time.monotonic() - began
+        _fit()
+        time.sleep(2.0)  # for the watcher to show the last coefficients
+    finally:
+        for process in (watch, player, monitor):
+            if process.poll() is None:
+                process.terminate()
+            process.wait()
+    online, offline = (
+        json.loads(path.read_text())['sums'] for path in (checkpoint, folder / 'sums.json')
+    )
+    verdict = 'identical to' if online == offline else 'NOT those of'
+    print(f'\nplayed in {took:.0f} s; the sums of the monitor are {verdict} the offline analysis')
+    return int(online != offline)
+
+
+def _start(name: str, *arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, '-m', f'allan_ros.nodes.{name}', *arguments])
+
+
+def _fit() -> None:
+    """Let the monitor take what has come, fit it, and wait for the noise model."""
+    import rclpy
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    from allan_ros.nodes.qos import LATCHED
+
+    rclpy.init()
+    node = rclpy.create_node('demo')
+    deadline = time.monotonic() + PATIENCE_S
+
+    def call(service: str) -> Any:
+        client = node.create_client(Trigger, f'/allan_monitor/{service}')
+        if not client.wait_for_service(PATIENCE_S):
+            raise TimeoutError(service)
+        future = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE_S)
+        return future.result()
+
+    saved = call('save')
+    while not call('fit').success and time.monotonic() < deadline:
+        time.sleep(0.5)  # another fit is under way
+    samples = int(saved.message.rsplit(': ', 1)[1].split()[0])
+    models: list[int] = []
+    node.create_subscription(
+        String,
+        '/allan_monitor/noise_model',
+        lambda message: models.append(json.loads(message.data)['samples']),
+        LATCHED,
+    )
+    while samples not in models and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.5)
+    node.destroy_node()
+    rclpy.shutdown()
