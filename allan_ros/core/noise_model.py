@@ -6,8 +6,7 @@ N and K are continuous-time densities: the roots of two-sided power spectral den
 that steps at f Hz sees them as discrete noise. Over one step of 1/f seconds white noise must add
 N^2/f to the variance of its integral, and a random walk K^2/f to the variance of the bias
 (N. Trawny, S. I. Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of
-Minnesota, 2005). Which number does that depends on what the filter multiplies it by, hence these
-four:
+Minnesota, 2005, eqs. 129, 130). Which number does that depends on what the filter multiplies it by:
 
 =====================  ==============  =======================================================
 the filter multiplies  write           by

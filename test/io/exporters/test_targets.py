@@ -282,6 +282,11 @@ def test_no_character_of_a_path_leaves_the_comment(known_results: Results, name:
     assert numbers(known, name).keys() == numbers(known_results, name).keys()
 
 
+def test_the_manual_tells_of_every_target(repository: Path) -> None:
+    manual = (repository / 'docs' / 'filters.md').read_text(encoding='utf-8')
+    assert [name for name in TARGETS if f'| `{name}` |' not in manual] == []
+
+
 def test_the_filter_rate_takes_the_place_of_the_recordings(known_results: Results) -> None:
     assert numbers(known_results, 'vins_fusion', filter_rate=400.0)['gyr_n'] == near(0.02)
     assert numbers(known_results, 'px4', filter_rate=400.0)['EKF2_GYR_NOISE'] == near(0.02)
