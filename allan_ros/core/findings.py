@@ -322,6 +322,45 @@ _word(
     'writing is tried again at every period',
 )
 
+# --- the relay: what the messages passed on lack -------------------------------------------------
+_word(
+    'relay_without_model',
+    'warning',
+    'there is no noise model on {topic} yet: messages are {done}',
+    'start allan_estimator, or remap noise_model to its topic; a minute at rest shows N',
+)
+_word(
+    'relay_model_unreadable',
+    'warning',
+    'a noise model on {topic} cannot be read: {reason}',
+    'let allan_estimator or allan_monitor of this version publish it',
+)
+_word(
+    'relay_nothing_to_fill',
+    'warning',
+    'the noise model knows no variance of the {sensor}, whose covariance stays as it is',
+    'let the IMU rest for longer, and fit by method gls',
+)
+_word(
+    'relay_other_frame',
+    'warning',
+    '{count} messages have frame_id "{found}", the noise model is of "{expected}"; they were '
+    'passed on as they are',
+    'relay the topic that is measured; axes that were turned have other variances',
+)
+_word(
+    'relay_malformed',
+    'warning',
+    '{count} messages are no Imu and were passed on as they are; the last: {reason}',
+    'look at what publishes on {topic}',
+)
+_word(
+    'relay_unpublished',
+    'warning',
+    '{count} messages could not be published',
+    'look for a reliable subscriber that has stopped reading',
+)
+
 # --- the recording: what the readers could not read to the end -----------------------------------
 _word(
     'table_cut',

@@ -158,11 +158,60 @@ class EstimatorSettings:
     )
 
 
+@dataclass(frozen=True)
+class RelaySettings:
+    """What the relayed Imu messages get (group ``relay``)."""
+
+    enabled: bool = parameter(
+        False,
+        'Whether allan_monitor relays each Imu, to <topic>_with_covariance.',
+        read_only=True,
+    )
+    until_model: str = parameter(
+        'pass',
+        'What becomes of messages before there is a noise model: passed on, or held back for good.',
+        choices=('pass', 'hold'),
+    )
+    variance: str = parameter(
+        'white',
+        'Variance to fill in: white is N^2 f, which keeps a filter honest; sample is that of the '
+        'samples as they scatter within a second.',
+        choices=('white', 'sample'),
+    )
+    rate: float = parameter(
+        0.0,
+        'Rate f of the messages where they are averaged before they come here; 0: that of the '
+        'noise model.',
+        unit='Hz',
+        low=0.0,
+        high=1_000_000.0,
+    )
+    inflate: float = parameter(1.0, 'Factor on the standard deviation.', low=1.0, high=1000.0)
+    overwrite: bool = parameter(False, 'Replace covariances that the driver filled in.')
+    queue_depth: int = parameter(
+        1000,
+        'Messages the middleware may hold on either side.',
+        unit='messages',
+        low=1,
+        high=1_000_000,
+        read_only=True,
+    )
+    plain_callback: bool = parameter(
+        False,
+        'Receive each message in a callback of the executor (more CPU) instead of in a thread.',
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 GROUPS: dict[str, type] = {
     'input': InputSettings,
     'segmenter': SegmenterSettings,
     'publish': PublishSettings,
     'checkpoint': CheckpointSettings,
     'estimator': EstimatorSettings,
+    'relay': RelaySettings,
 }
 """Parameter group -> its settings."""

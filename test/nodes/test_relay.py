@@ -1,0 +1,244 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The relay over real DDS: the same bytes but for two covariances, and no message lost."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.sample_variance import white_variances
+from allan_ros.io.documents import results_to_document
+from allan_ros.io.imu_cdr import encode_imus, imu_dtype
+from allan_ros.io.imu_patch import CovariancePatch
+from allan_ros.io.results import Provenance, Results, analyse_sums
+
+OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
+OUT = 'imu/data_with_covariance'
+QUICK = {'publish.diagnostics_period': 0.2}
+
+
+@pytest.fixture(scope='module')
+def results() -> Results:
+    """Return what 20 s of an IMU with gyro N 1e-3/sqrt(200) and accel N 1e-2/sqrt(200) show."""
+    rng = np.random.default_rng(7)
+    samples = rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (4000, 6))
+    stamps = 10**18 + np.arange(4000) * 5_000_000
+    accumulator = ImuAccumulator()
+    accumulator.update(ImuBatch(stamps, samples, frame_id='imu'))
+    accumulator.end()
+    return analyse_sums(accumulator.result().sums, Provenance(), 'gls')
+
+
+def publish_model(graph: Any, results: Results) -> Any:
+    """Publish a noise model, latched, as the estimator does."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import String
+
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = graph.node.create_publisher(String, 'noise_model', qos)
+    publisher.publish(String(data=json.dumps(results_to_document(results, curves=False))))
+    return publisher
+
+
+def raw(graph: Any, topic: str = OUT) -> list[bytes]:
+    """Subscribe to the relayed messages and return the list that their bytes go to."""
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import Imu
+
+    received: list[bytes] = []
+    graph.node.create_subscription(Imu, topic, received.append, QoSProfile(depth=2000), raw=True)
+    graph.until(lambda: graph.node.count_publishers(topic))
+    time.sleep(0.2)  # the other side discovers a moment later
+    return received
+
+
+def filled(graph: Any) -> Any:
+    return graph.until(lambda: (s := graph.status('relay')) and s.level == OK and s)
+
+
+def payloads(batch: ImuBatch) -> list[bytes]:
+    return [bytes(p) for p in encode_imus(batch, 'cdr')]
+
+
+def variances(results: Results, rate: float | None = None) -> dict[str, Any]:
+    """Return N^2 f of the axes to the last bit, held against what is computed by hand."""
+    fits = {name: axis.fit for name, axis in results.axes.items()}
+    found = white_variances(fits, rate or results.rate_hz)
+    for sensor, values in found.items():
+        by_hand = [fits[f'{sensor}_{a}'].noise['N'].value ** 2 * (rate or 200.0) for a in 'xyz']
+        np.testing.assert_allclose(values, by_hand, rtol=1e-9)
+    return found
+
+
+@pytest.mark.parametrize('plain', [False, True])
+def test_only_the_covariances_change_and_no_burst_is_lost(
+    graph, still_imu: Callable[..., ImuBatch], results: Results, plain: bool
+):
+    graph.start('relay', **QUICK, **{'relay.plain_callback': plain})
+    received = raw(graph)
+    publisher = graph.publisher()
+    model = publish_model(graph, results)
+    status = filled(graph)
+    assert status.message == 'covariances of gyro and accel are filled'
+    assert graph.value('relay', 'messages taken by') == (
+        'a plain callback' if plain else 'a thread'
+    )
+    sent: list[bytes] = []
+    for burst in range(3):
+        batch = still_imu(400, seed=burst)
+        graph.send(publisher, batch)
+        sent += payloads(batch)
+        graph.until(lambda enough=len(sent): len(received) >= enough)
+    patch = CovariancePatch(variances(results))
+    assert received == [patch.patch(payload) for payload in sent]
+    covariance = np.frombuffer(received[-1], imu_dtype('cdr', '<', 4))['gyro_covariance'][0]
+    # N = 1e-3 / sqrt(200) was put in: N^2 f = 1e-6; 4000 samples know it to a few percent
+    np.testing.assert_allclose(covariance.reshape(3, 3), np.diag([1e-6] * 3), rtol=0.15)
+    graph.until(lambda: graph.value('relay', 'filled') == '1200')
+    model.destroy()
+
+
+def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results):
+    relay = graph.start('relay', **QUICK)
+    received = raw(graph)
+    publisher = graph.publisher()
+    batch = still_imu(10)
+    graph.send(publisher, batch)
+    graph.until(lambda: len(received) == 10)
+    assert received == payloads(batch)
+    status = graph.until(lambda: graph.status('relay'))
+    assert status.level == WARN and status.name == 'allan_imu_relay: relay'
+    assert 'no noise model on /noise_model yet' in status.message
+    assert 'start allan_estimator' in status.message
+    publish_model(graph, results)
+    filled(graph)
+    graph.send(publisher, batch)
+    graph.until(lambda: len(received) == 20)
+    assert received[10:] != payloads(batch)
+    assert relay.stop() == 0, relay.output
+
+
+def test_it_holds_back_until_there_is_a_model(graph, still_imu, results: Results):
+    graph.start('relay', **QUICK, **{'relay.until_model': 'hold'})
+    received = raw(graph)
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(10))
+    graph.until(lambda: graph.value('relay', 'held back') == '10')
+    publish_model(graph, results)
+    filled(graph)
+    batch = still_imu(5, seed=2)
+    graph.send(publisher, batch)
+    graph.until(lambda: len(received) == 5)
+    patch = CovariancePatch(variances(results))
+    assert received == [patch.patch(p) for p in payloads(batch)]
+
+
+def test_what_is_not_to_be_filled_is_passed_on_as_it_is(graph, still_imu, results: Results):
+    graph.start('relay', **QUICK)
+    received = raw(graph)
+    publisher = graph.publisher()
+    publish_model(graph, results)
+    filled(graph)
+    absent = still_imu(1)
+    absent.samples[:, :3] = np.nan
+    (gyroless,) = payloads(absent)
+    (whole,) = payloads(still_imu(1))
+    driver = CovariancePatch({'gyro': (1.0, 2.0, 3.0), 'accel': (4.0, 5.0, 6.0)}).patch(whole)
+    (other,) = payloads(still_imu(1, frame_id='base_link'))
+    sent = [gyroless, driver, other, whole[:100], b'\0\1\0\0', whole]
+    for payload in sent:
+        publisher.publish(payload)
+    graph.until(lambda: len(received) == len(sent))
+    only_accel = {'accel': variances(results)['accel']}
+    assert received[0] == CovariancePatch(only_accel).patch(gyroless)
+    assert received[1:5] == sent[1:5]
+    assert received[5] == CovariancePatch(variances(results)).patch(whole)
+    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
+    assert '"base_link"' in status.message and 'is of "imu"' in status.message
+    assert graph.value('relay', 'malformed') == '2'
+    assert 'are no Imu' in graph.value('relay', 'finding: relay_malformed')
+
+
+def set_parameters(graph: Any, node: str, **values: Any) -> list[Any]:
+    """Set parameters of a node through its service."""
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    client = graph.node.create_client(SetParameters, f'{node}/set_parameters')
+    graph.until(client.service_is_ready)
+    made = [Parameter(n.replace('__', '.'), value=v).to_parameter_msg() for n, v in values.items()]
+    future = client.call_async(SetParameters.Request(parameters=made))
+    graph.until(future.done)
+    return list(future.result().results)
+
+
+def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
+    graph.start('relay', **QUICK)
+    received = raw(graph)
+    publisher = graph.publisher()
+    wide = {
+        name: replace(axis, sample_std=0.5 if name.startswith('gyro') else None)
+        for name, axis in results.axes.items()
+    }
+    publish_model(graph, replace(results, axes=wide))
+    filled(graph)
+    (whole,) = payloads(still_imu(1))
+    driver = CovariancePatch({'gyro': (1.0, 2.0, 3.0)}).patch(whole)
+
+    def relayed(expected: bytes) -> None:
+        """Send until what the relay makes of it is as it must be: a change takes a moment."""
+
+        def arrives() -> bool:
+            del received[:]
+            publisher.publish(driver)
+            graph.until(lambda: received)
+            return received[-1] == expected
+
+        graph.until(arrives)
+
+    def expected(overwrite: bool, **variance: tuple[float, ...]) -> bytes:
+        return CovariancePatch(variance, overwrite).patch(driver)
+
+    white = variances(results)
+    relayed(expected(False, **white))
+    set_parameters(graph, '/allan_imu_relay', relay__overwrite=True, relay__rate=50.0)
+    relayed(expected(True, **variances(results, 50.0)))
+    set_parameters(graph, '/allan_imu_relay', relay__variance='sample')
+    relayed(expected(True, gyro=(0.25, 0.25, 0.25)))
+    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
+    assert 'no variance of the accel' in status.message
+    set_parameters(graph, '/allan_imu_relay', relay__inflate=2.0)
+    relayed(expected(True, gyro=(1.0, 1.0, 1.0)))
+    (refused,) = set_parameters(graph, '/allan_imu_relay', relay__variance='guessed')
+    assert not refused.successful and 'choose one of white, sample' in refused.reason
+
+
+def test_a_model_that_cannot_be_read_is_survived(graph, still_imu, results: Results):
+    from std_msgs.msg import String
+
+    graph.start('relay', **QUICK)
+    publisher = publish_model(graph, results)
+    filled(graph)
+    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/results/2"}'):
+        publisher.publish(String(data=text))
+        status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
+        assert 'cannot be read' in status.message
+        publish_model(graph, results)
+        filled(graph)
+
+
+def test_a_relay_to_itself_is_refused(graph):
+    relay = graph.start('relay', remap={OUT: 'imu/data'})
+    assert relay.wait() == 1
+    assert 'would be relayed to itself' in relay.output and 'Traceback' not in relay.output
