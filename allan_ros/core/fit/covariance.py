@@ -184,9 +184,9 @@ def _lag_table(octaves: int) -> _LagTable:
     return _LagTable(len(FIRST_FACTORS) + len(LEVEL_FACTORS) * octaves)
 
 
-@lru_cache(maxsize=48)
+@lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the pair sums of a record of that many samples; the last 48 are remembered."""
+    """Return the pair sums of a record of that many samples; the last 80 are remembered."""
     octaves = max(1, samples.bit_length() - 3)
     m, stride = grid(octaves)
     keep = 2 * m <= samples

@@ -27,6 +27,9 @@ Ints = NDArray[np.int64]
 ROUNDING = 1e-12
 """Part of the variance that is rounding when all else of it is the ramp's."""
 
+RAMP_MATTERS = 500
+"""Of the scatter at factors below this part of the segment the ramp takes less than 1e-5."""
+
 EMPTY_ROW = 1e-6
 """A factor whose differences keep less than this part of their variance without the ramp is left
 out: a record of two differences is mostly its own ramp."""
@@ -100,41 +103,55 @@ def _packing(size: int) -> Ints:
 
 @dataclass(frozen=True)
 class _Part:
-    """One kept segment, or the segments of one length class."""
+    """One kept segment, or the segments of one length class.
+
+    Attributes
+    ----------
+    number : int
+        How many segments of this length.
+    pairs : PairSums
+    geometry : RampGeometry
+    at : (pairs,) int64 array
+        Positions of its pairs i <= j among those of the pooled table.
+    long : (long pairs,) int64 array
+        Which of its pairs are of factors that the ramp matters to.
+    """
 
     number: int
     pairs: PairSums
     geometry: RampGeometry
     at: Ints
-    """Positions of its pairs i <= j among those of the pooled table."""
+    long: Ints
 
     @classmethod
     def of(cls, samples: int, number: int, factors: int) -> _Part:
         pairs = pair_sums(samples)
         i, j = np.triu_indices(len(pairs.m))
         at = i * factors - i * (i - 1) // 2 + (j - i)
-        return cls(number, pairs, ramp_geometry(samples), at)
+        long = np.flatnonzero(pairs.m[i] * RAMP_MATTERS > samples)
+        return cls(number, pairs, ramp_geometry(samples), at, long)
 
-    def add(self, effect: RampEffect | None, terms: Floats, squares: Floats) -> None:
-        """Add its expectation, (factors, 4), and pair sums, (10, pairs), to the pooled ones."""
-        i, j = np.triu_indices(len(self.pairs.m))
+    def add(self, squares: Floats) -> None:
+        """Add its pair sums to the pooled ones, (10, pairs), its ramps left in."""
+        squares[:, self.at] += self.number * self.pairs.squares
+
+    def take_out(self, effect: RampEffect, terms: Floats, squares: Floats) -> None:
+        """Change the pooled expectation, (factors, 4), and pair sums to those less its ramps."""
         m = self.pairs.m.astype(float)
-        plain = self.number * self.pairs.squares
-        if effect is None:
-            squares[:, self.at] += plain
-            return
         shift = -np.sqrt(2.0) * m * effect.cross + np.outer(effect.variance, m * m / 2.0)
         terms[: len(m)] += (self.number * self.pairs.count * shift).T
         # d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is
         # the same for all starts when r is the best estimate, and near it for any good one.
+        i, j = (x[self.long] for x in np.triu_indices(len(m)))
         less = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
         less -= effect.variance[:, None] * (m[i] * m[j] / 2.0)
-        number = self.pairs.count[i].astype(float) * self.pairs.count[j]
-        single = self.pairs.singles
+        pairs = self.pairs.count[i].astype(float) * self.pairs.count[j]
+        single = self.pairs.singles[:, self.long]
+        at = self.at[self.long]
         for n, (a, b) in enumerate(TERM_PAIRS):
             twice = 2.0 if a == b else 4.0
-            change = number * less[a] * less[b] - less[a] * single[b] - less[b] * single[a]
-            squares[n, self.at] += plain[n] + self.number * twice * change
+            change = pairs * less[a] * less[b] - less[a] * single[b] - less[b] * single[a]
+            squares[n, at] += self.number * twice * change
 
 
 class Evidence:
@@ -149,6 +166,8 @@ class Evidence:
         self._pooled_sums = sums.sum_sq.copy()
         self._pooled_terms = np.zeros((factors, len(RANDOM_TERMS)))
         self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
+        for part in self._kept:
+            part.add(self._pooled_squares)
         for length_class in sums.classes:
             self._pool(length_class, factors)
 
@@ -156,7 +175,9 @@ class Evidence:
         part = _Part.of(round(pool.samples / pool.count), pool.count, factors)
         weights = ols_ramp_weights(part.geometry.points, part.geometry.step)
         effect = part.geometry.effect(weights) if part.geometry.points > 2 else None
-        part.add(effect, self._pooled_terms, self._pooled_squares)
+        part.add(self._pooled_squares)
+        if effect is not None:
+            part.take_out(effect, self._pooled_terms, self._pooled_squares)
         self._pooled_sums[: len(pool.ramp_correction)] += pool.ramp_correction
 
     @property
@@ -172,6 +193,28 @@ class Evidence:
         raw = self.sums.avar[np.isin(self.m, table.m), axis]
         return not np.any(table.avar > ROUNDING * raw)
 
+    def ramps(
+        self, axis: int, power: Floats, known: Floats
+    ) -> tuple[Floats, list[RampEffect | None]]:
+        """Return the ramp of each kept segment, and what estimating it does.
+
+        Parameters
+        ----------
+        axis : int
+        power : (4,) float64 array
+            The noise that the weights of the ramps are made for.
+        known : (segments,) float64 array
+            Known ramps per sample, NaN where the ramp is to be estimated.
+        """
+        found = np.where(np.isfinite(known), known, 0.0)
+        effects: list[RampEffect | None] = []
+        for s, (part, record) in enumerate(zip(self._kept, self.segments)):
+            weights = None if np.isfinite(known[s]) else part.geometry.best_weights(power)
+            effects.append(None if weights is None else part.geometry.effect(weights))
+            if weights is not None:
+                found[s] = weights @ record.phase[:, axis]
+        return found, effects
+
     def table(self, axis: int, power: Floats, ramps: Floats | None = None) -> Table:
         """Return the table of one axis, its ramps estimated as is best under the powers.
 
@@ -186,23 +229,14 @@ class Evidence:
         """
         sum_sq = self._pooled_sums[:, axis].copy()
         terms, squares = self._pooled_terms.copy(), self._pooled_squares.copy()
-        found = np.zeros(len(self._kept))
-        variance = np.zeros((len(self._kept), len(RANDOM_TERMS)))
-        for s, (part, record) in enumerate(zip(self._kept, self.segments)):
-            known = ramps is not None and np.isfinite(ramps[s])
-            weights = None if known else part.geometry.best_weights(power)
-            effect = None
-            if ramps is not None and known:
-                found[s] = ramps[s]
-            elif weights is not None:
-                effect = part.geometry.effect(weights)
-                found[s] = weights @ record.phase[:, axis]
-                variance[s] = effect.variance
-            part.add(effect, terms, squares)
+        known = np.full(len(self._kept), np.nan) if ramps is None else ramps
+        found, effects = self.ramps(axis, power, known)
+        for part, record, r, effect in zip(self._kept, self.segments, found, effects):
+            if effect is not None:
+                part.take_out(effect, terms, squares)
             m2 = part.pairs.m.astype(float) ** 2
             sum_sq[: len(m2)] += (
-                -2.0 * found[s] * m2 * record.signed[:, axis]
-                + part.pairs.count * (m2 * found[s]) ** 2
+                -2.0 * r * m2 * record.signed[:, axis] + part.pairs.count * (m2 * r) ** 2
             )
         count = self.sums.count.astype(float)
         i, j = np.triu_indices(len(count))
@@ -213,9 +247,15 @@ class Evidence:
             self.terms + terms / count[:, None],
             squares / (count[i] * count[j]),
             found,
-            variance,
+            variances(effects),
         )
         return table.rows(_informative(table, self.terms, power))
+
+
+def variances(effects: Sequence[RampEffect | None]) -> Floats:
+    """Return the variance of each ramp per unit power, (segments, 4); 0 where it has none."""
+    none = np.zeros(len(RANDOM_TERMS))
+    return np.array([none if e is None else e.variance for e in effects]).reshape(-1, len(none))
 
 
 def _informative(table: Table, whole: Floats, power: Floats) -> NDArray[np.bool_]:

@@ -70,8 +70,10 @@ class RampGeometry:
     def effect(self, weights: Floats) -> RampEffect:
         """Return what removing the ramp of these weights does to the table."""
         on_bends = _bends_of(weights)
-        variance = np.array([on_bends @ toeplitz(row) @ on_bends for row in self.bends])
-        return RampEffect(self.cross @ weights, variance)
+        # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
+        lags = np.correlate(on_bends, on_bends, 'full')[len(on_bends) - 1 :]
+        lags[1:] *= 2.0
+        return RampEffect(self.cross @ weights, self.bends @ lags)
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,9 @@ def _bends_of(weights: Floats) -> Floats:
     return np.asarray(np.cumsum(np.cumsum(weights))[:-2])
 
 
-@lru_cache(maxsize=48)
+@lru_cache(maxsize=80)
 def ramp_geometry(samples: int) -> RampGeometry:
-    """Return the geometry of a segment of that many samples; the last 48 are remembered."""
+    """Return the geometry of a segment of that many samples; the last 80 are remembered."""
     step = 1
     while samples // step >= PHASE_POINTS:
         step *= 2

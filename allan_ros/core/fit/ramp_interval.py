@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from .evidence import Evidence
+from .evidence import Evidence, variances
 from .intervals import Z_TWO_SIDED, cross
 from .model import Floats
 from .point import PointFit
@@ -66,13 +66,17 @@ def ramp_interval(evidence: Evidence, axis: int, fit: PointFit, walk: float) -> 
         chosen, ramps = chosen[:1], ramps[:1]
         value, deviation = _mean(ramps, variance[chosen])
 
+    ignored = np.zeros(len(variance))
+    ignored[chosen] = np.nan
+
     def z(c: float) -> float:
         known = np.full(len(variance), np.nan)
         known[chosen] = c
         less = fit.frame.table(evidence, axis, fit.power, known)
         held = solve(less, fit.power, signed=fit.frame.signed, misfit=fit.frame.misfit)
-        free = PointFit(held, fit.frame.table(evidence, axis, held), fit.frame)
-        r, sd = _mean(free.table.ramps[chosen], free.ramp_variance[chosen])
+        noise = fit.frame.noise(held)
+        free, effects = evidence.ramps(axis, noise, ignored)
+        r, sd = _mean(free[chosen], (variances(effects) @ noise)[chosen])
         return (r - c) / sd
 
     bound = np.inf
