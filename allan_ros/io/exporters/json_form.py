@@ -30,12 +30,16 @@ class JsonForm:
             When the text is no JSON object, or has something else where a mapping is needed.
         """
         try:
-            document = json.loads(existing)
+            document = json.loads(existing, parse_constant=_refuse)
         except (ValueError, RecursionError) as error:
             raise AllanError(f'the file to merge into is not JSON ({error})') from None
         if not isinstance(document, dict):
             raise AllanError('the file to merge into is no JSON object: give a calibration file')
         return _written(document, entries, header)
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f'{constant} is no JSON number')
 
 
 def _written(document: dict[str, Any], entries: Sequence[Entry], header: Sequence[str]) -> str:

@@ -49,7 +49,8 @@ def _correlation_time(model: NoiseModel) -> Entry:
         if axis.fit.gauss_markov is not None
     ]
     if not found:
-        return Entry(path, DEFAULT_HOURS, "[h]: not measured, KF-GINS' own example", keep=True)
+        words = f'[h]: not measured; {DEFAULT_HOURS:g} h, unless your own file has another'
+        return Entry(path, DEFAULT_HOURS, words, keep=True)
     process, name = min(found, key=lambda pair: pair[0].correlation_time)
     low, high = (end / HOUR for end in process.correlation_time_ci95)
     hours = process.correlation_time / HOUR

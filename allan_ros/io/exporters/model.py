@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -55,6 +56,8 @@ class NoiseModel:
             raise AllanError('exact is for vins_fusion only: leave --exact out')
         if options.axis == 'each' and not target.three:
             raise AllanError('this file takes one number a sensor: choose --axis worst or mean')
+        if not 0.0 < results.tau0 < math.inf:
+            raise AllanError('these results know no sample rate: record longer, or analyse anew')
         self.results = results
         self.options = options
         self.rule = options.axis or ('each' if target.three else AXIS_RULE)

@@ -121,3 +121,9 @@ def test_an_unknown_target_is_answered_with_the_known(results: Results, tmp_path
 def test_options_out_of_range_are_refused() -> None:
     with pytest.raises(AllanError, match='inflate'):
         ExportOptions(inflate=0.5)
+
+
+@pytest.mark.parametrize('tau0', [0.0, -1.0, math.nan, math.inf])
+def test_results_without_a_rate_are_refused(results: Results, tmp_path: Path, tau0: float) -> None:
+    with pytest.raises(AllanError, match='no sample rate'):
+        export(replace(results, tau0=tau0), 'kalibr', tmp_path)
