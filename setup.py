@@ -59,9 +59,10 @@ setup(
     extras_require={
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
-        # Those who read the files for filters, to prove that they can. gtsam 4.2 goes with
-        # numpy 1 only, and there is no newer one for Python 3.10.
+        # Those who read what we write, to prove that they can: filters, and another DDS. gtsam 4.2
+        # goes with numpy 1 only, and there is no newer one for Python 3.10.
         'consumers': [
+            'cyclonedds>=0.10',
             'gtsam>=4.3; python_version >= "3.11" and python_version < "3.14"',
             'opencv-python-headless>=4.5',
         ],

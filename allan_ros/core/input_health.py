@@ -94,6 +94,11 @@ class InputWatch:
         self._messages = self._usable = 0
         self._tallies: deque[_Tally] = deque()
 
+    def heard(self, time_s: float, messages: int) -> None:
+        """Take note of how many messages have come; called more often than `observe`."""
+        if messages != self._messages:
+            self._last_message, self._messages = time_s, messages
+
     def silence_s(self, time_s: float) -> float:
         """Return how long ago the last message came (or listening began)."""
         return time_s - self._last_message
@@ -138,8 +143,7 @@ class InputWatch:
 
     def _follow(self, time_s: float, reception: Reception, health: StreamHealth) -> None:
         c = health.counts
-        if reception.received != self._messages:
-            self._last_message, self._messages = time_s, reception.received
+        self.heard(time_s, reception.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         if usable != self._usable:
             self._last_usable, self._usable = time_s, usable

@@ -108,6 +108,7 @@ class ImuWatch:
     def tick(self, now: float) -> None:
         """Do what is due; called by the node's timer, as often as the queue must be emptied."""
         self._input.drain()
+        self._health.heard(now, self._input.received)
         if self._update_due.due(now):
             self._update()
         if self._sums_due.due(now):

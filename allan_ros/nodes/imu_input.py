@@ -121,6 +121,11 @@ class ImuInput:
         known = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in known)
 
+    @property
+    def received(self) -> int:
+        """Messages taken so far."""
+        return self._reception.received
+
     def reception(self) -> Reception:
         """Return what happened to the messages so far."""
         self._events.ask(self._reception)
