@@ -240,6 +240,10 @@ def _added(body: str, root: yaml.Node | None, entry: Entry) -> str:
     if depth is None:
         return body + _dumped(_tree([entry]))
     home = places[entry.path[:depth]]
+    if _item(home, entry.path[depth]):
+        raise AllanError(
+            f'{entry.path[depth]} of the file holds a value where keys belong: {_BY_HAND}'
+        )
     below = Entry(entry.path[depth:], entry.value)
     if home.flow_style or not home.value:
         tree = _inline(_tree([below]))  # type: ignore[arg-type]

@@ -117,6 +117,12 @@ def test_windows_line_ends_and_a_byte_order_mark_stay() -> None:
     assert merged('\ufeffa: 1\n', entry('a')) == f'\ufeff{BLOCK}a: 0.5\n'
 
 
+def test_a_value_where_keys_belong_is_refused() -> None:
+    for mine in ('p: 1\n', 'p: [1]\n', 'p: {q: 1}\n', 'p:\n'):
+        with pytest.raises(AllanError, match='holds a value where keys belong'):
+            merged(mine, entry('p.q.r'))
+
+
 @pytest.mark.parametrize(
     ('mine', 'said'),
     [
