@@ -45,7 +45,10 @@ def lattice_step(phase: Floats, deviation: float) -> float | None:
             return None
         # Euclid gathers rounding errors; the multiples so far, the smallest first, take them out.
         for known in moved[: i + 1]:
-            step = float(known / np.round(known / step))
+            multiple = np.round(known / step)
+            if multiple < 1.0:
+                return None  # the divisor grew past what it should divide: there is none
+            step = float(known / multiple)
     off = np.abs(moved / step - np.round(moved / step))
     return step if off.max() < NEAR_WHOLE else None
 

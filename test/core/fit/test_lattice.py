@@ -27,3 +27,12 @@ def test_smooth_samples_have_none():
 
 def test_constant_samples_have_none():
     assert lattice_step(np.zeros(100), 1.0) is None
+
+
+def test_few_points_of_real_noise_have_no_step_and_divide_nothing_by_zero():
+    """Records of a few seconds; a warning of numpy is an error here."""
+    rng = np.random.default_rng(0)
+    with np.errstate(all='raise'):
+        for _ in range(2000):
+            phase = np.cumsum(rng.normal(size=rng.integers(5, 40)))
+            assert lattice_step(phase, float(rng.uniform(0.1, 60.0))) is None
