@@ -104,7 +104,7 @@ class ImuAccumulator:
             )
             self._begin(batch.frame_id)
         self._received += len(batch)
-        rows = np.ascontiguousarray(batch.samples.T)
+        rows = batch.samples.T
         if self._lanes is not None:
             self._feed(batch.stamps_ns, batch.record_ns, rows)
             return
@@ -112,7 +112,11 @@ class ImuAccumulator:
         take = min(LEARN - self._learned, len(batch))
         record = batch.record_ns
         self._learning.append(
-            (batch.stamps_ns[:take], None if record is None else record[:take], rows[:, :take])
+            (
+                batch.stamps_ns[:take].copy(),
+                None if record is None else record[:take].copy(),
+                np.array(rows[:, :take], order='C'),
+            )
         )
         self._learned += take
         if self._learned == LEARN:

@@ -9,10 +9,12 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from .clock import LEARN, ClockStage, Run, learn_clock
+from .clock import LEARN, learn_clock
+from .clock_stage import ClockStage
 from .engine import RunningAllan
 from .health import Counts, Span, State
 from .lanes import LanePlan, LaneSieve
+from .run import Run
 from .settings import SegmenterSettings
 from .stamp_filter import StampFilter
 from .stillness import RELEARNED, StillnessStage
@@ -165,12 +167,8 @@ class LaneStream:
         self._start((stamps.copy(), rows.copy(), np.zeros(len(stamps), bool)))
 
     def _pass_on(self, runs: list[Run]) -> None:
-        for run in runs:
-            if self._gate is None:
-                self._accumulate(run)
-                continue
-            for still in self._gate.feed(run):
-                self._accumulate(still)
+        for run in runs if self._gate is None else self._gate.feed(runs):
+            self._accumulate(run)
 
     def _accumulate(self, run: Run) -> None:
         if run.cut == RELEARNED:

@@ -40,8 +40,7 @@ class StampFilter:
         -------
         stamps, rows, jumped : (k,), (axes, k) and (k,) bool arrays
         """
-        finite = np.isfinite(rows.sum(axis=0))  # a sum is finite only if all its terms are
-        if not finite.all():
+        if not np.isfinite(rows.sum()):  # a sum is finite only if all its terms are
             finite = np.isfinite(rows).all(axis=0)
             self._counts.not_finite += int(np.count_nonzero(~finite))
             stamps, rows = stamps[finite], rows[:, finite]

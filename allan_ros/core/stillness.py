@@ -15,14 +15,16 @@ is counted in windows from the start of a stretch without cuts, never in chunks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .clock import Run
 from .health import Counts
+from .noise_floor import NoiseFloor, Windows
+from .run import Run
+from .window_verdict import LEAST_WINDOW, Verdict, judge_windows, saturated
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -30,103 +32,26 @@ Flags = NDArray[np.bool_]
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short against a motion."""
 
-LEAST_WINDOW, MOST_WINDOW = 16, 1024
-"""Bounds of a window in samples."""
+MOST_WINDOW = 1024
+"""Longest window in samples; the shortest is `LEAST_WINDOW`."""
 
 LEARN_WINDOWS = 32
 """Windows the floor is learned from, and after which it is updated."""
 
-QUIET = 0.25
-"""The floor is this quantile of the windows' variances: three quarters of them may be motion."""
-
-LEAVE_SHARE = 0.8
-"""Motion ends below this share of the standard deviation at which it begins."""
-
-PEAK_SIGMAS = 20.0
-"""A sample this many floor deviations from its window's mean is a knock. Real accelerometers at
-rest show single samples at 10 deviations every few minutes: those are their noise."""
-
-STEP_SIGMAS = 8.0
-"""Means of neighbouring windows this many of their own deviations apart are a motion."""
-
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal variable over its median absolute value."""
-
 MARGIN_BEFORE, MARGIN_AFTER = 1, 4
 """Windows left out before a motion and after it: 0.5 s and 2 s."""
 
-FLOOR_GAIN = 0.25
-"""Share by which the floor follows a block of still windows."""
-
-RELEARN_RATIO = 5.0
-"""When a block is quieter than the floor by this factor (standard deviation), the floor had been
-learned in motion: what was taken for evidence is none."""
-
-ROUNDING = 1e-13
-"""A deviation below this share of the mean is rounding: no sensor resolves 43 bits."""
-
 RELEARNED = 'relearned'
 """The cut of a run before which no evidence of this stream counts."""
-
-
-@dataclass
-class _Floor:
-    """The noise of a still sensor, per axis, in the unit of the samples (squared)."""
-
-    variance: Floats
-    step: Floats
-    mean: Floats
-    lsb: Floats
-
-    def scale(self, variance: Floats) -> Floats:
-        """Return the variance that thresholds are multiples of: never below that of rounding.
-
-        Where noise is below the last bit, single flips of it are honest (LSB^2/4 at most).
-        """
-        return np.maximum(variance, 0.25 * self.lsb**2)
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """Statistics of k windows; (axes, k) arrays of the samples' unit."""
-
-    mean: Floats
-    variance: Floats
-    peak: Floats
-
-    @classmethod
-    def of(cls, rows: Floats, size: int) -> _Windows:
-        """Measure windows of ``size`` samples; rows is (axes, k * size)."""
-        cube = rows.reshape(len(rows), -1, size)
-        mean = np.add.reduce(cube, axis=2) / size
-        from_mean = cube - mean[:, :, None]
-        variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
-        # one value throughout has no variance, whatever the rounding of its mean leaves
-        variance[variance <= (ROUNDING * mean) ** 2] = 0.0
-        peak = np.maximum(from_mean.max(axis=2), -from_mean.min(axis=2))
-        return cls(mean, variance, peak)
-
-
-class _Verdict(NamedTuple):
-    """What k windows are, (k,) bool arrays.
-
-    ``hot``: motion, or an axis ``stuck`` at one value. ``calm``: may end a motion.
-    ``turning_only``: nothing stands out but the mean rate.
-    """
-
-    hot: Flags
-    calm: Flags
-    stuck: Flags
-    turning_only: Flags
 
 
 class _Judged(NamedTuple):
     """Windows of the present block, with what was measured and said of them."""
 
     run: Run
-    windows: _Windows
+    windows: Windows
     still: Flags
-    verdict: _Verdict
+    verdict: Verdict
 
 
 class StillnessStage:
@@ -148,7 +73,7 @@ class StillnessStage:
         self._rate_limit = np.array(
             [rate_limit if axis.startswith('gyro') else np.inf for axis in axes]
         )
-        self._floor: _Floor | None = None
+        self._floor: NoiseFloor | None = None
         self._learning: list[Run] = []  # stretches that wait for the floor
         self._stamps = np.empty(0, np.int64)  # samples that wait to fill a window
         self._rows = np.empty((len(axes), 0))
@@ -165,19 +90,26 @@ class StillnessStage:
         """The noise floor is not known yet."""
         return self._floor is None
 
-    def feed(self, run: Run) -> list[Run]:
-        """Take a run, return the still runs that are certain by now."""
-        if self._floor is None:
-            self._learning.append(run)
-            if sum(len(r.stamps) for r in self._learning) < LEARN_WINDOWS * self.size:
-                return []
-            return self._learn()
+    def feed(self, runs: list[Run]) -> list[Run]:
+        """Take runs that came one after the other, return the still ones that are certain."""
         out: list[Run] = []
-        cut = run.cut
+        for stretch in _stretches(runs):
+            if self._floor is None:
+                self._learning += stretch
+                if sum(len(r.stamps) for r in self._learning) >= LEARN_WINDOWS * self.size:
+                    out += self._learn()
+            else:
+                out += self._take(stretch)
+        return out
+
+    def _take(self, stretch: list[Run]) -> list[Run]:
+        """Take runs that follow on each other; the cut of the first says if on those before."""
+        out: list[Run] = []
+        cut = stretch[0].cut
         if cut:
             out += self._end_stretch()
-        self._stamps = np.concatenate([self._stamps, run.stamps])
-        self._rows = np.concatenate([self._rows, run.rows], axis=1)
+        self._stamps = np.concatenate([self._stamps, *(run.stamps for run in stretch)])
+        self._rows = np.concatenate([self._rows, *(run.rows for run in stretch)], axis=1)
         self._stretch_cut = self._stretch_cut or cut
         at, have = 0, len(self._stamps) // self.size
         while at < have:
@@ -204,40 +136,16 @@ class StillnessStage:
         waited, self._learning = self._learning, []
         if not waited:
             return []
-        # the samples that make the learning windows, whatever chunk they came in
-        wanted, taken = LEARN_WINDOWS * self.size, 0
-        windows: list[_Windows] = []
-        steps: list[Floats] = []
-        lsb = np.full(len(self._rows), np.inf)
+        self._floor = NoiseFloor.learned(self._first_rows(waited), self.size, len(self._rows))
+        return self.feed(waited)
+
+    def _first_rows(self, waited: list[Run]) -> Iterator[Floats]:
+        """Yield the samples that make the learning windows, whatever chunk they came in."""
+        left = LEARN_WINDOWS * self.size
         for stretch in _stretches(waited):
-            rows = stretch[:, : wanted - taken]
-            taken += rows.shape[1]
-            size = min(self.size, rows.shape[1])
-            if size < 2:
-                continue
-            measured = _Windows.of(rows[:, : rows.shape[1] // size * size], size)
-            windows.append(measured)
-            steps.append(np.abs(np.diff(measured.mean, axis=1)))
-            change = np.abs(np.diff(rows, axis=1))
-            lsb = np.minimum(lsb, np.where(change > 0.0, change, np.inf).min(axis=1))
-        lsb[~np.isfinite(lsb)] = 0.0
-        zero = np.zeros(len(lsb))
-        if windows:
-            variance = np.concatenate([w.variance for w in windows], axis=1)
-            mean = np.concatenate([w.mean for w in windows], axis=1)
-            step = np.concatenate(steps, axis=1)
-            self._floor = _Floor(
-                _quantile(variance, QUIET),
-                MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
-                _quantile(mean, 0.5),
-                lsb,
-            )
-        else:
-            self._floor = _Floor(zero, zero, zero, lsb)
-        out: list[Run] = []
-        for run in waited:
-            out += self.feed(run)
-        return out
+            rows = np.concatenate([run.rows for run in stretch], axis=1)[:, :left]
+            left -= rows.shape[1]
+            yield rows
 
     def _end_stretch(self) -> list[Run]:
         """Judge the window that will not fill, and let go of the margin."""
@@ -259,8 +167,11 @@ class StillnessStage:
             out, self._margin = self._margin, []
             self._last_mean = None
             self._cut = self._cut or run.cut
-        windows = _Windows.of(run.rows, size)
-        verdict = self._verdict(windows, size)
+        windows = Windows.of(run.rows, size)
+        assert self._floor is not None
+        verdict = judge_windows(
+            windows, self._last_mean, size, self._floor, self._ratio, self._rate_limit
+        )
         still = ~verdict.hot
         if self.moving or verdict.hot.any():
             for i in range(len(still)):
@@ -274,32 +185,6 @@ class StillnessStage:
         if size == self.size:
             self._block.append(_Judged(run, windows, still, verdict))
         return out
-
-    def _verdict(self, windows: _Windows, size: int) -> _Verdict:
-        """Hold windows against the floor."""
-        floor = self._floor
-        assert floor is not None
-        # few samples spread a variance: a short window is judged by its farthest sample alone
-        enough = size >= LEAST_WINDOW
-        scale = floor.scale(floor.variance)[:, None]
-        known = scale > 0.0
-        sigma = np.sqrt(scale)
-        wild = known & (windows.variance > self._ratio**2 * scale) & enough
-        restless = known & (windows.variance > (LEAVE_SHARE * self._ratio) ** 2 * scale) & enough
-        lsb = floor.lsb[:, None]
-        knocked = known & (windows.peak > np.maximum(PEAK_SIGMAS * sigma, 2.5 * lsb))
-        previous = windows.mean[:, :1] if self._last_mean is None else self._last_mean[:, None]
-        step = np.abs(np.diff(np.concatenate([previous, windows.mean], axis=1), axis=1))
-        step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
-        stepped = known & (step > STEP_SIGMAS * step_sigma + lsb) & enough
-        least_turn = np.maximum(self._rate_limit[:, None], STEP_SIGMAS * step_sigma)
-        turning = np.abs(windows.mean - floor.mean[:, None]) > least_turn
-        noisy = (floor.variance > floor.lsb**2)[:, None]
-        stuck = ((windows.variance == 0.0) & noisy & enough).any(axis=0)
-        restless_any = (wild | restless | knocked | stepped).any(axis=0) | stuck
-        hot = (wild | knocked | stepped | turning).any(axis=0) | stuck
-        turning_only = turning.any(axis=0) & ~restless_any
-        return _Verdict(hot, ~(hot | restless_any), stuck, turning_only)
 
     def _step(self, run: Run, hot: bool, calm: bool, stuck: bool) -> list[Run]:
         """Take one window through the state machine."""
@@ -316,7 +201,7 @@ class StillnessStage:
             self._counts.stuck += len(run.stamps)
         else:
             self._counts.moving += len(run.stamps)
-            self._counts.saturated += _saturated(run.rows)
+            self._counts.saturated += saturated(run.rows)
         self._calm = self._calm + 1 if calm else 0
         if self._calm >= MARGIN_AFTER:
             self.moving = False
@@ -339,26 +224,14 @@ class StillnessStage:
         floor = self._floor
         assert floor is not None
         block, self._block, self._in_block = self._block, [], 0
-        variance = np.concatenate([j.windows.variance for j in block], axis=1)
-        mean = np.concatenate([j.windows.mean for j in block], axis=1)
-        still = np.concatenate([j.still for j in block])
-        # an axis that is stuck says nothing of its noise
-        quiet = _quantile(variance, QUIET)
-        quiet = np.where(quiet > 0.0, quiet, floor.variance)
-        if (RELEARN_RATIO**2 * floor.scale(quiet) < floor.scale(floor.variance)).any():
-            at_rest = (variance <= 2.0 * quiet[:, None]).all(axis=0)
-            floor.variance = quiet
-            steps = np.abs(np.diff(mean, axis=1))
-            floor.step = MAD_TO_SIGMA * _quantile(steps, QUIET)
-            floor.mean = _quantile(mean[:, at_rest] if at_rest.any() else mean, 0.5)
+        windows = Windows.joined(judged.windows for judged in block)
+        anew = floor.if_learned_in_motion(windows)
+        if anew is not None:
+            self._floor = anew
             return self._judge_anew(block)
-        if np.count_nonzero(still) >= LEARN_WINDOWS // 2:
-            recent = _quantile(variance[:, still], QUIET)
-            floor.variance = floor.variance + FLOOR_GAIN * (recent - floor.variance)
-            floor.mean = _quantile(mean[:, still], 0.5)
-        elif np.concatenate([j.verdict.turning_only for j in block]).all():
-            # a steady rate for a whole block is a bias that jumped, or was learned in a turn
-            floor.mean = _quantile(mean, 0.5)
+        still = np.concatenate([judged.still for judged in block])
+        turning = all(judged.verdict.turning_only.all() for judged in block)
+        self._floor = floor.following(windows, still, turning)
         return []
 
     def _judge_anew(self, block: list[_Judged]) -> list[Run]:
@@ -379,30 +252,11 @@ class StillnessStage:
         return out
 
 
-def _quantile(values: Floats, share: float) -> Floats:
-    """Return the lower quantile of each row: a value that is there, found without interpolation."""
-    k = int(share * (values.shape[1] - 1))
-    found: Floats = np.partition(values, k, axis=1)[:, k]
-    return found
-
-
-def _stretches(runs: list[Run]) -> list[Floats]:
-    """Return the rows of runs, joined where they follow on each other."""
-    joined: list[list[Floats]] = []
+def _stretches(runs: list[Run]) -> list[list[Run]]:
+    """Return the runs in groups that follow on each other."""
+    groups: list[list[Run]] = []
     for run in runs:
-        if run.cut or not joined:
-            joined.append([])
-        joined[-1].append(run.rows)
-    return [np.concatenate(rows, axis=1) for rows in joined]
-
-
-def _saturated(rows: Floats) -> int:
-    """Return how many samples of a moving window stand at their axis' extreme, three in a row."""
-    size = np.abs(rows)
-    top = size == size.max(axis=1, keepdims=True)
-    three = top[:, 2:] & top[:, 1:-1] & top[:, :-2]
-    inside = np.zeros(rows.shape[1], bool)
-    for axis in np.flatnonzero(three.any(axis=1) & (rows.min(axis=1) < rows.max(axis=1))):
-        for shift in range(3):
-            inside[shift : shift + three.shape[1]] |= three[axis]
-    return int(np.count_nonzero(inside))
+        if run.cut or not groups:
+            groups.append([])
+        groups[-1].append(run)
+    return groups

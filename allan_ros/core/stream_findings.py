@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .clock import RATE_CHANGE
+from .clock_stage import RATE_CHANGE
 from .findings import Finding, finding
 from .health import StreamHealth
 from .settings import SegmenterSettings

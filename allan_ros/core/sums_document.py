@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .batch import AXES
-from .engine import PHASE_POINTS
+from .cascade import PHASE_POINTS
 from .errors import AllanError
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS
 from .sums import KEPT_SEGMENTS, AllanSums, ImuIdentity, LengthClass, SegmentRecord

@@ -5,8 +5,10 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.clock import Clock, ClockStage, Run, learn_clock
+from allan_ros.core.clock import Clock, learn_clock
+from allan_ros.core.clock_stage import ClockStage
 from allan_ros.core.health import Counts
+from allan_ros.core.run import Run
 
 MS = 1_000_000
 

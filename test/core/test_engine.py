@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.sums import TICK_NS, assert_identical, feed, sums_of
 
-from allan_ros.core.engine import BLOCK, RunningAllan, allan_table
+from allan_ros.core.cascade import BLOCK
+from allan_ros.core.engine import RunningAllan, allan_table
 from allan_ros.core.errors import AllanError
 from allan_ros.core.grid import counts, grid_for
 from allan_ros.core.sums import ImuIdentity

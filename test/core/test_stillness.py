@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.batch import AXES
-from allan_ros.core.clock import Run
 from allan_ros.core.health import Counts
+from allan_ros.core.run import Run
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stillness import RELEARNED, StillnessStage
 from allan_ros.core.terms import NoiseTerms
@@ -29,7 +29,7 @@ def gate(rows, cut_at=()):
     index = np.arange(rows.shape[1])
     out = []
     for a, b in zip([0, *cut_at], [*cut_at, len(index)]):
-        out += stage.feed(Run(index[a:b], rows[:, a:b], 'gap' if a else ''))
+        out += stage.feed([Run(index[a:b], rows[:, a:b], 'gap' if a else '')])
     out += stage.flush()
     begin = max([i for i, r in enumerate(out) if r.cut == RELEARNED], default=0)
     passed = np.zeros(len(index), bool)

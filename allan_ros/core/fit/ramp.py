@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 
-from ..engine import PHASE_POINTS
+from ..cascade import PHASE_POINTS
 from ..grid import counts, grid_for
 from .model import DIFFERENCE, RANDOM_TERMS, Floats, phase_covariance, walk_from_cubic
 
