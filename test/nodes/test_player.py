@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from rclpy.parameter import Parameter
+
 from allan_ros.core.batch import ImuBatch
 from allan_ros.io.writing import write_recording
 from allan_ros.nodes.imu_input import ImuInput
@@ -24,6 +26,9 @@ class Ear:
 
     def __init__(self, graph) -> None:
         self._graph = graph
+        # reliable, so that what is sent before it has found the player's writer is sent again
+        name = 'qos_overrides./imu/data.subscription.reliability'
+        graph.node._parameter_overrides[name] = Parameter(name, value='reliable')
         self._input = ImuInput(graph.node, 'imu/data', InputSettings())
         self._batches: list[ImuBatch] = []
 
