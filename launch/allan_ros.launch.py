@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Watch one IMU: allan_monitor, or the accumulator and the estimator apart.
+"""Watch one IMU: allan_monitor, or the nodes it is made of apart.
 
 ros2 launch allan_ros allan_ros.launch.py imu:=/camera/imu sensor:=adis16475-3
 """
@@ -21,7 +21,8 @@ ARGUMENTS = {
     'baseline': ('', 'results.json of a former run to compare with'),
     'checkpoint': ('', 'file in which the sums survive a restart'),
     'hardware_id': ('', 'serial number of the IMU'),
-    'apart': ('false', 'true: accumulator and estimator in processes of their own'),
+    'relay': ('false', 'true: hand the Imu on with covariances, to imu/data_with_covariance'),
+    'apart': ('false', 'true: accumulator, estimator and relay in processes of their own'),
     'use_sim_time': ('false', 'true: time comes from /clock'),
 }
 """Argument -> its default and what it is; `config` is declared beside them."""
@@ -41,6 +42,9 @@ def nodes(context):
     if given['hardware_id']:
         overrides['input.hardware_ids'] = [given['hardware_id']]
     overrides['use_sim_time'] = given['use_sim_time'].lower() == 'true'
+    relay = given['relay'].lower() == 'true'
+    if relay:
+        overrides['relay.enabled'] = True
 
     def node(executable, remappings):
         return Node(
@@ -55,10 +59,14 @@ def nodes(context):
     imu = ('imu/data', given['imu'])
     if given['apart'].lower() != 'true':
         return [node('allan_monitor', [imu])]
-    return [
+    apart = [
         node('allan_accumulator', [imu]),
         node('allan_estimator', [('sums', 'allan_accumulator/sums')]),
     ]
+    if relay:
+        model = ('noise_model', 'allan_estimator/noise_model')
+        apart.append(node('allan_imu_relay', [imu, model]))
+    return apart
 
 
 def generate_launch_description():

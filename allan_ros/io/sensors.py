@@ -78,7 +78,9 @@ class Datasheet:
 
 def sensor_names() -> list[str]:
     """Return the names of the datasheets that come with the package."""
-    return sorted({path.stem for folder in _folders() for path in folder.glob('*.yaml')})
+    return sorted(
+        {path.stem for folder in config_folders('sensors') for path in folder.glob('*.yaml')}
+    )
 
 
 def load_sensor(name: str) -> Datasheet:
@@ -91,7 +93,7 @@ def load_sensor(name: str) -> Datasheet:
     """
     path = Path(name)
     if path.suffix.lower() not in ('.yaml', '.yml'):
-        found = [f / f'{name.lower()}.yaml' for f in _folders()]
+        found = [f / f'{name.lower()}.yaml' for f in config_folders('sensors')]
         found = [f for f in found if f.is_file()]
         if not found:
             raise AllanError(
@@ -128,11 +130,11 @@ _Loader.add_implicit_resolver(
 )
 
 
-def _folders() -> list[Path]:
-    """Return the folders of datasheets: of a checkout, or of wherever the package is installed."""
+def config_folders(kind: str) -> list[Path]:
+    """Return ``config/<kind>`` of a checkout, or of wherever the package is installed."""
     here = Path(__file__).resolve()
-    checkout = here.parents[2] / 'config' / 'sensors'
-    installed = [parent / 'share' / 'allan_ros' / 'config' / 'sensors' for parent in here.parents]
+    checkout = here.parents[2] / 'config' / kind
+    installed = [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
     return [folder for folder in (checkout, *installed) if folder.is_dir()]
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 
@@ -71,6 +71,8 @@ class ImuEstimate:
     references : sequence of Reference
     worker : Worker
         Where fits are computed.
+    listener : callable, optional
+        Called with the results of every fit.
     """
 
     def __init__(
@@ -80,9 +82,10 @@ class ImuEstimate:
         settings: ParameterGroup[EstimatorSettings],
         references: Sequence[Reference],
         worker: Worker,
+        listener: Callable[[Results], None] | None = None,
     ) -> None:
         self._node, self._label, self._settings = node, label, settings
-        self._references, self._worker = references, worker
+        self._references, self._worker, self._listener = references, worker, listener
         self._total: Total | None = None
         self._results: Results | None = None
         self._fitted: tuple[AllanSums, ...] = ()
@@ -128,6 +131,8 @@ class ImuEstimate:
         document = results_to_document(self._results, curves=False)
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
+        if self._listener is not None:
+            self._listener(self._results)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return one status for each axis that has sums."""

@@ -17,6 +17,7 @@ from ..core.findings import finding
 from ..io.documents import sums_file_from_document
 from .diagnostics import diagnostic_array, key_values, message_of, status_name, worst_level
 from .estimation import ImuEstimate, load_references
+from .parameter_push import ParameterPush
 from .parameters import ParameterGroup
 from .periodic import Periodic
 from .qos import LATCHED
@@ -39,7 +40,8 @@ class Estimator(Node):
         self._publish = ParameterGroup(self, 'publish', PublishSettings)
         settings = ParameterGroup(self, 'estimator', EstimatorSettings)
         references = load_references(settings.value)
-        self._estimate = ImuEstimate(self, '', settings, references, Worker())
+        self._push = ParameterPush(self)
+        self._estimate = ImuEstimate(self, '', settings, references, Worker(), self._push.offer)
         self._subscription = self.create_subscription(String, 'sums', self._on_sums, LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._last_sums = now = time.monotonic()
@@ -62,8 +64,10 @@ class Estimator(Node):
     def _tick(self) -> None:
         now = time.monotonic()
         self._estimate.tick(now)
+        self._push.tick(now)
         if self._diagnostics_due.due(now):
             statuses = [self._sums_status(now), *self._estimate.statuses(now)]
+            statuses += self._push.statuses()
             self._diagnostics.publish(diagnostic_array(self, statuses))
 
     def _sums_status(self, now: float) -> DiagnosticStatus:

@@ -206,6 +206,43 @@ class RelaySettings:
         check(self)
 
 
+@dataclass(frozen=True)
+class PushSettings:
+    """Whose parameters follow the coefficients, and how (group ``push``)."""
+
+    node: str = parameter(
+        '', 'Full name of the node whose parameters are set; empty: none.', read_only=True
+    )
+    filter: str = parameter(
+        '',
+        'What is set: a name in config/filters, or a mapping file.',
+        read_only=True,
+    )
+    enabled: bool = parameter(
+        True, 'Whether parameters are set; ~/restore puts the former ones back and turns it off.'
+    )
+    ratio: float = parameter(
+        1.5,
+        'A value is set once upper over lower end of its 95 % interval is at most this.',
+        low=1.0,
+        high=1000.0,
+    )
+    period: float = parameter(
+        300.0, 'Parameters are set at most this often.', unit='s', low=0.1, high=604800.0
+    )
+    change: float = parameter(
+        0.1, 'A value is set anew when it differs by more than this fraction.', low=0.0, high=10.0
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.node and not (self.node.startswith('/') and self.filter):
+            raise AllanError(
+                f'push.node is {self.node!r}, push.filter {self.filter!r}: give a full name such '
+                'as /imu_filter_madgwick, and the mapping'
+            )
+
+
 GROUPS: dict[str, type] = {
     'input': InputSettings,
     'segmenter': SegmenterSettings,
@@ -213,5 +250,6 @@ GROUPS: dict[str, type] = {
     'checkpoint': CheckpointSettings,
     'estimator': EstimatorSettings,
     'relay': RelaySettings,
+    'push': PushSettings,
 }
 """Parameter group -> its settings."""

@@ -1,0 +1,288 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Set parameters of another node from the noise model, through its own parameter services.
+
+Each time it is due it first reads what the node has: so it learns the former values, sets nothing
+that is right already, and notices a node that was started anew. The node may refuse; its reason is
+shown, and the same value is not pressed upon it again.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from ..core.errors import AllanError
+from ..core.filter_parameters import FilterMapping, Proposal, narrow_enough, propose
+from ..io.filters import load_filter
+from ..io.results import Results
+from .diagnostics import key_values, status_name
+from .parameters import ParameterGroup
+from .settings import PushSettings
+
+ANSWER_S = 5.0
+"""A node that has not answered by then is asked again a period later."""
+
+RETRY_S = 1.0
+"""How often it is looked for while it is not there."""
+
+
+class ParameterPush:
+    """Keeps parameters of ``push.node`` equal to what the noise model says.
+
+    Parameters
+    ----------
+    owner : Node
+        Which has the parameters ``push.*`` and the service ``~/restore``.
+
+    Attributes
+    ----------
+    node : str
+        Full name of the node whose parameters are set; '' for none.
+
+    Raises
+    ------
+    AllanError
+        When the mapping cannot be read.
+    """
+
+    def __init__(self, owner: Node) -> None:
+        self._owner, self._log = owner, owner.get_logger()
+        self._settings = ParameterGroup(owner, 'push', PushSettings)
+        self.node = target = self._settings.value.node
+        self._mapping = load_filter(self._settings.value.filter) if target else None
+        self._results: Results | None = None
+        self._unread: list[Proposal] = []
+        self._wanted: list[Proposal] = []
+        self._former: dict[str, ParameterValue] = {}
+        self._current: dict[str, ParameterValue] = {}
+        self._refused: dict[str, Proposal] = {}
+        self._notes: dict[str, str] = {}
+        self._asked: Any = None
+        self._asked_at = self._due_at = 0.0
+        owner.create_service(Trigger, '~/restore', self._on_restore)
+        if target:
+            # its answers must come while ~/restore waits for them
+            group = ReentrantCallbackGroup()
+            self._get = owner.create_client(
+                GetParameters, f'{target}/get_parameters', callback_group=group
+            )
+            self._set = owner.create_client(
+                SetParameters, f'{target}/set_parameters', callback_group=group
+            )
+
+    def offer(self, results: Results) -> None:
+        """Take the latest noise model."""
+        self._results = results
+
+    def tick(self, now: float) -> None:
+        """Begin to set parameters if it is time, and give up on answers that do not come."""
+        if self._asked is not None:
+            if now - self._asked_at > ANSWER_S:
+                self._asked.cancel()
+                self._asked = None
+                self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
+            return
+        settings = self._settings.value
+        if self._mapping is None or self._results is None:
+            return
+        if not settings.enabled or now < self._due_at:
+            return
+        self._due_at = now + RETRY_S
+        ready = self._proposals(self._mapping, self._results, settings)
+        if not ready:
+            return
+        if not (self._get.service_is_ready() and self._set.service_is_ready()):
+            self._note('', f'{self.node} is not there: start it, or correct push.node')
+            return
+        self._due_at = now + settings.period
+        self._notes.pop('', None)
+        self._unread, self._wanted = ready, []
+        self._proceed()
+
+    def statuses(self) -> list[DiagnosticStatus]:
+        """Return how the parameters stand; nothing where there is nothing to set."""
+        if self._mapping is None:
+            return []
+        enabled = self._settings.value.enabled
+        troubles = [f'{name}: {note}' if name else note for name, note in self._notes.items()]
+        refused = bool(self._refused) or '' in self._notes
+        done = f'set {", ".join(self._former)}' if self._former else 'nothing set yet'
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if refused and enabled else DiagnosticStatus.OK,
+            name=status_name(self._owner, f'parameters of {self.node}'),
+            message='; '.join([done if enabled else 'off: push.enabled is false', *troubles]),
+            values=key_values(
+                [
+                    *((name, _numbers(value)) for name, value in self._current.items()),
+                    *((f'former {n}', _numbers(value)) for n, value in self._former.items()),
+                ]
+            ),
+        )
+        return [status]
+
+    # --- setting ----------------------------------------------------------------------------------
+
+    def _proposals(
+        self, mapping: FilterMapping, results: Results, settings: PushSettings
+    ) -> list[Proposal]:
+        """Return what is known well enough, and note what is not."""
+        fits = {name: axis.fit for name, axis in results.axes.items()}
+        made = []
+        for parameter in mapping.parameters:
+            try:
+                made.append(propose(parameter, fits, results.rate_hz, mapping.constants))
+            except AllanError as error:
+                self._note(parameter.name, str(error))
+        ready, waiting = narrow_enough(made, settings.ratio)
+        for name, why in waiting.items():
+            self._note(name, why)
+        return [p for p in ready if not self._was_refused(p, settings.change)]
+
+    def _was_refused(self, proposal: Proposal, change: float) -> bool:
+        refused = self._refused.get(proposal.name)
+        return refused is not None and not proposal.differs(refused.values, change)
+
+    def _ask(self, future: Any, then: Any) -> None:
+        self._asked, self._asked_at = future, time.monotonic()
+        future.add_done_callback(then)
+
+    def _proceed(self) -> None:
+        """Read the next parameter, or set those that differ once all are read.
+
+        They are read one by one: where one of several is not declared, a node tells of none.
+        """
+        if self._unread:
+            request = GetParameters.Request(names=[self._unread[0].name])
+            self._ask(self._get.call_async(request), self._on_read)
+        elif self._wanted:
+            messages = [_message(p, self._current[p.name]) for p in self._wanted]
+            request = SetParameters.Request(parameters=messages)
+            self._ask(self._set.call_async(request), self._on_set)
+
+    def _on_read(self, future: Any) -> None:
+        """Remember what the node has, and whether it differs from what it should have."""
+        if future is not self._asked:
+            return
+        self._asked = None
+        proposal = self._unread.pop(0)
+        value = next(iter(future.result().values), ParameterValue())
+        if self._fits(proposal, value):
+            self._current[proposal.name] = value
+            self._notes.pop(proposal.name, None)
+            if proposal.differs(_numbers(value), self._settings.value.change):
+                self._wanted.append(proposal)
+        self._proceed()
+
+    def _fits(self, proposal: Proposal, value: ParameterValue) -> bool:
+        """Return whether the node's parameter can hold the proposal, and note why not."""
+        array = len(proposal.values) > 1
+        wanted = ParameterType.PARAMETER_DOUBLE_ARRAY if array else ParameterType.PARAMETER_DOUBLE
+        if value.type == wanted:
+            return True
+        what = (
+            'not declared' if value.type == ParameterType.PARAMETER_NOT_SET else 'of another type'
+        )
+        kind = 'an array of numbers' if array else 'a number with a point'
+        self._refused[proposal.name] = proposal
+        self._note(proposal.name, f'is {what} in {self.node}: the mapping sets {kind}')
+        return False
+
+    def _on_set(self, future: Any) -> None:
+        """Say what became of it."""
+        if future is not self._asked:
+            return
+        self._asked = None
+        for proposal, result in zip(self._wanted, future.result().results):
+            name, value = proposal.name, _text(proposal.values)
+            if not result.successful:
+                self._refused[name] = proposal
+                self._note(name, f'{self.node} refused {value}: {result.reason or "no reason"}')
+                continue
+            self._refused.pop(name, None)
+            before = self._current[name]
+            self._former.setdefault(name, before)
+            self._current[name] = _message(proposal, before).value
+            limited = ', moved to its limit' if proposal.limited else ''
+            self._log.info(
+                f'{name} of {self.node}: {_text(_numbers(before))} -> {value}{limited} '
+                f'(95 %: {proposal.low:.3g} to {proposal.high:.3g})'
+            )
+
+    def _note(self, name: str, note: str) -> None:
+        """Keep a note of a parameter ('' for the node), and log it when it is new."""
+        if self._notes.get(name) != note:
+            self._log.info(f'{name}: {note}' if name else note)
+        self._notes[name] = note
+
+    # --- restoring --------------------------------------------------------------------------------
+
+    async def _on_restore(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Put the former values back, and set no more until push.enabled is true again."""
+        if self._mapping is not None:
+            off = Parameter('push.enabled', Parameter.Type.BOOL, False)
+            self._owner.set_parameters([off])
+        if self._asked is not None:
+            self._asked.cancel()
+            self._asked = None
+        if not self._former:
+            response.message = 'nothing was set, so there is nothing to restore'
+            return response
+        if not self._set.service_is_ready():
+            response.message = f'{self.node} is not there: nothing was restored'
+            return response
+        former = dict(self._former)
+        request = SetParameters.Request(
+            parameters=[ParameterMessage(name=name, value=v) for name, v in former.items()]
+        )
+        self._asked, self._asked_at = self._set.call_async(request), time.monotonic()
+        answer = await self._asked
+        if answer is None:  # `tick` gave up
+            response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
+            return response
+        self._asked = None
+        failed = [
+            f'{name}: {result.reason or "refused"}'
+            for name, result in zip(former, answer.results)
+            if not result.successful
+        ]
+        response.success = not failed
+        restored = ', '.join(f'{name} = {_text(_numbers(v))}' for name, v in former.items())
+        response.message = '; '.join(failed) if failed else f'restored {restored}'
+        if not failed:
+            self._former, self._current = {}, {}
+            self._refused, self._notes = {}, {}
+        self._log.info(response.message)
+        return response
+
+
+def _numbers(value: ParameterValue) -> tuple[float, ...]:
+    """Return what a parameter of one or of several numbers holds."""
+    if value.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
+        return tuple(value.double_array_value)
+    return (value.double_value,)
+
+
+def _message(proposal: Proposal, current: ParameterValue) -> ParameterMessage:
+    """Return the parameter with the proposed value, of the type it has."""
+    value = ParameterValue(type=current.type)
+    if current.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
+        value.double_array_value = list(proposal.values)
+    else:
+        (value.double_value,) = proposal.values
+    return ParameterMessage(name=proposal.name, value=value)
+
+
+def _text(values: tuple[float, ...]) -> str:
+    return ' '.join(f'{value:.4g}' for value in values)
