@@ -35,9 +35,6 @@ Z_ONE_SIDED = 1.645
 Z_DETECT = 2.33
 """Normal quantile of 99 %: a term that is 0 passes for one in 1 % of records."""
 
-ROUNDS = 3
-"""Rounds of the fit at a held value; it starts from its neighbour's."""
-
 ENOUGH = 0.01
 """How near z must come to its target: half a percent of the half-width."""
 
@@ -86,7 +83,6 @@ class Score:
             self._start,
             fixed={self.term: c},
             signed=self.term != Q,
-            rounds=ROUNDS,
             misfit=self.misfit,
         )
         self._start = power

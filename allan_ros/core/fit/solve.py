@@ -26,8 +26,11 @@ almost one and the same number, and the covariance is only known to about this."
 TOLERANCE = 1e-3
 """Relative change of the powers at which the iteration stops: far below their errors."""
 
-ROUNDS = 5
-"""Rounds of the point fit; it settles in three to four."""
+ROUNDS = 12
+"""Bound on the rounds of a fit, which settles in two to five."""
+
+SWING = 0.25
+"""A power that turns back by more than this part of its last step is swinging."""
 
 NOISE_FLOOR = 1e-6
 """White noise assumed at least, relative to the least that the table could hide."""
@@ -86,7 +89,6 @@ def solve(
     fixed: Mapping[int, float] | None = None,
     columns: tuple[int, ...] | None = None,
     signed: bool = False,
-    rounds: int = ROUNDS,
     misfit: float = 0.0,
 ) -> Floats:
     """Return the powers that fit the table.
@@ -102,8 +104,6 @@ def solve(
         Terms that may be other than 0; all by default.
     signed : bool
         Whether q may be negative (a low-pass filter looks like that).
-    rounds : int
-        At most so many.
     misfit : float
         Fractional error of the model, added to the covariance as (misfit V_model)^2.
     """
@@ -115,17 +115,22 @@ def solve(
     now = np.array([held.get(c, power[c] if c in columns else 0.0) for c in every])
     offset = sum((table.terms[:, c] * v for c, v in held.items()), np.zeros(len(table.m)))
     both = np.column_stack([table.terms, table.avar - offset])
-    for _ in range(rounds):
+    last = np.zeros(len(every))
+    new = now
+    for _ in range(ROUNDS):
         white = Whitening.of(weights_at(table, now, misfit)).apply(both)
         new = np.zeros(len(every))
         new[free] = nonnegative_least_squares(white[:, free], white[:, -1], negative)
         for c, v in held.items():
             new[c] = v
-        settled = np.all(np.abs(new - now) <= TOLERANCE * np.abs(now))
-        now = new
-        if settled:
+        step = new - now
+        if np.all(np.abs(step) <= TOLERANCE * np.abs(now)):
             break
-    return now
+        # Two terms can take turns at explaining the same curve: meet such a swing half-way.
+        swings = np.any(step * last < -SWING * last**2)
+        last = step / 2.0 if swings else step
+        now = now + last
+    return np.asarray(new)
 
 
 def white_floor(table: Table) -> float:
