@@ -242,3 +242,26 @@ def test_a_relay_to_itself_is_refused(graph):
     relay = graph.start('relay', remap={OUT: 'imu/data'})
     assert relay.wait() == 1
     assert 'would be relayed to itself' in relay.output and 'Traceback' not in relay.output
+
+
+def test_the_monitor_relays_what_it_measures(graph, still_imu):
+    reliable = {
+        'qos_overrides./imu/data.subscription.reliability': 'reliable',
+        'qos_overrides./imu/data.subscription.history': 'keep_all',
+    }
+    monitor = graph.start(
+        'monitor', **QUICK, **reliable, **{'relay.enabled': True, 'publish.sums_period': 0.5}
+    )
+    received = raw(graph)
+    publisher = graph.publisher()
+    batch = still_imu(6000)
+    graph.send(publisher, batch)
+    filled(graph)
+    again = still_imu(100, start_ns=10**18 + 31 * 10**9, seed=4)
+    graph.send(publisher, again)
+    graph.until(lambda: graph.value('relay', 'received') == '6100')
+    last = np.frombuffer(received[-1], imu_dtype('cdr', '<', 4))
+    np.testing.assert_allclose(last['gyro_covariance'][0, [0, 4, 8]], 1e-6, rtol=0.15)
+    np.testing.assert_allclose(last['accel_covariance'][0, [0, 4, 8]], 1e-4, rtol=0.15)
+    assert graph.status('relay').name == 'allan_monitor: relay'
+    assert monitor.stop() == 0, monitor.output
