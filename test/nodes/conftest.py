@@ -25,7 +25,7 @@ from allan_ros.io.imu_cdr import encode_imus
 ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)
 """Domains whose UDP ports stay below the ephemeral ones (docs.ros.org, The ROS_DOMAIN_ID)."""
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 """How long anything may take before it counts as never: a loaded machine is slow."""
 
 
@@ -141,6 +141,13 @@ class Graph:
     def summary(self) -> str:
         return '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
 
+    def override(self, **parameters: Any) -> None:
+        """Give the client node parameters, as a launch file does; for what it makes from now on."""
+        from rclpy.parameter import Parameter
+
+        for name, value in parameters.items():
+            self.node._parameter_overrides[name] = Parameter(name, value=value)
+
     def publisher(self, topic: str = 'imu/data') -> Any:
         """Return a publisher of Imu that keeps all, once a subscriber has found it."""
         from rclpy.qos import HistoryPolicy, QoSProfile
@@ -149,6 +156,7 @@ class Graph:
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         publisher = self.node.create_publisher(Imu, topic, qos)
         self.until(publisher.get_subscription_count)
+        self.spin(0.1)  # the subscriber may not have found this one yet
         return publisher
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:

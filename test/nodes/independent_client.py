@@ -25,7 +25,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 PERIOD_NS = 5_000_000
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 @dataclass

@@ -208,6 +208,21 @@ def test_a_looped_recording_counts_once(graph, still_imu, tmp_path: Path):
         assert json.loads(path.read_text())['sums'] == offline(batch)
 
 
+def test_a_clock_that_is_set_back_only_cuts(graph, still_imu, tmp_path: Path):
+    """Without simulated time it is the same IMU that goes on, so both stretches count."""
+    checkpoint = tmp_path / 'sums.json'
+    graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint)})
+    publisher = graph.publisher()
+    before, after = still_imu(3000), still_imu(2000, start_ns=10**18 - 3600 * 10**9, seed=2)
+    graph.send(publisher, before)
+    graph.send(publisher, after)
+    graph.until(lambda: graph.value('input', 'received') == '5000')
+    assert graph.call('/allan_accumulator/save').success
+    assert json.loads(checkpoint.read_text())['sums'] == offline(before, after)
+    assert first_samples(checkpoint) > 4900
+    assert not (tmp_path / 'sums.json.previous').exists()
+
+
 def test_no_input_ends_it(graph, still_imu):
     """NaN, inf, zero and backward stamps, absent sensors, garbage, a burst, another frame."""
     node = graph.start('accumulator', **FAST)

@@ -90,10 +90,7 @@ def test_nothing_of_a_drained_subscription_is_waited_for(graph):
 
 
 def test_an_incompatible_publisher_is_counted(graph):
-    from rclpy.parameter import Parameter
-
-    name = 'qos_overrides./imu/data.subscription.reliability'
-    graph.node._parameter_overrides[name] = Parameter(name, value='reliable')
+    graph.override(**{'qos_overrides./imu/data.subscription.reliability': 'reliable'})
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
 
     from rclpy.qos import QoSProfile, ReliabilityPolicy

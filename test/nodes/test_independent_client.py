@@ -48,7 +48,7 @@ def test_a_client_of_another_dds_is_served(graph, ros_domain: int):
         env={**os.environ, 'CYCLONEDDS_URI': LOOPBACK},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
     )
     assert client.returncode == 0, client.stderr
     heard = json.loads(client.stdout)

@@ -26,6 +26,8 @@ class Ear:
 
     def __init__(self, graph) -> None:
         self._graph = graph
+        start = 'qos_overrides./imu/data.subscription'
+        graph.override(**{f'{start}.reliability': 'reliable', f'{start}.history': 'keep_all'})
         # reliable, so that what is sent before it has found the player's writer is sent again
         name = 'qos_overrides./imu/data.subscription.reliability'
         graph.node._parameter_overrides[name] = Parameter(name, value='reliable')
