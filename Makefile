@@ -16,6 +16,9 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
+# The matrices of a fit are small: threads only wait for each other, and tests run side by side.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: help venv demo test test-floor lint format bench clean
 
 help:  ## show this help

@@ -10,6 +10,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 PACKAGE = 'allan_ros'
+DASK = 'distributed>=2022.2'
 
 
 def ros_wheels(distro):
@@ -57,6 +58,7 @@ setup(
         'zstandard>=0.18',  # reads the same without it, more slowly
     ],
     extras_require={
+        'dask': [DASK],
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
         # Those who read what we write, to prove that they can: filters, and another DDS. gtsam 4.2
@@ -68,7 +70,7 @@ setup(
         ],
         # The tools are pinned, so that a lint that passes today passes next year.
         'lint': ['mypy==2.4.1', 'ruff==0.17.5'],
-        'test': ['allantools==2024.6', 'hypothesis>=6.100', 'pytest>=7', 'pytest-xdist>=3'],
+        'test': ['allantools==2024.6', 'hypothesis>=6.100', 'pytest>=7', 'pytest-xdist>=3', DASK],
     },
     zip_safe=True,
     entry_points={

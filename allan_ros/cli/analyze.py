@@ -9,19 +9,17 @@ runs of the same IMU: their evidence adds up.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings
 from .options import add_settings, settings_of
-from .outcome import OutcomeSettings, Run, add_runs, check_exports, finish
-from .progress import Progress
+from .outcome import OutcomeSettings, add_runs, finish
 
 if TYPE_CHECKING:
-    from ..io.envelope import SignalEnvelope
-    from ..io.recordings import Recording
+    from ..core.findings import Finding
+    from .parts import Job, Part
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='TEXT',
         help='which piece this is; only sums with the same one add up',
     )
+    spread = parser.add_argument_group('several recordings')
+    spread.add_argument(
+        '--jobs', type=int, default=1, metavar='N', help='read so many at a time (default 1)'
+    )
+    spread.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='read them on the Dask cluster of this scheduler, as tcp://host:8786; '
+        'its workers must see the same paths',
+    )
     add_settings(parser, 'result', OutcomeSettings)
     add_settings(parser, 'evidence', SegmenterSettings, without=['declared_rate'])
     add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])
@@ -52,53 +60,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, accumulate, fit, show and write."""
-    from ..io.envelope import SignalEnvelope
-    from ..io.recordings import ReadOptions, open_recordings
+    from ..core.findings import Finding
+    from ..io.recordings import ReadOptions
+    from .parts import Job, add_findings
 
-    check_exports(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
-    settings = {**asdict(evidence), **asdict(reading), 'hardware_id': args.hardware_id}
-    recordings = open_recordings(args.inputs, reading)
-    signals = [SignalEnvelope() for _ in recordings]
-    runs = [
-        accumulate(recording, evidence, settings, signal)
-        for recording, signal in zip(recordings, signals)
-    ]
-    return finish(add_runs(runs), args, signals)
+    jobs = [Job(path, reading, evidence, args.hardware_id) for path in args.inputs]
+    outcomes = list(_spread(jobs, args))
+    lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
+    parts = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
+    if not parts:
+        raise AllanError('; '.join(str(finding) for finding in lost))
+    parts[0] = add_findings(parts[0], lost)
+    return finish(add_runs(part.run for part in parts), args, [part.signal for part in parts])
 
 
-def accumulate(
-    recording: Recording,
-    evidence: SegmenterSettings,
-    settings: Mapping[str, Any],
-    signal: SignalEnvelope,
-) -> Run:
-    """Return the sums of one recording, reading it once from end to end.
+def _spread(jobs: Sequence[Job], args: argparse.Namespace) -> Iterator[Part | Finding]:
+    """Do the jobs where the arguments say."""
+    if args.jobs < 1:
+        raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
+    if args.scheduler:
+        from .cluster import on_cluster
 
-    Raises
-    ------
-    AllanError
-        When it cannot be read, or holds no evidence at all.
-    """
-    from ..core.accumulator import ImuAccumulator
-    from ..io.results import Provenance
+        return on_cluster(jobs, args.scheduler)
+    from .parts import in_processes, in_turn
 
-    accumulator = ImuAccumulator(evidence, settings['hardware_id'])
-    path = recording.info.path
-    with Progress(path, recording.messages) as progress:
-        for batch in recording.batches():
-            accumulator.update(batch)
-            signal.update(batch)
-            progress.advance(len(batch))
-    accumulator.end()
-    known = accumulator.result()
-    findings = (*recording.findings, *known.findings)
-    if not known.sums:
-        why = '; '.join(str(finding) for finding in findings) or 'it has no samples'
-        raise AllanError(f'{path}: no evidence among {known.health.counts.received} samples: {why}')
-    return Run(
-        path,
-        known.sums,
-        Provenance((recording.info,), known.spans, findings, known.health.counts, settings),
-    )
+    if min(args.jobs, len(jobs)) > 1:
+        return in_processes(jobs, args.jobs)
+    return in_turn(jobs)

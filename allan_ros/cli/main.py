@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..core.errors import AllanError
+from ..one_thread import keep_to_one_thread
 
 VERBS = {
     'analyze': 'recordings in, coefficients, curves, plots and a report out',
@@ -37,6 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         top.parse_args(words)
         top.print_usage(sys.stderr)
         return 2
+    keep_to_one_thread()
     verb = importlib.import_module(f'.{words[0]}', __package__)
     parser = argparse.ArgumentParser(
         prog=f'allan {words[0]}',

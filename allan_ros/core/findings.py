@@ -375,6 +375,13 @@ _word(
     'what is whole was read',
     'stop the recorder with Ctrl-C and wait for it to end; "mcap recover" mends the file itself',
 )
+_word(
+    'recording_lost',
+    'error',
+    '{path}: is left out, because every worker of the cluster that read it died',
+    'look into the logs of the workers (memory is the usual cause) and analyse it alone; '
+    '"allan merge" adds it',
+)
 
 # --- the fit: methods 'paper' and 'relative' -----------------------------------------------------
 _word(
@@ -445,6 +452,13 @@ _word(
     'warning',
     'the terms describe the curve to {misfit:.1%} only; the intervals are widened accordingly',
     'look at the curve: temperature, vibration or motion; record at rest, warmed up, in still air',
+)
+_word(
+    'levels_off',
+    'info',
+    'the longest averages lie far below what the shorter ones foretell: the drift levels off',
+    'K holds for times up to where the curve bends; a bias that returns is a first-order '
+    'Gauss-Markov process, often of temperature',
 )
 _word(
     'rounding',

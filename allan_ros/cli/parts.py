@@ -1,0 +1,116 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The evidence of each recording: one after the other, or spread over processes.
+
+A recording is the unit: its samples feed one segmenter in order, and the sums of separate
+recordings add up. So the ways differ in time only, not in what comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+from ..core.accumulator import ImuAccumulator
+from ..core.errors import AllanError
+from ..core.findings import Finding
+from ..core.settings import SegmenterSettings
+from ..io.envelope import SignalEnvelope
+from ..io.recordings import ReadOptions, Recording, open_recordings
+from ..io.results import Provenance
+from .outcome import Run
+from .progress import Progress
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording to read, as it can be sent to another process or machine."""
+
+    path: str
+    reading: ReadOptions
+    evidence: SegmenterSettings
+    hardware_id: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """What came of one recording: its sums, and its signal for the plots."""
+
+    run: Run
+    signal: SignalEnvelope
+
+
+def accumulate(job: Job) -> Part:
+    """Return the sums of one recording, reading it once from end to end.
+
+    Raises
+    ------
+    AllanError
+        When it cannot be read, or holds no evidence at all.
+    """
+    (recording,) = open_recordings([job.path], job.reading)
+    return _accumulate(job, recording, lambda samples: None)
+
+
+def in_turn(jobs: Sequence[Job]) -> Iterator[Part]:
+    """Do the jobs one after the other, in this process."""
+    # all are opened before the first is read: a wrong name shall not come out after an hour
+    recordings = [open_recordings([job.path], job.reading)[0] for job in jobs]
+    for job, recording in zip(jobs, recordings):
+        with Progress(job.path, recording.messages) as progress:
+            yield _accumulate(job, recording, progress.advance)
+
+
+def in_processes(jobs: Sequence[Job], processes: int) -> Iterator[Part]:
+    """Do the jobs in so many processes at a time.
+
+    Raises
+    ------
+    AllanError
+        What a job raised, or that a process died.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import get_context
+
+    # a fork would copy the threads' locks of numpy's libraries, but not the threads
+    workers = min(processes, len(jobs))
+    pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
+    try:
+        futures = [pool.submit(accumulate, job) for job in jobs]
+        with Progress(f'{len(jobs)} recordings in {workers} processes', None) as progress:
+            for future in futures:
+                part = future.result()
+                progress.advance(part.run.provenance.counts.received)
+                yield part
+    except BrokenProcessPool as error:
+        raise AllanError(
+            f'one of {workers} processes died, perhaps for want of memory: use fewer --jobs'
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def add_findings(part: Part, lost: Iterable[Finding]) -> Part:
+    """Return the part with more to say of it."""
+    run = part.run
+    more = Provenance(findings=tuple(lost))
+    return Part(Run(run.name, run.sums, run.provenance + more), part.signal)
+
+
+def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) -> Part:
+    accumulator, signal = ImuAccumulator(job.evidence, job.hardware_id), SignalEnvelope()
+    for batch in recording.batches():
+        accumulator.update(batch)
+        signal.update(batch)
+        advance(len(batch))
+    accumulator.end()
+    known = accumulator.result()
+    findings = (*recording.findings, *known.findings)
+    counts = known.health.counts
+    if not known.sums:
+        why = '; '.join(str(finding) for finding in findings) or 'it has no samples'
+        raise AllanError(f'{job.path}: no evidence among {counts.received} samples: {why}')
+    settings = {**asdict(job.evidence), **asdict(job.reading), 'hardware_id': job.hardware_id}
+    origin = Provenance((recording.info,), known.spans, findings, counts, settings)
+    return Part(Run(job.path, known.sums, origin), signal)

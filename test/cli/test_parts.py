@@ -1,0 +1,134 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings spread over processes and over a cluster: the same sums, whoever dies on the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from allan_ros.cli.cluster import on_cluster
+from allan_ros.cli.main import main
+from allan_ros.cli.parts import Job, Part, accumulate, in_processes, in_turn
+from allan_ros.core.errors import AllanError
+from allan_ros.core.findings import Finding
+from allan_ros.core.settings import SegmenterSettings
+from allan_ros.core.sums_document import sums_to_document
+from allan_ros.io.recordings import ReadOptions
+
+
+@pytest.fixture(scope='module')
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return three short runs of one IMU."""
+    folder = tmp_path_factory.mktemp('runs')
+    paths = [str(folder / f'{seed}.npz') for seed in range(3)]
+    for seed, path in enumerate(paths):
+        how = ['--preset', 'paper', '--hours', '0.02', '--rate', '50', '--seed', str(seed)]
+        assert main(['simulate', path, *how]) == 0
+    return paths
+
+
+def jobs_of(paths: list[str]) -> list[Job]:
+    return [Job(path, ReadOptions(), SegmenterSettings(), '') for path in paths]
+
+
+def documents(parts: Iterable[Any]) -> list[Any]:
+    """Return the sums of all parts as plain values."""
+    return [sums_to_document(sums) for part in parts for sums in part.run.sums]
+
+
+def shown(paths: list[str], capsys: pytest.CaptureFixture[str], *how: str) -> str:
+    """Return what an analysis prints."""
+    assert main(['analyze', *paths, '--method', 'relative', *how]) == 0
+    return capsys.readouterr().out
+
+
+def test_processes_give_what_one_gives(
+    recordings: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    jobs = jobs_of(recordings)
+    assert documents(in_processes(jobs, 2)) == documents(in_turn(jobs))
+    assert shown(recordings, capsys, '--jobs', '2') == shown(recordings, capsys)
+
+
+def test_what_one_process_finds_wrong_is_said(
+    recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = tmp_path / 'wrong.npz'
+    wrong.write_bytes(b'PK\x03\x04 and nothing more')
+    assert main(['analyze', recordings[0], str(wrong), '--jobs', '2']) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f'allan analyze: {wrong}: ') and said.count('\n') == 1
+    assert main(['analyze', recordings[0], '--jobs', '0']) == 1
+
+
+@pytest.fixture(scope='module')
+def cluster() -> Iterator[Any]:
+    """Yield a cluster of two worker processes, in which one death loses a job."""
+    distributed = pytest.importorskip('distributed')
+    dask = pytest.importorskip('dask')
+    settings = {'distributed.scheduler.allowed-failures': 1}
+    with dask.config.set(settings), distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as local:  # fmt: skip
+        yield local
+
+
+def test_a_cluster_gives_what_one_process_gives(
+    cluster: Any, recordings: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    jobs, address = jobs_of(recordings), cluster.scheduler_address
+    assert documents(on_cluster(jobs, address)) == documents(in_turn(jobs))
+    assert shown(recordings, capsys, '--scheduler', address) == shown(recordings, capsys)
+
+
+def deadly(victim: str, deaths: Path, times: int) -> Callable[[Job], Part]:
+    """Return work at which the worker of one recording dies so many times."""
+
+    def work(job: Job) -> Part:
+        if job.path == victim and len(list(deaths.iterdir())) < times:
+            (deaths / str(os.getpid())).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return accumulate(job)
+
+    return work
+
+
+def test_a_dead_worker_costs_nothing_while_another_lives(
+    cluster: Any, recordings: list[str], tmp_path: Path
+) -> None:
+    work = deadly(recordings[1], tmp_path, times=1)
+    parts = list(on_cluster(jobs_of(recordings), cluster.scheduler_address, work))
+    assert len(list(tmp_path.iterdir())) == 1
+    assert documents(parts) == documents([accumulate(job) for job in jobs_of(recordings)])
+
+
+def test_a_recording_at_which_all_workers_die_costs_itself_only(
+    cluster: Any, recordings: list[str], tmp_path: Path
+) -> None:
+    work = deadly(recordings[1], tmp_path, times=100)
+    first, lost, third = on_cluster(jobs_of(recordings), cluster.scheduler_address, work)
+    assert isinstance(lost, Finding) and lost.id == 'recording_lost'
+    assert lost.message.startswith(recordings[1])
+    kept = [accumulate(job) for job in jobs_of([recordings[0], recordings[2]])]
+    assert documents([first, third]) == documents(kept)
+
+
+def test_what_a_worker_finds_wrong_is_said(cluster: Any, tmp_path: Path) -> None:
+    jobs = jobs_of([str(tmp_path / 'gone.npz')])
+    with pytest.raises(AllanError, match='no such file'):
+        list(on_cluster(jobs, cluster.scheduler_address))
+
+
+def test_a_scheduler_that_does_not_answer_is_said(
+    recordings: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip('distributed')
+    monkeypatch.setattr('allan_ros.cli.cluster.CONNECT_S', 0.5)
+    with pytest.raises(AllanError, match='no Dask scheduler answers at tcp://127'):
+        list(on_cluster(jobs_of(recordings), 'tcp://127.0.0.1:9'))
