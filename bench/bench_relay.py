@@ -1,0 +1,204 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a relayed message costs: latency, CPU, messages lost in bursts; over real DDS.
+
+    python bench/bench_relay.py      about 2 min
+
+Latency is from before publishing to the bytes in another thread of this process; "direct" is the
+same without a relay, so the difference is the relay's. A busy machine shows in the last columns.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+from online_nodes import Client, Process, node
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.io.documents import results_to_document
+from allan_ros.io.imu_cdr import encode_imus
+from allan_ros.io.imu_patch import CovariancePatch
+from allan_ros.io.results import Provenance, analyse_sums
+
+RATES_HZ = (200, 1000)
+MEASURE_S = 10.0
+SETTLE_S = 2.0
+BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 50
+SIMULATED = [NoiseTerms(N=1e-4)] * 3
+OUT = 'imu/data_with_covariance'
+
+EMPTY_SUBSCRIBER = """
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+rclpy.init()
+node = rclpy.create_node('empty')
+qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+node.create_subscription(Imu, 'imu/data', lambda raw: None, qos, raw=True)
+rclpy.spin(node)
+"""
+
+
+class Receiver:
+    """Takes the messages of a topic in a thread of its own and keeps their latencies."""
+
+    def __init__(self, client: Client, topic: str) -> None:
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import Imu
+
+        from allan_ros.nodes.imu_input import DrainedGroup
+        from allan_ros.nodes.qos_events import NO_CALLBACKS
+
+        self.latencies_ns: list[int] = []
+        self._handle = client.node.create_subscription(
+            Imu,
+            topic,
+            lambda raw: None,
+            QoSProfile(depth=2000),
+            callback_group=DrainedGroup(),
+            event_callbacks=NO_CALLBACKS,
+            raw=True,
+        ).handle
+        self._imu = Imu
+        self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, client.node.context.handle)
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def _work(self) -> None:
+        while True:
+            self._wait_set.clear_entities()
+            self._wait_set.add_subscription(self._handle)
+            self._wait_set.wait(10**8)
+            while (taken := self._handle.take_message(self._imu, True)) is not None:
+                sec, nanosec = struct.unpack_from('<iI', taken[0], 4)
+                self.latencies_ns.append(time.monotonic_ns() - sec * 10**9 - nanosec)
+
+
+def message() -> tuple[bytearray, str]:
+    """Return an Imu payload and a noise model that fits it."""
+    accumulator = ImuAccumulator()
+    for batch in simulate_imu(20.0, 200.0, SIMULATED, SIMULATED, seed=1):
+        accumulator.update(batch)
+        payload = bytearray(encode_imus(batch[:1], 'cdr')[0])
+    accumulator.end()
+    results = analyse_sums(accumulator.result().sums, Provenance())
+    return payload, json.dumps(results_to_document(results, curves=False))
+
+
+def send(publisher: Any, payload: bytearray, rate: float, seconds: float) -> int:
+    """Publish at that rate, each message stamped with the monotonic clock."""
+    began, count = time.monotonic(), int(rate * seconds)
+    for i in range(count):
+        wait = began + i / rate - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        publish(publisher, payload)
+    return count
+
+
+def publish(publisher: Any, payload: bytearray) -> None:
+    """Publish one message, stamped with the monotonic clock."""
+    struct.pack_into('<iI', payload, 4, *divmod(time.monotonic_ns(), 10**9))
+    publisher.publish(bytes(payload))
+
+
+def show(name: str, rate: int, latencies_ns: list[int], sent: int, cpu_us: float | None) -> None:
+    """Print one line of the table."""
+    us = np.array(latencies_ns) / 1e3
+    cpu = '' if cpu_us is None else f'{cpu_us:.0f}'
+    print(
+        f'{name:>16} {rate:>6} {np.median(us):>8.0f} {np.percentile(us, 99):>8.0f} '
+        f'{us.max():>8.0f} {cpu:>8} {sent - len(us):>6}',
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Measure all, and print it."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import String
+
+    client = Client()
+    payload, document = message()
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    client.node.create_publisher(String, 'noise_model', latched).publish(String(data=document))
+
+    patch = CovariancePatch({'gyro': (1e-8,) * 3, 'accel': (1e-8,) * 3})
+    raw, began = bytes(payload), time.perf_counter()
+    for _ in range(100_000):
+        patch.patch(raw)
+    print(f'patching alone: {(time.perf_counter() - began) * 10:.2f} us a message')
+
+    print(
+        f'{"":>16} {"Hz":>6} {"median":>8} {"p99":>8} {"max [us]":>8} {"CPU [us]":>8} {"lost":>6}'
+    )
+    direct, relayed = Receiver(client, 'imu/data'), Receiver(client, OUT)
+    publisher = client.publisher()
+    for rate in RATES_HZ:
+        direct.latencies_ns.clear()
+        sent = send(publisher, payload, rate, MEASURE_S)
+        client.spin(0.5)
+        show('direct', rate, list(direct.latencies_ns), sent, None)
+    measure('empty subscriber', Process('-c', EMPTY_SUBSCRIBER), client, publisher, payload, direct)
+    for name, module, parameters in (
+        ('relay', 'relay', ()),
+        ('relay, callback', 'relay', ('relay.plain_callback:=true',)),
+        ('in the monitor', 'monitor', ('relay.enabled:=true',)),
+    ):
+        with node(module, ros=parameters) as process:
+            measure(name, process, client, publisher, payload, relayed, bursts=True)
+
+
+def measure(
+    name: str,
+    process: Process,
+    client: Client,
+    publisher: Any,
+    payload: bytearray,
+    receiver: Receiver,
+    bursts: bool = False,
+) -> None:
+    """Print latency and CPU of one process at each rate, and what it loses in bursts."""
+    before = publisher.get_subscription_count()
+    while publisher.get_subscription_count() == before:
+        client.spin(0.1)
+    client.spin(SETTLE_S)
+    for rate in RATES_HZ:
+        receiver.latencies_ns.clear()
+        cpu_before = process.cpu_s()
+        sent = send(publisher, payload, rate, MEASURE_S)
+        client.spin(0.5)
+        cpu_us = (process.cpu_s() - cpu_before) / sent * 1e6
+        show(name, rate, list(receiver.latencies_ns), sent, cpu_us)
+    if bursts:
+        receiver.latencies_ns.clear()
+        for _ in range(BURSTS):
+            for _ in range(BURST):
+                publish(publisher, payload)
+            time.sleep(BURST_PERIOD_S)
+        client.spin(2.0)
+        lost = BURSTS * BURST - len(receiver.latencies_ns)
+        print(f'{name:>16} lost {lost} of {BURSTS} bursts of {BURST}', flush=True)
+    elif process.popen.poll() is None:
+        process.popen.kill()
+        process.popen.wait()
+
+
+if __name__ == '__main__':
+    main()
+    # its receiving threads wait for ever
+    sys.stdout.flush()
+    import os
+
+    os._exit(0)
