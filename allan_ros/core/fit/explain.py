@@ -96,6 +96,8 @@ def _shape_findings(
         found.append(finding('gauss_markov', name, sigma=drift.sigma, unit=unit, time=time))
     if fit.misfit > 0.0:
         found.append(finding('misfit', name, misfit=fit.misfit))
+    if chosen.levels_off:
+        found.append(finding('levels_off', name))
     return found
 
 

@@ -10,7 +10,15 @@ import numpy as np
 
 from .evidence import Evidence
 from .extra import SinusoidTerm
-from .goodness import Z_FAIL, Goodness, fairest, misfit_of
+from .goodness import (
+    Z_FAIL,
+    Z_SAGS,
+    Goodness,
+    fairest,
+    misfit_of,
+    misfit_that_sags_not,
+    sag,
+)
 from .intervals import Score
 from .point import Frame, PointFit, point_fit
 from .search import Candidate, candidates
@@ -62,6 +70,8 @@ class Chosen:
     z_quantization: float
     terms: tuple[Candidate, ...] = ()
     hint: Candidate | None = None
+    levels_off: bool = False
+    """Whether the long averages lie below what the precise part of the curve foretells."""
 
     @property
     def filtered(self) -> bool:
@@ -78,8 +88,29 @@ def choose_frame(evidence: Evidence, axis: int) -> Chosen:
     """Return the fit of an axis in the simplest frame that describes its table.
 
     In turn: the five terms; q negative, as behind a low-pass filter; with a line or a Gauss-Markov
-    term; without the shortest averaging times; with a fractional error of the model.
+    term; without the shortest averaging times; with a fractional error of the model. A drift that
+    levels off passes all that on the strength of the shorter averages, and is asked for apart.
     """
+    return _held_up(evidence, axis, _first_choice(evidence, axis))
+
+
+def _held_up(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
+    """Return a fit whose long averages do not sag: with a Gauss-Markov term, or a misfit."""
+    fit = chosen.fit
+    misfit = fit.frame.misfit
+    if sag(fit.table, fit.power, misfit) > Z_SAGS:
+        return chosen
+    for candidate in _candidates(evidence, chosen, misfit):
+        added = _added(evidence, axis, chosen, candidate, misfit)
+        if added.fits and sag(added.fit.table, added.fit.power) > Z_SAGS:
+            return added
+    misfit = misfit_that_sags_not(fit.table, fit.power, chosen.filtered, misfit)
+    frame = replace(fit.frame, misfit=misfit)
+    return replace(chosen, fit=point_fit(evidence, axis, frame, fit.power), levels_off=True)
+
+
+def _first_choice(evidence: Evidence, axis: int) -> Chosen:
+    """Return the simplest frame by the goodness of the fit alone."""
     free = point_fit(evidence, axis, Frame(signed=True))
     first = fairest(free.table, free.power)
     chosen = Chosen(free, first, Score(free.table, Q, free.power)(0.0))

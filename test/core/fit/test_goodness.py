@@ -7,17 +7,24 @@ import pytest
 
 from allan_ros.core.engine import RunningAllan
 from allan_ros.core.fit.evidence import Evidence
-from allan_ros.core.fit.goodness import goodness, misfit_of
+from allan_ros.core.fit.goodness import (
+    Z_SAGS,
+    goodness,
+    misfit_of,
+    misfit_that_sags_not,
+    sag,
+)
 from allan_ros.core.fit.point import point_fit
+from allan_ros.core.fit.solve import solve
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 TAU0 = 0.01
 
 
-def fit_of(seed, samples=20000):
+def fit_of(seed, samples=20000, terms=NoiseTerms(N=1e-3, B=3e-4)):
     engine = RunningAllan(axes=('gyro_x',))
     rng = np.random.default_rng(seed)
-    y = simulate_axis(samples, TAU0, NoiseTerms(N=1e-3, B=3e-4), rng)
+    y = simulate_axis(samples, TAU0, terms, rng)
     engine.update(y[:, None], 0, round((samples - 1) * TAU0 * 1e9))
     engine.end_segment()
     return point_fit(Evidence(engine.sums), 0)
@@ -50,3 +57,23 @@ def test_misfit_is_the_error_that_was_made(error):
     assert 0.5 * error < misfit < 1.6 * error
     loose = goodness(table, fit.power, misfit)
     assert loose.chi_squared < 2.0 * loose.freedom
+
+
+@pytest.mark.parametrize('terms', [NoiseTerms(N=1e-3, B=3e-4), NoiseTerms(N=1e-3, K=2e-3)])
+def test_long_averages_of_the_models_own_noise_do_not_sag(terms):
+    """40 records each; the fit follows them, so none comes near the limit."""
+    fits = [fit_of(seed, terms=terms) for seed in range(40)]
+    assert min(sag(f.table, f.power) for f in fits) > Z_SAGS
+
+
+def test_a_curve_that_levels_off_sags_until_the_misfit_allows_for_it():
+    fit = fit_of(3, samples=200_000, terms=NoiseTerms(N=1e-3, K=2e-3))
+    model = fit.table.terms @ fit.power
+    bend = len(model) - 32
+    level = np.where(np.arange(len(model)) < bend, model, model[bend])
+    table = replace(fit.table, avar=level)
+    assert sag(table, fit.power) < Z_SAGS - 1.0
+    eps = misfit_that_sags_not(table, fit.power, False, 0.0)
+    assert 0.0 < eps < 1.0
+    again = solve(table, fit.power, misfit=eps)
+    assert sag(table, again, eps) > Z_SAGS - 0.1  # the fit ends where it began, to its tolerance
