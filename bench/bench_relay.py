@@ -197,8 +197,5 @@ def measure(
 
 if __name__ == '__main__':
     main()
-    # its receiving threads wait for ever
     sys.stdout.flush()
-    import os
-
-    os._exit(0)
+    os._exit(0)  # the receiving threads wait for ever
