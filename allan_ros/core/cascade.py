@@ -142,6 +142,9 @@ class OpenSegment:
         self.reference = reference[:, None].copy()
         self.start_ns = self.last_ns = start_ns
         self.samples = 0
+        # The phase at level 0 is counted from ``base``, where its block begins: with small numbers
+        # the rounding of a running sum of 1e8 samples stays small too.
+        self.base = np.zeros((axes, 1))
         self.theta = np.zeros(axes)
         self.levels = [_Level(_ALL_FACTORS, axes)]
         self.coarse = _CoarsePhase(axes)
@@ -170,8 +173,14 @@ class OpenSegment:
 
     def _sum_from_bottom(self) -> None:
         bottom = self.levels[0]
-        self.coarse.points, self.coarse.step = self.coarse.extended(bottom.waiting(), bottom.summed)
-        upward = bottom.sum_block()
+        self.coarse.points, self.coarse.step = self.coarse.extended(
+            bottom.waiting() + self.base, bottom.summed
+        )
+        upward = bottom.sum_block() + self.base
+        last = bottom.points[:, _HISTORY - 1 : _HISTORY].copy()
+        self.base += last
+        bottom.points[:, :_HISTORY] -= last  # a constant in the phase changes no difference
+        self.theta[:] = 0.0
         j = 1
         while upward.shape[1]:
             if j == len(self.levels):
@@ -203,10 +212,10 @@ class OpenSegment:
             first, last = level.ends(points)
             reached = level.factors[: len(m) - len(signed)]
             signed += [_signed_sum(first, last, f) for f in reached]
-            carry = new[:, ::2]
+            carry = new[:, ::2] + self.base if j == 0 else new[:, ::2]
             j += 1
         bottom = self.levels[0]
-        phase, step = self.coarse.extended(bottom.waiting(), bottom.summed)
+        phase, step = self.coarse.extended(bottom.waiting() + self.base, bottom.summed)
         cut = (len(m), len(axes))
         record = SegmentRecord(
             self.start_ns,

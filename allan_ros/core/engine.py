@@ -6,8 +6,8 @@
 the plain definition for one finite record.
 
 Source of the statistic: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11 (overlapping Allan
-variance). The phase is taken against the segment's first sample: with raw sums an offset of
-9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples, with the reference 1e-9.
+variance). The phase is taken against the segment's first sample, block by block: with raw sums an
+offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples.
 """
 
 from __future__ import annotations
