@@ -104,7 +104,7 @@ class ImuRelay:
         self._trouble: tuple[Finding, ...] = ()
         self._variances: dict[str, Variances] = {}
         self._patch = CovariancePatch({})
-        self._made_of: tuple[object, ...] = ()
+        self._made_of: tuple[Results, RelaySettings] | None = None
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
         depth = settings.value.queue_depth
@@ -127,14 +127,15 @@ class ImuRelay:
 
     def tick(self) -> None:
         """Take changed parameters over."""
-        made_of = (self._results, self._settings.value)
-        if self._results is None or self._made_of == made_of:
+        results, settings = self._results, self._settings.value
+        if results is None:
             return
-        settings = self._settings.value
-        self._variances = relay_variances(self._results, settings)
-        frame_id = self._results.identity.frame_id
+        if self._made_of and self._made_of[0] is results and self._made_of[1] is settings:
+            return
+        self._variances = relay_variances(results, settings)
+        frame_id = results.identity.frame_id
         self._patch = CovariancePatch(self._variances, settings.overwrite, frame_id)
-        self._made_of = made_of
+        self._made_of = (results, settings)
 
     def status(self) -> DiagnosticStatus:
         """Return what the relay does."""
@@ -255,13 +256,14 @@ class ImuRelay:
 
     def _on_model(self, message: String) -> None:
         try:
-            self._results = results_from_document(json.loads(message.data), 'noise model')
-        except (AllanError, ValueError, RecursionError) as error:
+            results = results_from_document(json.loads(message.data), 'noise model')
+            relay_variances(results, self._settings.value)  # a rate of zero shows here
+        except (AllanError, ValueError, ArithmeticError, RecursionError) as error:
             topic = self._model.topic_name
             self._trouble = (finding('relay_model_unreadable', topic=topic, reason=error),)
             self._node.get_logger().warning(str(self._trouble[0]), throttle_duration_sec=60.0)
             return
-        self._trouble = ()
+        self._results, self._trouble = results, ()
         self.tick()
 
     def _findings(self) -> list[Finding]:

@@ -230,11 +230,13 @@ def test_a_model_that_cannot_be_read_is_survived(graph, still_imu, results: Resu
     graph.start('relay', **QUICK)
     publisher = publish_model(graph, results)
     filled(graph)
-    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/results/2"}'):
+    rateless = json.dumps({**results_to_document(results), 'tau0_s': 0.0})
+    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/results/2"}', rateless):
         publisher.publish(String(data=text))
         status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
         assert 'cannot be read' in status.message
-        publish_model(graph, results)
+        whole = json.dumps(results_to_document(results))  # with the curves, as results.json
+        publisher.publish(String(data=whole))
         filled(graph)
 
 
