@@ -37,6 +37,10 @@ SURE_GAIN = 21.0
 """Fall of chi^2 for one more term that chance brings about in one of 2000 records, with some
 hundred shapes to choose from: enough to add it to a fit that passes."""
 
+Z_CUT = 6.0
+"""A fit rejected by less may be so by chance, and its shortest averages are what N rests on: they
+are only cut off if it is worse, or the samples are filtered. What spoils them does by hundreds."""
+
 MISFIT_GAIN = 0.7
 """An extra term that does not mend the fit must at least bring the misfit down to this part."""
 
@@ -140,7 +144,9 @@ def _mended(evidence: Evidence, axis: int, chosen: Chosen) -> Chosen:
     for _ in range(MOST_EXTRAS + 1):
         found = _candidates(evidence, chosen, misfit)
         more = [_added(evidence, axis, chosen, c, misfit) for c in found]
-        shorter = _without_the_shortest(evidence, axis, chosen.fit)
+        shorter = None
+        if chosen.filtered or chosen.first.z > Z_CUT:
+            shorter = _without_the_shortest(evidence, axis, chosen.fit)
         cut = None if shorter is None else shorter.frame.m_min
         for added in more:
             # A filter looks like correlated noise of a few samples: then rather cut them off.
