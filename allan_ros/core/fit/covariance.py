@@ -44,11 +44,16 @@ PANEL_RATIO = 4
 TAIL = 128
 """Flicker differences are uncorrelated (C^2 < 1e-8) beyond this many times m_i + m_j."""
 
+PANELS_AT_ONCE = 4096
+"""Panels summed in one go: a few megabytes of work space, also inside a robot's node."""
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
 _KEY = np.int64(1) << 52
 """Distance between the search keys of two rows: more than any lag."""
 
 _SMOOTH_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+PRODUCTS = len(_SMOOTH_PAIRS) + 3
+"""Sums that are kept: of the six products C_k C_l and of the three C_k."""
 
 
 @dataclass(frozen=True)
@@ -159,16 +164,16 @@ class _LagTable:
         self.high = np.array([e[-1] for e in edges])
         last = np.cumsum(size) - 1
         inner = np.setdiff1d(np.arange(len(owner)), last)
-        panels = _panel_sums(
-            self.mi[owner[inner]],
-            self.mj[owner[inner]],
-            self.edge[inner].astype(float),
-            self.edge[inner + 1].astype(float),
-        )
-        self.sums = np.zeros((2, panels.shape[1], len(owner)))
-        starts = last - size + 1
-        for r, (a, z) in enumerate(zip(starts, last)):
-            np.cumsum(panels[:, :, a - r : z - r], axis=2, out=self.sums[:, :, a + 1 : z + 1])
+        self.sums = np.zeros((2, PRODUCTS, len(owner)))
+        for part in np.array_split(inner, len(inner) // PANELS_AT_ONCE + 1):
+            self.sums[:, :, part + 1] = _panel_sums(
+                self.mi[owner[part]],
+                self.mj[owner[part]],
+                self.edge[part].astype(float),
+                self.edge[part + 1].astype(float),
+            )
+        for a, z in zip(last - size + 1, last + 1):
+            np.cumsum(self.sums[:, :, a:z], axis=2, out=self.sums[:, :, a:z])
 
     def up_to(self, row: Ints, lag: Ints) -> Floats:
         """Return the running sums up to each lag (the last point halved), (2, 9, n)."""
