@@ -1,0 +1,201 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a bag to its Allan table: CPU and memory, and how far the readers are from their floors.
+
+    python bench/bench_offline.py           1 M messages, about a minute
+    python bench/bench_offline.py --full    7.2 M messages too (10 h at 200 Hz), several minutes
+    python bench/bench_offline.py --keep DIR    bags are kept there and used again
+
+CPU is user and system time of the process that does the work; every figure is a median of rounds
+in which all ways are run one after the other, so that a busy machine troubles all alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import sqlite3
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
+
+RATE_HZ = 200.0
+SHORT, LONG = 1_000_000, 7_200_000
+PLAIN = 100_000
+"""Messages of the bag on which the plain reader is run: it takes 10 us and more for each."""
+CHUNK_HEAD = 8 + 8 + 8 + 4 + 4 + 4 + 8
+"""Bytes before the data of a chunk: times, size, CRC, 'zstd' with its length, length."""
+MESSAGE_BYTES = 31 + 324
+"""An Imu in a chunk, head and payload (frame_id ``imu_link``)."""
+STORAGES = {'mcap zstd': ('mcap', 'chunk'), 'sqlite3': ('sqlite3', 'none')}
+
+
+def bag(folder: Path, name: str, messages: int) -> Path:
+    """Return a simulated bag of that storage and length, written if it is not there."""
+    from allan_ros.core.simulate import simulate_imu
+    from allan_ros.core.terms import NoiseTerms
+    from allan_ros.io.writing import write_recording
+
+    storage, compression = STORAGES[name]
+    path = folder / f'{storage}_{messages}'
+    if not path.exists():
+        gyro, accel = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6), NoiseTerms(N=2e-4, B=4e-5)
+        batches = simulate_imu(messages / RATE_HZ, RATE_HZ, [gyro] * 3, [accel] * 3, seed=5)
+        write_recording(path, batches, storage=storage, compression=compression)
+    return path
+
+
+def table(path: Path) -> int:
+    """Read a bag to its Allan table."""
+    from allan_ros.core.accumulator import ImuAccumulator
+    from allan_ros.io.recordings import open_recordings
+
+    (recording,) = open_recordings([path])
+    accumulator = ImuAccumulator()
+    for batch in recording.batches():
+        accumulator.update(batch)
+    accumulator.end()
+    (sums,) = accumulator.result().sums
+    return sums.samples if sums.avar[0].all() else 0
+
+
+def read(path: Path) -> int:
+    """Read a bag to arrays of samples."""
+    from allan_ros.io.recordings import open_recordings
+
+    (recording,) = open_recordings([path])
+    return sum(map(len, recording.batches()))
+
+
+def plain(path: Path) -> int:
+    """Read a bag as one does with rosbags: message by message."""
+    from rosbags.highlevel import AnyReader
+
+    messages = 0
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            messages += message.linear_acceleration.z != 0.0
+    return messages
+
+
+def floor(path: Path) -> int:
+    """Do only what cannot be left out: decompress the chunks, or let SQLite touch every row."""
+    from zstandard import ZstdDecompressor
+
+    from allan_ros.io.bag_mcap import CHUNK, MAGIC, RECORD
+
+    for database in path.glob('*.db3'):
+        with sqlite3.connect(f'file:{database}?immutable=1', uri=True) as connection:
+            query = 'SELECT count(*) FROM messages WHERE id > 0 AND length(data) > 0'
+            return int(connection.execute(query).fetchone()[0])
+    decompress, at, size = ZstdDecompressor().decompress, len(MAGIC), 0
+    (file,) = path.glob('*.mcap')
+    with file.open('rb') as data:
+        while data.seek(at) == at and len(head := data.read(RECORD.size)) == RECORD.size:
+            opcode, length = RECORD.unpack(head)
+            at += RECORD.size + length
+            if opcode == CHUNK:
+                size += len(decompress(data.read(length)[CHUNK_HEAD:]))
+    return size // MESSAGE_BYTES
+
+
+WORK: dict[str, Callable[[Path], int]] = {
+    'table': table,
+    'read': read,
+    'plain': plain,
+    'floor': floor,
+}
+
+
+def measured(work: str, path: Path) -> tuple[float, int, float]:
+    """Return CPU seconds, messages and peak MB of work done in a process of its own."""
+    command = [sys.executable, __file__, '--work', work, str(path)]
+    cpu, messages, memory = subprocess.run(
+        command, check=True, capture_output=True, text=True
+    ).stdout.split()
+    return float(cpu), int(messages), float(memory)
+
+
+def work_here(work: str, path: Path) -> None:
+    """Do the work and print what it cost, imports left out."""
+    import allan_ros.core.accumulator
+    import allan_ros.io.bags  # noqa: F401
+
+    begin = time.process_time()
+    messages = WORK[work](path)
+    cpu = time.process_time() - begin
+    status = Path('/proc/self/status').read_text()
+    peak = next(line for line in status.splitlines() if line.startswith('VmHWM'))
+    print(cpu, messages, int(peak.split()[1]) / 1024)
+
+
+def show_reading(folder: Path, rounds: int) -> None:
+    print('\n| reading, us of CPU a message | floor | ours | AnyReader + deserialize | ratio |')
+    print('|---|---|---|---|---|')
+    for name in STORAGES:
+        long, short = bag(folder, name, SHORT), bag(folder, name, PLAIN)
+        costs: dict[str, list[float]] = {'floor': [], 'read': [], 'plain': []}
+        for _ in range(rounds):
+            for work, path in (('floor', long), ('read', long), ('plain', short)):
+                cpu, messages, _ = measured(work, path)
+                costs[work].append(cpu / messages * 1e6)
+        ratio = statistics.median(p / r for p, r in zip(costs['plain'], costs['read']))
+        low, ours, theirs = (statistics.median(costs[w]) for w in ('floor', 'read', 'plain'))
+        print(f'| {name} | {low:.2f} | {ours:.2f} | {theirs:.1f} | {ratio:.0f}x |', flush=True)
+
+
+def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
+    print('\n| bag to Allan table | messages | CPU, s (best) | us a message | peak, MB |')
+    print('|---|---|---|---|---|')
+    for messages in sizes:
+        for name in STORAGES:
+            runs = [measured('table', bag(folder, name, messages)) for _ in range(rounds)]
+            cpu, best = statistics.median(r[0] for r in runs), min(r[0] for r in runs)
+            memory, each = max(r[2] for r in runs), cpu / messages * 1e6
+            cells = f'{cpu:.2f} ({best:.2f}) | {each:.2f} | {memory:.0f}'
+            print(f'| {name} | {messages / 1e6:g} M | {cells} |', flush=True)
+
+
+def show_start(rounds: int) -> None:
+    print('\n| start-up | CPU, s |')
+    print('|---|---|')
+    for words in (['--help'], ['analyze', '--help'], ['merge', '--help']):
+        costs = []
+        for _ in range(2 * rounds + 1):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            command = [sys.executable, '-m', 'allan_ros.cli.main', *words]
+            subprocess.run(command, check=True, capture_output=True)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            costs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        print(f'| allan {" ".join(words)} | {statistics.median(costs):.2f} |', flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--full', action='store_true', help='7.2 M messages too')
+    parser.add_argument('--rounds', type=int, default=5, help='how often (default 5)')
+    parser.add_argument('--keep', type=Path, help='folder of the bags (default: a passing one)')
+    parser.add_argument('--work', nargs=2, metavar=('WAY', 'BAG'), help='one way, in this process')
+    args = parser.parse_args()
+    if args.work:
+        work_here(args.work[0], Path(args.work[1]))
+        return
+    with tempfile.TemporaryDirectory() as passing:
+        folder = args.keep or Path(passing)
+        show_reading(folder, args.rounds)
+        show_table(folder, [SHORT, LONG] if args.full else [SHORT], args.rounds)
+    show_start(args.rounds)
+
+
+if __name__ == '__main__':
+    main()
