@@ -40,14 +40,23 @@ def on_cluster(
         raise AllanError(
             f'no Dask scheduler answers at {address}: check the address and that it runs'
         ) from error
-    # a result of an earlier analysis is no answer: the recording may have changed
+    outcomes: dict[Job, Part | Finding] = {}
     with client, Progress(f'{len(jobs)} recordings on {address}', None) as progress:
+        # a result of an earlier analysis is no answer: the recording may have changed
         futures = client.map(work, jobs, pure=False)
+        doubtful: list[Job] = []
         for job, future in zip(jobs, futures):
             try:
                 part: Part = future.result()
             except KilledWorker:
-                yield finding('recording_lost', path=job.path)
+                doubtful.append(job)
                 continue
+            outcomes[job] = part
             progress.advance(part.run.provenance.counts.received)
-            yield part
+        # a worker takes with it what waits there too: only alone it shows which job is deadly
+        for job in doubtful:
+            try:
+                outcomes[job] = client.submit(work, job, pure=False).result()
+            except KilledWorker:
+                outcomes[job] = finding('recording_lost', path=job.path)
+    yield from (outcomes[job] for job in jobs)

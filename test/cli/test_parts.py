@@ -69,7 +69,7 @@ def test_what_one_process_finds_wrong_is_said(
 
 @pytest.fixture(scope='module')
 def cluster() -> Iterator[Any]:
-    """Yield a cluster of two worker processes, in which one death loses a job."""
+    """Yield a cluster of two worker processes, in which a second death loses a job."""
     distributed = pytest.importorskip('distributed')
     dask = pytest.importorskip('dask')
     settings = {'distributed.scheduler.allowed-failures': 1}
