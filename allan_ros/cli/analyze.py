@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings
 from .options import add_settings, settings_of
-from .outcome import OutcomeSettings, add_runs, finish
+from .outcome import OutcomeSettings, add_runs, check_exports, finish
 
 if TYPE_CHECKING:
     from ..core.findings import Finding
@@ -64,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
     from ..io.recordings import ReadOptions
     from .parts import Job, add_findings
 
+    check_exports(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     jobs = [Job(path, reading, evidence, args.hardware_id) for path in args.inputs]

@@ -156,7 +156,7 @@ class Graph:
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         publisher = self.node.create_publisher(Imu, topic, qos)
         self.until(publisher.get_subscription_count)
-        self.spin(0.1)  # the subscriber may not have found this one yet
+        self.spin(0.5)  # the subscriber may not have found this one yet
         return publisher
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:
