@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -29,10 +30,23 @@ PATIENCE_S = 60.0
 """How long anything may take before it counts as never: a loaded machine is slow."""
 
 
+def _domains_of_processes() -> set[int]:
+    """Return the domains of running processes: nodes that a killed test run left behind, too."""
+    found = set()
+    for environ in Path('/proc').glob('[0-9]*/environ'):
+        with contextlib.suppress(OSError):
+            for variable in environ.read_bytes().split(b'\0'):
+                name, _, value = variable.partition(b'=')
+                if name == b'ROS_DOMAIN_ID' and value.isdigit():
+                    found.add(int(value))
+    return found
+
+
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Hold a ROS domain that no other test on this machine uses, and keep to this machine."""
-    for domain in DOMAINS:
+    """Hold a ROS domain that nothing else on this machine uses, and keep to this machine."""
+    taken = _domains_of_processes()
+    for domain in (d for d in DOMAINS if d not in taken):
         lock = (Path(tempfile.gettempdir()) / f'allan_ros_test_domain_{domain}').open('w')
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
