@@ -32,7 +32,7 @@ demo: $(VENV)/.ready  ## simulate the paper's IMU, analyse it, show found agains
 
 test: lint  ## lint, then run all tests
 	AMENT_PREFIX_PATH="$(abspath $(VENV)):$$AMENT_PREFIX_PATH" \
-		$(VENV)/bin/python -m pytest -q -n $(JOBS)
+		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadgroup
 
 lint: $(VENV)/.ready  ## check style and types
 	$(VENV)/bin/ruff check .

@@ -35,7 +35,7 @@ CLOCK_PERIOD_S = 0.025
 POLL_S = 0.05
 """How often waiting for subscribers or acknowledgements looks whether it should stop."""
 
-SETTLE_S = 0.5
+SETTLE_S = 1.0
 """How long it waits after a subscriber was found: that one may not have found the player yet."""
 
 LINGER_S = 0.5

@@ -96,7 +96,7 @@ def main(domain: int, samples: int) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not writer.get_matched_subscriptions() and time.monotonic() < deadline:
         time.sleep(0.1)
-    time.sleep(0.5)  # the other side may not have found this one yet
+    time.sleep(3.0)  # the other side may not have found this one yet
     rng, unknown, start = np.random.default_rng(0), [0.0] * 9, time.time_ns()
     for i in range(samples):
         sec, nanosec = divmod(start + i * PERIOD_NS, 10**9)
