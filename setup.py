@@ -70,7 +70,14 @@ setup(
         ],
         # The tools are pinned, so that a lint that passes today passes next year.
         'lint': ['mypy==2.4.1', 'ruff==0.17.5'],
-        'test': ['allantools==2024.6', 'hypothesis>=6.100', 'pytest>=7', 'pytest-xdist>=3', DASK],
+        'test': [
+            'allantools==2024.6',
+            'hypothesis>=6.100',
+            'pytest>=7',
+            'pytest-rerunfailures>=14',
+            'pytest-xdist>=3',
+            DASK,
+        ],
     },
     zip_safe=True,
     entry_points={

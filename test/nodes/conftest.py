@@ -31,10 +31,16 @@ PATIENCE_S = 60.0
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give the graphs to one worker: two at a time starve each other's discovery."""
+    """Give the graphs to one worker, for two at a time starve each other, and a second chance.
+
+    DDS tells a writer of a reader before it tells the reader of the writer. On a loaded machine
+    that can take longer than anyone waits, and what a volatile writer sends between is lost: about
+    one test in a hundred met that. It is told as a rerun, and fails if it happens three times.
+    """
     for item in items:
         if item.path.parent == Path(__file__).parent:
             item.add_marker(pytest.mark.xdist_group('graphs'))
+            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 def _domains_of_processes() -> set[int]:
