@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 from ..core.errors import AllanError
 from ..core.expression import Expression
 from ..core.filter_parameters import FilterMapping, FilterParameter, check_mapping
 from .fields import Fields
-from .sensors import config_folders, read_yaml
+from .sensors import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/filter/1'
 
@@ -20,9 +19,7 @@ FIELDS = ('sensor', 'axis', 'expression', 'limits', 'unit')
 
 def filter_names() -> list[str]:
     """Return the names of the mappings that come with the package."""
-    return sorted(
-        {path.stem for folder in config_folders('filters') for path in folder.glob('*.yaml')}
-    )
+    return config_names('filters')
 
 
 def load_filter(name: str) -> FilterMapping:
@@ -33,16 +30,7 @@ def load_filter(name: str) -> FilterMapping:
     AllanError
         When there is none of that name, or the file is not as it must be.
     """
-    path = Path(name)
-    if path.suffix.lower() not in ('.yaml', '.yml'):
-        found = [f / f'{name}.yaml' for f in config_folders('filters')]
-        found = [f for f in found if f.is_file()]
-        if not found:
-            raise AllanError(
-                f'no filter mapping {name!r}: choose one of {", ".join(filter_names())}, '
-                'or give the path of a .yaml file'
-            )
-        path = found[0]
+    path = config_file('filters', name, 'filter mapping')
     fields = Fields(read_yaml(path), str(path))
     fields.schema(SCHEMA)
     parameters = fields.fields('parameters')

@@ -78,9 +78,7 @@ class Datasheet:
 
 def sensor_names() -> list[str]:
     """Return the names of the datasheets that come with the package."""
-    return sorted(
-        {path.stem for folder in config_folders('sensors') for path in folder.glob('*.yaml')}
-    )
+    return config_names('sensors')
 
 
 def load_sensor(name: str) -> Datasheet:
@@ -91,16 +89,7 @@ def load_sensor(name: str) -> Datasheet:
     AllanError
         When there is none of that name, or the file is not as it must be.
     """
-    path = Path(name)
-    if path.suffix.lower() not in ('.yaml', '.yml'):
-        found = [f / f'{name.lower()}.yaml' for f in config_folders('sensors')]
-        found = [f for f in found if f.is_file()]
-        if not found:
-            raise AllanError(
-                f'no datasheet {name!r}: choose one of {", ".join(sensor_names())}, '
-                'or give the path of a .yaml file'
-            )
-        path = found[0]
+    path = config_file('sensors', name, 'datasheet')
     return _datasheet(Fields(read_yaml(path), str(path)))
 
 
@@ -128,6 +117,32 @@ _Loader: Any = type('_Loader', (yaml.SafeLoader,), {})
 _Loader.add_implicit_resolver(
     'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
 )
+
+
+def config_names(kind: str) -> list[str]:
+    """Return the names of the files of a kind that come with the package."""
+    return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
+
+
+def config_file(kind: str, name: str, called: str) -> Path:
+    """Return the file of that name that comes with the package, or the path that was given.
+
+    Raises
+    ------
+    AllanError
+        When there is none of that name; ``called`` is what such a file is to the user.
+    """
+    path = Path(name)
+    if path.suffix.lower() in ('.yaml', '.yml'):
+        return path
+    for folder in config_folders(kind):
+        found = folder / f'{name.lower()}.yaml'
+        if found.is_file():
+            return found
+    raise AllanError(
+        f'no {called} {name!r}: choose one of {", ".join(config_names(kind))}, '
+        'or give the path of a .yaml file'
+    )
 
 
 def config_folders(kind: str) -> list[Path]:
