@@ -34,8 +34,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give the graphs to one worker, for two at a time starve each other, and a second chance.
 
     DDS tells a writer of a reader before it tells the reader of the writer. On a loaded machine
-    that can take longer than anyone waits, and what a volatile writer sends between is lost: about
-    one test in a hundred met that. It is told as a rerun, and fails if it happens three times.
+    that can take longer than anyone waits, and what a volatile writer sends between is lost: one
+    or two of the seventy met that in a run. It is told as a rerun, and fails if it happens thrice.
     """
     for item in items:
         if item.path.parent == Path(__file__).parent:
