@@ -136,9 +136,9 @@ def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
         When nothing is said of the noise, or what is said is impossible.
     """
     from ..core.batch import AXES
+    from ..core.fields import Fields
     from ..core.terms import NoiseTerms
     from ..core.units import SI_UNITS
-    from ..io.fields import Fields
     from ..io.sensors import load_sensor
     from ..io.truth import read_noise, with_noise
 

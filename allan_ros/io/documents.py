@@ -21,6 +21,7 @@ import numpy as np
 
 from .. import __version__
 from ..core.errors import AllanError
+from ..core.fields import Fields
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Sinusoid
 from ..core.fit.reading import Region
@@ -28,7 +29,6 @@ from ..core.health import Counts, Span
 from ..core.sums import AllanSums, ImuIdentity
 from ..core.sums_document import sums_from_document, sums_to_document
 from ..core.units import SI_UNITS, sensor_of
-from .fields import Fields
 from .recordings import SourceInfo
 from .results import AxisCurve, AxisResult, Provenance, Results
 

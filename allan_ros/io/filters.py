@@ -8,8 +8,8 @@ import math
 
 from ..core.errors import AllanError
 from ..core.expression import Expression
+from ..core.fields import Fields
 from ..core.filter_parameters import FilterMapping, FilterParameter, check_mapping
-from .fields import Fields
 from .sensors import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/filter/1'

@@ -19,9 +19,9 @@ from typing import Any
 import yaml
 
 from ..core.errors import AllanError
+from ..core.fields import Fields
 from ..core.terms import FLICKER_FLOOR
 from ..core.units import SI_UNITS, to_si
-from .fields import Fields
 
 SCHEMA = 'allan_ros/sensor/1'
 

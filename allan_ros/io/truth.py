@@ -23,10 +23,10 @@ from typing import Any
 from ..core.batch import AXES
 from ..core.errors import AllanError
 from ..core.faults import Faults
+from ..core.fields import Fields
 from ..core.terms import NoiseTerms
 from ..core.units import SI_UNITS, from_datasheet, sensor_of, to_si
 from .atomic import write_atomic
-from .fields import Fields
 from .sensors import read_yaml
 
 SCHEMA = 'allan_ros/truth/1'

@@ -122,7 +122,7 @@ def spoilers():
     """Ways in which a document can be wrong, each with a word of the refusal."""
     return {
         'schema': (lambda d: d.update(schema='allan_ros/sums/2'), 'schema'),
-        'no schema': (lambda d: d.pop('schema'), 'missing'),
+        'no schema': (lambda d: d.pop('schema'), 'schema'),
         'axes': (lambda d: d.update(axes=['accel_z', 'gyro_x']), 'axes'),
         'no axes': (lambda d: d.update(axes=[]), 'axes'),
         'nan': (lambda d: d['sum_sq'][0].__setitem__(0, float('nan')), 'sum_sq'),
@@ -132,12 +132,12 @@ def spoilers():
         'ragged': (lambda d: d['sum_sq'][0].pop(), 'table'),
         'text': (lambda d: d.update(intervals='many'), 'whole number'),
         'true': (lambda d: d.update(intervals=True), 'whole number'),
-        'overflow': (lambda d: d.update(elapsed_ns=2**63), 'out of bounds'),
+        'overflow': (lambda d: d.update(elapsed_ns=2**63), 'whole number from'),
         'count': (lambda d: d['count'].__setitem__(0, 1.5), 'whole numbers'),
         'segments': (lambda d: d.update(segments=d['segments'] * 100), 'at most'),
         'step': (lambda d: d['segments'][0].update(phase_step=3), 'power of two'),
         'grid': (lambda d: d['m'].__setitem__(0, 2), 'grid'),
-        'list': (lambda d: d.update(segments=[[]]), 'expected an object'),
+        'list': (lambda d: d.update(segments=[[]]), 'object is expected'),
         'name': (lambda d: d.update(frame_id='x' * 5000), 'frame_id'),
     }
 

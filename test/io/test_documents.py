@@ -155,7 +155,7 @@ def spoiled(document: dict[str, Any], path: tuple[str | int, ...], value: object
         (('schema',), 'allan_ros/results/9', 'allan_ros/results/9'),
         (('tau0_s',), KeyError, 'tau0_s is missing'),
         (('tau0_s',), True, 'a number'),
-        (('samples',), 1.5, 'an integer'),
+        (('samples',), 1.5, 'a whole number'),
         (('axes', 'gyro_x', 'noise', 'N'), KeyError, 'N is missing'),
         (('axes', 'gyro_x', 'noise', 'N', 'value'), 'big', 'axes.gyro_x.noise.N.value'),
         (('axes', 'gyro_x', 'noise', 'N', 'value'), 10**400, 'axes.gyro_x.noise.N.value'),

@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Fields`: read a JSON object strictly, and say where what is wrong stands."""
+"""`Fields`: read a JSON object strictly, and say where what is wrong stands.
+
+A document may come from a stranger: nothing is read beyond its bounds, and no length is trusted.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import AllanError
+from .errors import AllanError
+
+MAX_INTEGER = 2**62
+"""Counts and stamps stay below this, either way, so that sums of two fit 64 bits."""
+
+MAX_FLOAT = float(np.finfo(float).max)
+"""No finite float64 is beyond this, either way."""
+
+MAX_TEXT = 100_000
+"""No text of ours is longer; a name is bounded by who reads it."""
+
+MAX_ITEMS = 1_000_000
+"""No list of ours is longer; a list of known length is bounded by who reads it."""
 
 _REQUIRED = object()
 
@@ -40,8 +55,11 @@ class Fields:
                 'give a file that it wrote'
             )
 
-    def text(self, key: str, default: object = _REQUIRED) -> str:
-        return str(self._get(key, str, 'a text', default))
+    def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
+        value = str(self._get(key, str, 'a text', default))
+        if len(value) > longest:
+            raise self._wrong(key, value, f'a text of at most {longest} characters')
+        return value
 
     def choice(self, key: str, choices: tuple[str, ...]) -> str:
         value = self.text(key)
@@ -49,8 +67,11 @@ class Fields:
             raise self._wrong(key, value, f'one of {", ".join(choices)}')
         return value
 
-    def integer(self, key: str, default: object = _REQUIRED) -> int:
-        return int(self._get(key, int, 'an integer', default))
+    def integer(self, key: str, default: object = _REQUIRED, least: int = -MAX_INTEGER) -> int:
+        value = int(self._get(key, int, 'a whole number', default))
+        if not least <= value < MAX_INTEGER:
+            raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
+        return value
 
     def number(self, key: str) -> float:
         return self._number(key, self._get(key, (int, float), 'a number'))
@@ -73,8 +94,36 @@ class Fields:
             [math.nan if v is None else self._number(key, v) for v in self.sequence(key)], float
         )
 
-    def sequence(self, key: str) -> Sequence[Any]:
+    def integers(self, key: str, n: int) -> NDArray[np.int64]:
+        """Return a list of ``n`` whole numbers, 0 or above, as an array."""
+        values = self.sequence(key, n)
+        if len(values) != n or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in values):
+            raise self._wrong(key, values, f'a list of {n} whole numbers, 0 or above,')
+        return np.array(values, np.int64)
+
+    def table(
+        self, key: str, rows: int, columns: int, least: float = -MAX_FLOAT
+    ) -> NDArray[np.float64]:
+        """Return a (rows, columns) table of finite numbers of at least ``least``."""
+        value = self.sequence(key, rows)
+        regular = len(value) == rows and all(
+            isinstance(row, list)
+            and len(row) == columns
+            and all(type(x) in (int, float) and least <= x <= MAX_FLOAT for x in row)
+            for row in value
+        )
+        if not regular:
+            above = ' of 0 or above' if least == 0.0 else ''
+            expected = f'a table of {rows} x {columns} finite numbers{above}'
+            raise self._wrong(key, value, expected)
+        return np.array(value, float).reshape(rows, columns)
+
+    def sequence(self, key: str, most: int = MAX_ITEMS) -> Sequence[Any]:
         found: Sequence[Any] = self._get(key, list, 'a list')
+        if len(found) > most:
+            raise AllanError(
+                f'{self.where}.{key} has {len(found)} items: at most {most} are expected'
+            )
         return found
 
     def mapping(self, key: str) -> Mapping[str, Any]:
@@ -90,8 +139,8 @@ class Fields:
     def optional_fields(self, key: str) -> Fields | None:
         return None if self._document.get(key) is None else self.fields(key)
 
-    def each(self, key: str) -> Iterator[Fields]:
-        for i, item in enumerate(self.sequence(key)):
+    def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
+        for i, item in enumerate(self.sequence(key, most)):
             yield Fields(item, f'{self.where}.{key}[{i}]')
 
     def _get(
@@ -124,5 +173,7 @@ class Fields:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
+    if isinstance(value, (dict, list)):
+        return f'a {type(value).__name__} of {len(value)}'
+    text = repr(value if not isinstance(value, str) else value[:40])
     return text if len(text) <= 40 else f'{text[:37]}...'
