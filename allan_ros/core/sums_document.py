@@ -81,7 +81,9 @@ def sums_from_document(document: object) -> AllanSums:
     top.schema(SUMS_SCHEMA)
     axes = tuple(top.sequence('axes', len(AXES)))
     if not axes or axes != tuple(a for a in AXES if a in axes):
-        raise AllanError(f'sums.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order')
+        raise AllanError(
+            f'sums.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
+        )
     n = len(top.sequence('count', MAX_FACTORS))
     segments = tuple(_segment(f, len(axes), n) for f in top.each('segments', KEPT_SEGMENTS))
     classes = tuple(_length_class(f, len(axes), n) for f in top.each('classes', MAX_CLASSES))
