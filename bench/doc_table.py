@@ -1,0 +1,57 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables in the documents that the benchmarks themselves write.
+
+A table stands between two comments that Markdown does not show: ``<!-- table: faults -->`` and
+``<!-- end -->``. Its rows are known by their first cell, so that one row can be measured again
+without the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from allan_ros.io.atomic import write_atomic
+
+RELIABILITY = Path(__file__).resolve().parents[1] / 'docs' / 'reliability.md'
+
+
+class DocTable:
+    """One table of a document.
+
+    Parameters
+    ----------
+    name : str
+        As in its opening comment.
+    heading : sequence of str
+        Cells of the heading, the first names a row.
+    order : sequence of str
+        First cells of all rows there are; rows of other names are dropped.
+    path : Path
+        The document.
+    """
+
+    def __init__(
+        self, name: str, heading: Sequence[str], order: Sequence[str], path: Path = RELIABILITY
+    ) -> None:
+        self._opening, self._heading, self._order = f'<!-- table: {name} -->', heading, order
+        self._path = path
+
+    def put(self, *rows: Sequence[str]) -> None:
+        """Write these rows in place of those with the same first cell."""
+        before, opening, rest = self._path.read_text().partition(self._opening)
+        if not opening:
+            raise SystemExit(f'{self._path} has no {self._opening}')
+        old, _, after = rest.partition('<!-- end -->')
+        lines = [line for line in old.splitlines() if line.startswith('| ')][1:]
+        known = {line[2:].split(' | ')[0]: line for line in lines}
+        known |= {row[0]: _line(row) for row in rows}
+        table = [_line(self._heading), '|---' * len(self._heading) + '|']
+        table += [known[name] for name in self._order if name in known]
+        text = '\n'.join(table)
+        write_atomic(self._path, f'{before}{opening}\n{text}\n<!-- end -->{after}')
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f'| {" | ".join(cell.replace("|", "/") for cell in cells)} |'
