@@ -198,10 +198,10 @@ _word(
     'choose a wider range if the motion matters; a still IMU should never come near it',
 )
 _word(
-    'constant',
+    'no_noise',
     'error',
-    'every sample has the same value: there is no noise to measure',
-    'look at the driver: a real sensor always shows some noise',
+    'there is no noise to measure: the samples are constant or a straight line',
+    'check that the sensor is powered and that its driver sends live values',
 )
 _word(
     'warm_up',
@@ -406,12 +406,6 @@ _word(
 )
 
 # --- the fit: method 'gls' ------------------------------------------------------------------------
-_word(
-    'no_noise',
-    'warning',
-    'there is no noise to measure: the samples are constant or a straight line',
-    'check that the sensor is powered and that its driver sends live values',
-)
 _word(
     'record_too_short',
     'warning',

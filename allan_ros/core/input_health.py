@@ -29,7 +29,7 @@ LIVE_FINDINGS = (
     'zero_filled',
     'held',
     'never_still',
-    'constant',
+    'no_noise',
 )
 """Findings of the whole stream that stay true while it runs."""
 
@@ -42,6 +42,9 @@ class Reception:
     ----------
     received : int
         Messages taken.
+    sent_before : int
+        Messages that a publisher had sent before the first of its that came: we joined late, or
+        lost them; nothing tells which.
     skipped_numbers : int
         Sequence numbers of the publishers that never came.
     reported_lost : int
@@ -53,6 +56,7 @@ class Reception:
     """
 
     received: int = 0
+    sent_before: int = 0
     skipped_numbers: int = 0
     reported_lost: int = 0
     malformed: int = 0

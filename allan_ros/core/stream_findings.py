@@ -89,7 +89,7 @@ def _sums_findings(sums: AllanSums) -> list[Finding]:
     if len(sums.count):
         flat = tuple(np.array(sums.axes)[sums.sum_sq[0] == 0.0].tolist())
         if flat:
-            found.append(finding('constant', flat))
+            found.append(finding('no_noise', flat))
     seconds = sums.elapsed_ns * 1e-9
     if seconds < SHORT_S:
         found.append(finding('short', seconds=seconds))

@@ -269,7 +269,7 @@ def test_of_two_rates_the_longest_time_counts_and_the_present_one_is_at_hand():
 def test_constant_values_have_no_noise():
     t, x = still(5000)
     result = accumulate(t, np.ones_like(x) * 3.0)
-    assert [f.axes for f in result.findings if f.id == 'constant'] == [AXES]
+    assert [f.axes for f in result.findings if f.id == 'no_noise'] == [AXES]
 
 
 def test_nothing_in_nothing_out():
