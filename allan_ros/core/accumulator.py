@@ -14,9 +14,10 @@ from .batch import AXES, ImuBatch
 from .clock import LEARN
 from .findings import Finding, finding
 from .health import Counts, Span, StreamHealth
-from .lane_stream import LaneStream
+from .lane_stream import Evidence, LaneStream
 from .lanes import plan_lanes
 from .settings import SegmenterSettings
+from .spectrum import SpectrumSums
 from .stream_findings import stream_findings
 from .sums import AllanSums, ImuIdentity
 
@@ -39,6 +40,8 @@ class Accumulation:
     findings : tuple of Finding
     spans : tuple of Span
         The longest 1000 segments of ``current``, in order of time.
+    spectra : tuple of SpectrumSums
+        Those of ``sums``, in the same order; empty unless they were asked for.
     """
 
     sums: tuple[AllanSums, ...]
@@ -46,6 +49,7 @@ class Accumulation:
     health: StreamHealth
     findings: tuple[Finding, ...]
     spans: tuple[Span, ...]
+    spectra: tuple[SpectrumSums, ...] = ()
 
 
 class ImuAccumulator:
@@ -53,6 +57,13 @@ class ImuAccumulator:
 
     Any chunking of the same samples gives the same sums, bit for bit: all decisions are taken on
     samples counted from the start of the stream, with a fixed look-ahead.
+
+    Parameters
+    ----------
+    settings : SegmenterSettings
+    hardware_id : str
+    with_spectra : bool
+        Whether to keep the power spectral density of the evidence too.
 
     Examples
     --------
@@ -67,10 +78,14 @@ class ImuAccumulator:
     """
 
     def __init__(
-        self, settings: SegmenterSettings = SegmenterSettings(), hardware_id: str = ''
+        self,
+        settings: SegmenterSettings = SegmenterSettings(),
+        hardware_id: str = '',
+        with_spectra: bool = False,
     ) -> None:
         self._settings = settings
         self._hardware_id = hardware_id
+        self._with_spectra = with_spectra
         self._received = 0
         self._skipped = 0
         self._first_ns: int | None = None
@@ -138,12 +153,14 @@ class ImuAccumulator:
         state = now._lanes[0].state if now._lanes else ('learning' if now._learned else 'waiting')
         now._flush()
         lanes = now._lanes or ()
+        longest = now._longest()
         return Accumulation(
-            now._longest(),
+            tuple(sums for sums, _ in longest),
             tuple(lane.sums for lane in lanes if lane.sums.samples),
             now._health(state),
             now._findings(),
             tuple(lanes[0].spans) if lanes else (),
+            tuple(spectrum for _, spectrum in longest if spectrum is not None),
         )
 
     # --- the way of a batch -------------------------------------------------------------------
@@ -170,7 +187,9 @@ class ImuAccumulator:
         plans, findings = plan_lanes(stamps, rows)
         self._notes += findings
         identity = ImuIdentity(self._frame_id, self._hardware_id)
-        self._lanes = tuple(LaneStream(p, identity, self._settings) for p in plans)
+        self._lanes = tuple(
+            LaneStream(p, identity, self._settings, self._with_spectra) for p in plans
+        )
         self._feed(stamps, record, rows)
 
     def _feed(self, stamps: Stamps, record: Stamps | None, rows: Floats) -> None:
@@ -204,18 +223,19 @@ class ImuAccumulator:
 
     # --- what is known ------------------------------------------------------------------------
 
-    def _longest(self) -> tuple[AllanSums, ...]:
-        """Return, for each sensor that ever came, the sums of the longest time."""
-        best: dict[str, AllanSums] = {}
+    def _longest(self) -> tuple[Evidence, ...]:
+        """Return, for each sensor that ever came, the evidence of the longest time."""
+        best: dict[str, Evidence] = {}
         for lane in (*self._former, *(self._lanes or ())):
-            for sums in (*lane.former, lane.sums):
+            for evidence in (*lane.former, lane.evidence):
+                sums = evidence.sums
                 for axis in sums.axes:
                     have = best.get(axis)
-                    if sums.samples and (have is None or sums.elapsed_ns > have.elapsed_ns):
-                        best[axis] = sums
-        chosen: list[AllanSums] = []
+                    if sums.samples and (have is None or sums.elapsed_ns > have.sums.elapsed_ns):
+                        best[axis] = evidence
+        chosen: list[Evidence] = []
         for axis in AXES:
-            if axis in best and not any(best[axis] is sums for sums in chosen):
+            if axis in best and not any(best[axis] is evidence for evidence in chosen):
                 chosen.append(best[axis])
         return tuple(chosen)
 
@@ -239,5 +259,6 @@ class ImuAccumulator:
         found = list(self._notes)
         health = self._health('still')
         relearned = sum(lane.relearned for lane in (*self._former, *(self._lanes or ())))
-        found += stream_findings(health, self._longest(), self._settings, relearned)
+        longest = tuple(sums for sums, _ in self._longest())
+        found += stream_findings(health, longest, self._settings, relearned)
         return tuple(found)

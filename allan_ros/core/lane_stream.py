@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import heapq
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from .health import Counts, Span, State
 from .lanes import LanePlan, LaneSieve
 from .run import Run
 from .settings import SegmenterSettings
+from .spectrum import RunningSpectrum, SpectrumSums
 from .stamp_filter import StampFilter
 from .stillness import RELEARNED, StillnessStage
 from .sums import AllanSums, ImuIdentity
@@ -30,6 +32,13 @@ KEPT_SPANS = 1000
 """How many of the longest segments are listed."""
 
 
+class Evidence(NamedTuple):
+    """What samples at one rate came to: their Allan sums, and their spectrum if asked for."""
+
+    sums: AllanSums
+    spectrum: SpectrumSums | None
+
+
 class LaneStream:
     """Feeds the engine with the evidence of the axes that tick together.
 
@@ -37,19 +46,26 @@ class LaneStream:
     ----------
     counts : Counts
         What became of the samples of this lane.
-    former : list of AllanSums
-        Sums at the rates the stream had before (its rate changed).
+    former : list of Evidence
+        That at the rates the stream had before (its rate changed).
     relearned : int
         How often evidence was thrown away because it had been gathered in motion.
     """
 
-    def __init__(self, plan: LanePlan, identity: ImuIdentity, settings: SegmenterSettings) -> None:
+    def __init__(
+        self,
+        plan: LanePlan,
+        identity: ImuIdentity,
+        settings: SegmenterSettings,
+        with_spectrum: bool = False,
+    ) -> None:
         self.plan = plan
         self.counts = Counts()
-        self.former: list[AllanSums] = []
+        self.former: list[Evidence] = []
         self.relearned = 0
         self._identity = identity
         self._settings = settings
+        self._with_spectrum = with_spectrum
         self._sieve = LaneSieve(plan)
         self._filter = StampFilter(len(plan.axes), self.counts)
         self._start(_nothing(len(plan.axes)))
@@ -63,6 +79,7 @@ class LaneStream:
 
     def _renew_engine(self) -> None:
         self._engine = RunningAllan(self._identity, self.plan.axes)
+        self._spectrum = RunningSpectrum(self.plan.axes) if self._with_spectrum else None
         self._spans: list[tuple[int, int, Span]] = []
         self._span_count = 0
         self._span_start = self._span_end = 0
@@ -89,6 +106,11 @@ class LaneStream:
     def sums(self) -> AllanSums:
         """Sums at the present rate."""
         return self._engine.sums
+
+    @property
+    def evidence(self) -> Evidence:
+        """Sums and spectrum at the present rate."""
+        return Evidence(self.sums, None if self._spectrum is None else self._spectrum.sums)
 
     @property
     def spans(self) -> list[Span]:
@@ -162,7 +184,7 @@ class LaneStream:
         self._close_segment()
         self.counts.cuts['rate change'] += 1
         if self.sums.samples:
-            self.former.append(self.sums)
+            self.former.append(self.evidence)
         stamps, rows = self._clock.waiting
         self._start((stamps.copy(), rows.copy(), np.zeros(len(stamps), bool)))
 
@@ -185,6 +207,8 @@ class LaneStream:
         self._span_end = int(run.stamps[-1])
         self.counts.used += len(run.stamps)
         self._engine.update(run.rows.T, int(run.stamps[0]), self._span_end)
+        if self._spectrum is not None:
+            self._spectrum.update(run.rows)
 
     def _close_segment(self) -> None:
         samples = self._engine.open_samples
@@ -196,6 +220,8 @@ class LaneStream:
             heapq.heappop(self._spans)
         self._span_count += 1
         self._engine.end_segment()
+        if self._spectrum is not None:
+            self._spectrum.end_segment()
 
 
 def _nothing(axes: int) -> Samples:
