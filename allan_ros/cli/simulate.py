@@ -138,7 +138,7 @@ def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
     from ..core.batch import AXES
     from ..core.fields import Fields
     from ..core.terms import NoiseTerms
-    from ..core.units import SI_UNITS
+    from ..core.units import SI_UNITS, sensor_of
     from ..io.sensors import load_sensor
     from ..io.truth import read_noise, with_noise
 
@@ -151,11 +151,11 @@ def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
     elif args.sensor:
         limits = load_sensor(args.sensor).limits
         stated = {
-            sensor: {
-                term: {'value': limit.value, 'unit': SI_UNITS[sensor][term]}
-                for term, limit in of_sensor.items()
+            axis: {
+                term: {'value': limit.value, 'unit': SI_UNITS[sensor_of(axis)][term]}
+                for term, limit in of_axis.items()
             }
-            for sensor, of_sensor in limits.items()
+            for axis, of_axis in limits.items()
         }
         noise = with_noise(noise, Fields(stated, f'--sensor {args.sensor}'))
     elif not changes:

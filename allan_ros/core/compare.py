@@ -10,6 +10,10 @@ from typing import Literal
 
 from .fit.values import TERMS, Coefficient
 
+MARGIN = 0.2
+"""A unit is blamed from 20 % above a limit: typical figures are those of the middle unit, not
+of the worst, and noise rises some percent with temperature."""
+
 Verdict = Literal['within', 'beyond', 'open']
 """Surely not above the limit; surely above it; the interval holds the limit, so wait."""
 

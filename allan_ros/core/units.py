@@ -57,6 +57,7 @@ UNITS = {
     'rad/s/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', 1.0),
     'rad/sqrt(s)': Unit('rad/s/sqrt(Hz)', 1.0),
     'deg/s/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', DEGREE),
+    'mdeg/s/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', 1e-3 * DEGREE),
     'deg/h/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', DEGREE / HOUR),
     'deg/sqrt(h)': Unit('rad/s/sqrt(Hz)', DEGREE / math.sqrt(HOUR)),
     'rad/s': Unit('rad/s', 1.0),

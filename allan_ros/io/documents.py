@@ -29,6 +29,7 @@ from ..core.health import Counts, Span
 from ..core.sums import AllanSums, ImuIdentity
 from ..core.sums_document import sums_from_document, sums_to_document
 from ..core.units import SI_UNITS, sensor_of
+from .datasheet_comparison import comparison_from_document, comparison_to_document
 from .recordings import SourceInfo
 from .results import AxisCurve, AxisResult, Provenance, Results
 
@@ -60,6 +61,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
         'findings': [asdict(f) for f in results.findings],
+        'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
         'axes': {
             name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
         },
@@ -78,6 +80,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
     axes = fields.fields('axes')
+    datasheet = fields.optional_fields('datasheet')
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
@@ -88,6 +91,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         {name: _axis_from_document(axes.fields(name)) for name in axes},
         provenance,
         provenance.findings,
+        None if datasheet is None else comparison_from_document(datasheet),
     )
 
 

@@ -10,7 +10,7 @@ from ..core.errors import AllanError
 from ..core.expression import Expression
 from ..core.fields import Fields
 from ..core.filter_parameters import FilterMapping, FilterParameter, check_mapping
-from .sensors import config_file, config_names, read_yaml
+from .config_files import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/filter/1'
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,9 @@ from ..core.health import Counts, Span
 from ..core.sample_variance import sample_variance
 from ..core.sums import AllanSums, ImuIdentity
 from ..core.terms import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
+from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
 from .recordings import SourceInfo
+from .sensors import Datasheet
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,9 @@ class Results:
         In the order of `AXES`; an absent sensor is absent.
     provenance : Provenance
     findings : tuple of Finding
-        Those of the provenance, then those of the fit.
+        Those of the provenance, then those of the fit and of the comparison.
+    datasheet : DatasheetComparison or None
+        What a datasheet says of it, where one was named.
     """
 
     identity: ImuIdentity
@@ -157,11 +161,19 @@ class Results:
     axes: Mapping[str, AxisResult]
     provenance: Provenance
     findings: tuple[Finding, ...]
+    datasheet: DatasheetComparison | None = None
 
     @property
     def rate_hz(self) -> float:
         """Sample rate in Hz."""
         return 1.0 / self.tau0
+
+    def held_against(self, datasheet: Datasheet, margin: float) -> Results:
+        """Return the same beside what a datasheet says, with a finding for what lies beyond it."""
+        noise = {name: axis.fit.noise for name, axis in self.axes.items()}
+        comparison = against_datasheet(noise, datasheet, margin)
+        found = datasheet_findings(noise, comparison)
+        return replace(self, datasheet=comparison, findings=(*self.findings, *found))
 
 
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:

@@ -2,37 +2,62 @@
 # SPDX-License-Identifier: Apache-2.0
 """Datasheets of IMUs: YAML files that say what a sensor should be, read into SI limits.
 
-A datasheet rarely says which of two customary meanings a number has. Its file says what is known
-(``sided``, ``stated_as``); where that is ``unknown`` the limit is the wider of the two meanings and
-carries a note, so that no good sensor is blamed for an ambiguous datasheet.
+Figures stand in a file as the datasheet states them, in its own unit; what they mean for N and B is
+computed here. A datasheet rarely says which of two customary meanings a number has. Its file says
+what is known (``sided``, ``stated_as``); where that is ``unknown`` the limit is the wider of the
+two meanings and carries a note, so that no good sensor is blamed for an ambiguous datasheet.
+
+``gyro`` or ``accel`` stands for its three axes, a single axis such as ``accel_z`` goes before it.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
-import yaml
-
+from ..core.batch import AXES
+from ..core.compare import Reference
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.terms import FLICKER_FLOOR
-from ..core.units import SI_UNITS, to_si
+from ..core.units import SI_UNITS, sensor_of, to_si
+from .config_files import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/sensor/1'
-
-MAX_BYTES = 100_000
-"""A datasheet file is a page; more is another file."""
 
 WALK_KEY = {'gyro': 'arw', 'accel': 'vrw'}
 """sensor -> the key of N as datasheets call it: angle or velocity random walk."""
 
 SIDED = ('one', 'two', 'unknown')
 STATED_AS = ('coefficient', 'minimum', 'unknown')
+
+SEEN = ('datasheet', 'secondary')
+"""Whether the document itself was read, or another one that quotes it."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where figures come from.
+
+    Attributes
+    ----------
+    title, revision, url : str
+        The document, its number and revision, and the maker's page; '' where not known.
+    seen : 'datasheet', 'secondary' or ''
+        Whether the document itself was read, or ``via``, which quotes it; '' where not said.
+    via : str
+        What was read, where that is not the document at its maker's.
+    """
+
+    title: str
+    revision: str = ''
+    url: str = ''
+    seen: str = ''
+    via: str = ''
+
+    def __str__(self) -> str:
+        return ', '.join(part for part in (self.title, self.revision) if part)
 
 
 @dataclass(frozen=True)
@@ -47,11 +72,17 @@ class Limit:
         The number and unit of the datasheet.
     note : str
         How the one became the other, where that needs saying; else ''.
+    condition : str
+        Under which the datasheet states it: typical, range, bandwidth; '' where it says none.
+    source : str
+        Key of its source.
     """
 
     value: float
     stated: str
     note: str = ''
+    condition: str = ''
+    source: str = ''
 
 
 @dataclass(frozen=True)
@@ -60,29 +91,43 @@ class Datasheet:
 
     Attributes
     ----------
-    name : str
-    sources : tuple of str
-        Document and revision of every number.
-    limits : mapping of sensor ('gyro', 'accel') to term ('N', 'B') to Limit
+    name, maker : str
+    sources : mapping of key to Source
+        The documents of the numbers.
+    limits : mapping of axis name to term ('N', 'B') to Limit
         Only what the sources state.
-    range, lsb : mapping of sensor to float
+    range, lsb : mapping of axis name to float
         Full scale and step of the values in rad/s and m/s^2, where stated.
+    remark : str
+        What else a reader should know; '' for nothing.
     """
 
     name: str
-    sources: tuple[str, ...]
+    maker: str
+    sources: Mapping[str, Source]
     limits: Mapping[str, Mapping[str, Limit]]
     range: Mapping[str, float]
     lsb: Mapping[str, float]
+    remark: str = ''
+
+    def reference(self) -> Reference:
+        """Return it as what coefficients are held against."""
+        return Reference(
+            self.name,
+            {
+                axis: {term: limit.value for term, limit in terms.items()}
+                for axis, terms in self.limits.items()
+            },
+        )
 
 
 def sensor_names() -> list[str]:
-    """Return the names of the datasheets that come with the package."""
+    """Return the names of the datasheets that come with the package, and of the user's own."""
     return config_names('sensors')
 
 
 def load_sensor(name: str) -> Datasheet:
-    """Return a datasheet by the name of one that comes with the package, or by its path.
+    """Return a datasheet by its name, or by the path of its file.
 
     Raises
     ------
@@ -93,137 +138,117 @@ def load_sensor(name: str) -> Datasheet:
     return _datasheet(Fields(read_yaml(path), str(path)))
 
 
-def read_yaml(path: Path) -> Any:
-    """Return what a small YAML (or JSON) file holds.
-
-    Raises
-    ------
-    AllanError
-        When it cannot be read or parsed, or is over 100 kB.
-    """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AllanError(f'{path}: over {MAX_BYTES} bytes, this is no file of settings')
-        return yaml.load(path.read_text(encoding='utf-8'), _Loader)
-    except OSError as error:
-        raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        where = ' '.join(str(error).split())
-        raise AllanError(f'{path}: is not YAML ({where[:120]}): mend it there') from error
-
-
-# YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
-_Loader: Any = type('_Loader', (yaml.SafeLoader,), {})
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
-)
-
-
-def config_names(kind: str) -> list[str]:
-    """Return the names of the files of a kind that come with the package."""
-    return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
-
-
-def config_file(kind: str, name: str, called: str) -> Path:
-    """Return the file of that name that comes with the package, or the path that was given.
-
-    Raises
-    ------
-    AllanError
-        When there is none of that name; ``called`` is what such a file is to the user.
-    """
-    path = Path(name)
-    if path.suffix.lower() in ('.yaml', '.yml'):
-        return path
-    for folder in config_folders(kind):
-        found = folder / f'{name.lower()}.yaml'
-        if found.is_file():
-            return found
-    raise AllanError(
-        f'no {called} {name!r}: choose one of {", ".join(config_names(kind))}, '
-        'or give the path of a .yaml file'
-    )
-
-
-def config_folders(kind: str) -> list[Path]:
-    """Return ``config/<kind>`` of a checkout, or of wherever the package is installed."""
-    here = Path(__file__).resolve()
-    checkout = here.parents[2] / 'config' / kind
-    installed = [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
-    return [folder for folder in (checkout, *installed) if folder.is_dir()]
-
-
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
-    _refuse_others(fields, ('schema', 'name', 'sources', *WALK_KEY))
+    _refuse_others(fields, ('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES))
+    stated = fields.fields('sources')
+    sources = {key: _source(stated.fields(key)) for key in stated}
+    if not sources:
+        raise AllanError(f'{fields.where}.sources is empty: name the document of the numbers')
     limits: dict[str, dict[str, Limit]] = {}
     ranges: dict[str, float] = {}
     steps: dict[str, float] = {}
-    sources = tuple(str(source) for source in fields.sequence('sources'))
-    if not sources:
-        raise AllanError(f'{fields.where}.sources is empty: name the document of the numbers')
-    for sensor, walk in WALK_KEY.items():
-        stated = fields.optional_fields(sensor)
-        if stated is None:
-            continue
-        _refuse_others(stated, (walk, 'noise_density', 'bias_instability', 'range', 'lsb'))
-        units = SI_UNITS[sensor]
-        limits[sensor] = {}
-        # Where both are stated, the random walk is N itself and needs no guess.
-        if walk in stated:
-            limits[sensor]['N'] = _walk(stated.fields(walk), units['N'])
-        elif 'noise_density' in stated:
-            limits[sensor]['N'] = _density(stated.fields('noise_density'), units['N'])
-        if 'bias_instability' in stated:
-            limits[sensor]['B'] = _bias(stated.fields('bias_instability'), units['B'])
-        for key, into in (('range', ranges), ('lsb', steps)):
-            if key in stated:
-                into[sensor] = _quantity(stated.fields(key), units['B'])[0]
-    return Datasheet(fields.text('name'), sources, limits, ranges, steps)
-
-
-def _walk(fields: Fields, unit: str) -> Limit:
-    return Limit(*_quantity(fields, unit))
-
-
-def _density(fields: Fields, unit: str) -> Limit:
-    """Return N from a noise density: a one-sided one is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
-    value, stated = _quantity(fields, unit, 'sided')
-    sided = fields.choice('sided', SIDED)
-    if sided == 'one':
-        return Limit(value / math.sqrt(2.0), stated, 'one-sided density, divided by sqrt(2)')
-    if sided == 'two':
-        return Limit(value, stated)
-    return Limit(
-        value * math.sqrt(2.0), stated, 'one- or two-sided is not said: widened by sqrt(2)'
+    for axis in AXES:
+        for name in (sensor_of(axis), axis):
+            part = fields.optional_fields(name)
+            if part is None:
+                continue
+            limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), tuple(sources))
+            for key, into in (('range', ranges), ('lsb', steps)):
+                if key in part:
+                    into[axis] = _plain(part.fields(key), SI_UNITS[sensor_of(axis)]['B'], sources)
+    return Datasheet(
+        fields.text('name'),
+        fields.text('maker', ''),
+        sources,
+        limits,
+        ranges,
+        steps,
+        fields.text('remark', ''),
     )
 
 
-def _bias(fields: Fields, unit: str) -> Limit:
-    """Return B from a bias instability, which may be the coefficient or the curve's minimum."""
-    value, stated = _quantity(fields, unit, 'stated_as')
-    stated_as = 'coefficient'
-    if 'stated_as' in fields:
-        stated_as = fields.choice('stated_as', STATED_AS)
-    if stated_as == 'coefficient':
-        return Limit(value, stated)
-    said = {
-        'minimum': 'minimum of the curve, divided by 0.664',
-        'unknown': 'B or the minimum of the curve is not said: widened by 1/0.664',
-    }
-    return Limit(value / math.sqrt(FLICKER_FLOOR), stated, said[stated_as])
+def _source(fields: Fields) -> Source:
+    _refuse_others(fields, ('title', 'revision', 'url', 'seen', 'via'))
+    seen = fields.choice('seen', SEEN) if 'seen' in fields else ''
+    revision, url, via = (fields.text(key, '') for key in ('revision', 'url', 'via'))
+    return Source(fields.text('title'), revision, url, seen, via)
 
 
-def _quantity(fields: Fields, unit: str, *others: str) -> tuple[float, str]:
-    """Return a ``{value, unit}`` in SI, and as it is written."""
-    _refuse_others(fields, ('value', 'unit', *others))
+def _limits(fields: Fields, sensor: str, sources: tuple[str, ...]) -> dict[str, Limit]:
+    """Return term -> limit of one sensor or axis."""
+    walk, units = WALK_KEY[sensor], SI_UNITS[sensor]
+    _refuse_others(fields, (walk, 'noise_density', 'bias_instability', 'range', 'lsb'))
+    limits = {}
+    if 'noise_density' in fields:
+        limits['N'] = _density(fields.fields('noise_density'), units['N'], sources)
+    # Where both are stated, the random walk is N itself and needs no guess.
+    if walk in fields:
+        limits['N'] = _quantity(fields.fields(walk), units['N'], sources)
+    if 'bias_instability' in fields:
+        limits['B'] = _bias(fields.fields('bias_instability'), units['B'], sources)
+    return limits
+
+
+def _density(fields: Fields, unit: str, sources: tuple[str, ...]) -> Limit:
+    """Return N from a noise density: a one-sided one is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
+    sided = fields.choice('sided', SIDED)
+    factor, note = {
+        'one': (1.0 / math.sqrt(2.0), 'one-sided density, divided by sqrt(2)'),
+        'two': (1.0, ''),
+        'unknown': (1.0, 'one- or two-sided is not said: N is this, or this / sqrt(2)'),
+    }[sided]
+    return _quantity(fields, unit, sources, 'sided', factor=factor, note=note)
+
+
+def _bias(fields: Fields, unit: str, sources: tuple[str, ...]) -> Limit:
+    """Return B from a bias instability, which may be the coefficient or the curve's minimum.
+
+    The minimum of a curve is at least sqrt(2 ln2/pi) B = 0.664 B: white noise and random walk
+    add to it.
+    """
+    stated_as = fields.choice('stated_as', STATED_AS)
+    from_minimum = 1.0 / math.sqrt(FLICKER_FLOOR)
+    factor, note = {
+        'coefficient': (1.0, ''),
+        'minimum': (from_minimum, 'minimum of the curve, divided by 0.664'),
+        'unknown': (
+            from_minimum,
+            'B or the minimum of the curve is not said: taken for the minimum, divided by 0.664',
+        ),
+    }[stated_as]
+    return _quantity(fields, unit, sources, 'stated_as', factor=factor, note=note)
+
+
+def _plain(fields: Fields, unit: str, sources: Mapping[str, Source]) -> float:
+    return _quantity(fields, unit, tuple(sources)).value
+
+
+def _quantity(
+    fields: Fields,
+    unit: str,
+    sources: tuple[str, ...],
+    *others: str,
+    factor: float = 1.0,
+    note: str = '',
+) -> Limit:
+    """Return a ``{value, unit, condition, source}`` in SI times a factor, and as it is written.
+
+    The source may be left out where there is only one.
+    """
+    _refuse_others(fields, ('value', 'unit', 'condition', 'source', *others))
     value, written = fields.number('value'), fields.text('unit')
     if not value > 0.0:
         raise AllanError(f'{fields.where}.value is {value:g}: a positive number is expected')
+    source = sources[0]
+    if 'source' in fields or len(sources) > 1:
+        source = fields.choice('source', sources)
     try:
-        return to_si(value, written, unit), f'{value:g} {written}'
+        in_si = to_si(value, written, unit)
     except AllanError as error:
         raise AllanError(f'{fields.where}: {error}') from error
+    condition = fields.text('condition', '')
+    return Limit(in_si * factor, f'{value:g} {written}', note, condition, source)
 
 
 def _refuse_others(fields: Fields, known: tuple[str, ...]) -> None:

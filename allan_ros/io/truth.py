@@ -27,7 +27,7 @@ from ..core.fields import Fields
 from ..core.terms import NoiseTerms
 from ..core.units import SI_UNITS, from_datasheet, sensor_of, to_si
 from .atomic import write_atomic
-from .sensors import read_yaml
+from .config_files import read_yaml
 
 SCHEMA = 'allan_ros/truth/1'
 

@@ -15,6 +15,7 @@ from ..core.fit.duration import record_times
 from ..core.fit.values import TERMS, Coefficient
 from ..core.recent import Change, RecentCurve
 from ..core.sums import AllanSums
+from ..io.datasheet_comparison import beyond_limit
 from ..io.results import AxisResult
 from ..io.shown import (
     ShownUnit,
@@ -120,18 +121,9 @@ def _limit_findings(view: AxisView) -> list[Finding]:
     for c in view.comparisons:
         if c.verdict != 'beyond' or view.result is None:
             continue
-        unit = shown_unit(view.axis, c.term, 'datasheet')
         coefficient = view.result.fit.noise[c.term]
         found.append(
-            finding(
-                'beyond_limit',
-                term=c.term,
-                value=f'{value_text(coefficient, unit)} {unit.name}',
-                interval=interval_text(coefficient, unit),
-                limit=f'{significant(c.limit * unit.factor, 3)} {unit.name}',
-                reference=c.reference,
-                margin=view.margin,
-            )
+            beyond_limit(view.axis, c.term, coefficient, c.limit, c.reference, view.margin)
         )
     return found
 

@@ -45,13 +45,7 @@ def load_references(settings: EstimatorSettings) -> tuple[Reference, ...]:
     """
     references = []
     if settings.sensor:
-        sheet = load_sensor(settings.sensor)
-        limits = {
-            f'{sensor}_{axis}': {term: limit.value for term, limit in terms.items()}
-            for sensor, terms in sheet.limits.items()
-            for axis in 'xyz'
-        }
-        references.append(Reference(sheet.name, limits))
+        references.append(load_sensor(settings.sensor).reference())
     if settings.baseline:
         former = results_from_document(read_json(settings.baseline), settings.baseline)
         noise = {name: axis.fit.noise for name, axis in former.axes.items()}

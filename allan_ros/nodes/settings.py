@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..core.compare import MARGIN
 from ..core.errors import AllanError
 from ..core.parameters import check, parameter
 from ..core.settings import SegmenterSettings
@@ -143,7 +144,7 @@ class EstimatorSettings:
         '', 'Former run to compare with: its results.json; empty: none.', read_only=True
     )
     margin: float = parameter(
-        0.2,
+        MARGIN,
         'Warn when the interval lies beyond the limit by more than this fraction.',
         low=0.0,
         high=100.0,

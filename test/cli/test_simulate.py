@@ -52,7 +52,7 @@ def test_single_terms_go_before_the_datasheet(tmp_path):
     _, _, truth = simulate(
         tmp_path / 'a.npz', '--sensor', 'adis16475-3', '--gyro-y', 'N=0.5,R=-3', '--accel', 'B=9'
     )
-    limits = load_sensor('adis16475-3').limits['gyro']
+    limits = load_sensor('adis16475-3').limits['gyro_x']
     assert astuple(truth['gyro_x']) == (0.0, limits['N'].value, limits['B'].value, 0.0, 0.0)
     assert truth['gyro_y'].B == truth['gyro_x'].B
     assert to_datasheet('N', 'gyro', truth['gyro_y'].N)[0] == pytest.approx(0.5)

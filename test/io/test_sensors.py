@@ -5,6 +5,7 @@ import math
 import pytest
 import yaml
 
+from allan_ros.core.batch import AXES
 from allan_ros.core.errors import AllanError
 from allan_ros.io.sensors import SCHEMA, load_sensor, sensor_names
 
@@ -12,7 +13,8 @@ DEGREE = math.pi / 180
 
 
 def sheet(**sensors):
-    return {'schema': SCHEMA, 'name': 'X', 'sources': ['a data sheet, Rev. 1'], **sensors}
+    sources = {'sheet': {'title': 'X Data Sheet', 'revision': 'Rev. 1'}}
+    return {'schema': SCHEMA, 'name': 'X', 'sources': sources, **sensors}
 
 
 @pytest.fixture
@@ -28,13 +30,13 @@ def load(tmp_path):
 def test_the_imu_of_the_paper_comes_with_the_package():
     assert 'adis16475-3' in sensor_names()
     imu = load_sensor('ADIS16475-3')
-    assert imu.limits['gyro']['N'].value == pytest.approx(0.3 * DEGREE / 60)
-    assert imu.limits['gyro']['B'].value == pytest.approx(7 / 0.6643 * DEGREE / 3600, rel=1e-4)
-    assert imu.limits['gyro']['B'].stated == '7 deg/h'
-    assert imu.limits['accel']['B'].value == pytest.approx(3.6e-6 / 0.6643 * 9.80665, rel=1e-4)
-    assert 'N' not in imu.limits['accel']  # no source, no limit
-    assert imu.range == pytest.approx({'gyro': 2000 * DEGREE, 'accel': 8 * 9.80665})
-    assert imu.lsb == pytest.approx({'gyro': 0.1 * DEGREE, 'accel': 0.25e-3 * 9.80665})
+    assert tuple(imu.limits) == AXES
+    assert imu.limits['gyro_y']['N'].value == pytest.approx(0.3 * DEGREE / 60)
+    assert imu.limits['gyro_z']['B'].value == pytest.approx(7 / 0.6643 * DEGREE / 3600, rel=1e-4)
+    assert imu.limits['gyro_x']['B'].stated == '7 deg/h'
+    assert imu.limits['accel_x']['B'].value == pytest.approx(3.6e-6 / 0.6643 * 9.80665, rel=1e-4)
+    assert imu.range['gyro_x'] == pytest.approx(2000 * DEGREE)
+    assert imu.reference().limits['gyro_x']['N'] == imu.limits['gyro_x']['N'].value
 
 
 def test_every_datasheet_that_comes_with_the_package_loads():
@@ -45,11 +47,11 @@ def test_every_datasheet_that_comes_with_the_package_loads():
 
 @pytest.mark.parametrize(
     'sided, factor, note',
-    [('one', 0.5**0.5, 'one-sided'), ('two', 1, ''), ('unknown', 2**0.5, 'w')],
+    [('one', 0.5**0.5, 'one-sided'), ('two', 1, ''), ('unknown', 1, 'not said')],
 )
 def test_a_density_becomes_n_by_its_sides(load, sided, factor, note):
     density = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)', 'sided': sided}
-    limit = load(sheet(gyro={'noise_density': density})).limits['gyro']['N']
+    limit = load(sheet(gyro={'noise_density': density})).limits['gyro_x']['N']
     assert limit.value == pytest.approx(0.05 * DEGREE * factor)
     assert limit.stated == '0.05 deg/s/sqrt(Hz)'
     assert note in limit.note and bool(note) == bool(limit.note)
@@ -61,22 +63,24 @@ def test_the_random_walk_is_believed_before_the_density(load):
     both = load(
         sheet(gyro={'arw': {'value': 2.0, 'unit': 'deg/sqrt(h)'}, 'noise_density': density})
     )
-    assert both.limits['gyro']['N'].value == pytest.approx(2 * DEGREE / 60)
+    assert both.limits['gyro_x']['N'].value == pytest.approx(2 * DEGREE / 60)
     alone = load(sheet(gyro={'noise_density': density}))
-    assert alone.limits['gyro']['N'].value == pytest.approx(2 * DEGREE / 60, rel=0.07)
+    assert alone.limits['gyro_x']['N'].value == pytest.approx(2 * DEGREE / 60, rel=0.07)
 
 
-@pytest.mark.parametrize('stated_as, factor', [(None, 1), ('coefficient', 1), ('minimum', 1.5054)])
+@pytest.mark.parametrize(
+    'stated_as, factor', [('coefficient', 1), ('minimum', 1.5054), ('unknown', 1.5054)]
+)
 def test_a_minimum_becomes_the_coefficient(load, stated_as, factor):
-    bias = {'value': 10, 'unit': 'ug'} | ({'stated_as': stated_as} if stated_as else {})
-    limit = load(sheet(accel={'bias_instability': bias})).limits['accel']['B']
+    bias = {'value': 10, 'unit': 'ug', 'stated_as': stated_as}
+    limit = load(sheet(accel={'bias_instability': bias})).limits['accel_x']['B']
     assert limit.value == pytest.approx(10e-6 * 9.80665 * factor, rel=1e-4)
 
 
 @pytest.mark.parametrize('number', ['3e-1', '0.3', '3.0E-01', '+3e-01'])
 def test_numbers_mean_what_people_mean(load, number):
     text = yaml.safe_dump(arw(value='?')).replace("'?'", number)
-    assert load(text).limits['gyro']['N'].value == pytest.approx(0.3 * DEGREE / 60)
+    assert load(text).limits['gyro_x']['N'].value == pytest.approx(0.3 * DEGREE / 60)
 
 
 def arw(**change):
@@ -94,10 +98,16 @@ def arw(**change):
             r"gyro.arw: unit 'deg/h' does not fit here: use one of .*deg/sqrt\(h\)",
         ),
         (arw(sided='one'), r"gyro.arw: 'sided' is unknown"),
+        (arw(source='other'), r"gyro.arw.source is 'other': one of sheet"),
+        (sheet(gyro={'bias_instability': {'value': 1, 'unit': 'deg/h'}}), 'stated_as is missing'),
+        (sheet(accel={'vrw': {'value': 1, 'unit': 'deg/sqrt(h)'}}), r'accel.vrw: unit'),
+        (sheet(gyro_w={}), r"'gyro_w' is unknown"),
+        (sheet() | {'sources': {'a': {'title': 'X', 'seen': 'no'}}}, r'a.seen is .no.: one of'),
+        (sheet() | {'sources': {'a': {'author': 'X'}}}, r"a: 'author' is unknown, use title"),
         (sheet(gyro={'ARW': {}}), r"gyro: 'ARW' is unknown, use arw, noise_density"),
         (sheet(gyro={'noise_density': {'value': 1, 'unit': 'deg/s/sqrt(Hz)'}}), 'sided is missing'),
         (sheet() | {'schema': 'other'}, "schema is 'other'"),
-        (sheet() | {'sources': []}, 'sources is empty'),
+        (sheet() | {'sources': {}}, 'sources is empty'),
         ('[1, 2', 'is not YAML'),
         ('just words', 'object is expected'),
         ('', 'object is expected'),
@@ -110,8 +120,39 @@ def test_a_bad_file_is_refused_with_its_place(load, document, said):
         load(document)
 
 
-def test_an_unknown_name_lists_the_known_ones(tmp_path):
-    with pytest.raises(AllanError, match=r"no datasheet 'mpu1': choose one of .*adis16475-3"):
-        load_sensor('mpu1')
+def test_a_single_axis_goes_before_its_sensor(load):
+    quantity = {'value': 160, 'unit': 'ug/sqrt(Hz)', 'sided': 'two', 'condition': 'typical'}
+    imu = load(
+        sheet(
+            accel={'noise_density': quantity, 'range': {'value': 24, 'unit': 'g'}},
+            accel_z={'noise_density': quantity | {'value': 190}},
+        )
+    )
+    assert [imu.limits[axis]['N'].stated for axis in ('accel_x', 'accel_y', 'accel_z')] == [
+        '160 ug/sqrt(Hz)', '160 ug/sqrt(Hz)', '190 ug/sqrt(Hz)',
+    ]  # fmt: skip
+    assert imu.limits['accel_z']['N'].condition == 'typical'
+    assert imu.limits['accel_z']['N'].source == 'sheet'
+    assert imu.range['accel_z'] == pytest.approx(24 * 9.80665)
+    assert 'gyro_x' not in imu.limits
+
+
+def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
+    with pytest.raises(AllanError, match=r"no datasheet 'adis1647-3': did you mean adis16475-3"):
+        load_sensor('adis1647-3')
+    with pytest.raises(AllanError, match=r"no datasheet 'xyz': choose one of adis16"):
+        load_sensor('xyz')
     with pytest.raises(AllanError, match='cannot be read'):
         load_sensor(str(tmp_path / 'none.yaml'))
+
+
+def test_a_file_in_the_users_folder_has_a_name(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CONFIG_HOME', str(tmp_path))
+    folder = tmp_path / 'allan_ros' / 'sensors'
+    folder.mkdir(parents=True)
+    own = arw() | {'name': 'my own'}
+    for name in ('mine', 'adis16475-3'):
+        (folder / f'{name}.yaml').write_text(yaml.safe_dump(own))
+    assert {'mine', 'adis16475-3'} <= set(sensor_names())
+    assert load_sensor('MINE').name == 'my own'
+    assert load_sensor('adis16475-3').name == 'my own'  # goes before the one of the package

@@ -86,7 +86,7 @@ def test_a_sensor_worse_than_its_datasheet_is_warned_of(graph, still_imu, tmp_pa
             {
                 'schema': 'allan_ros/sensor/1',
                 'name': 'GOOD-1',
-                'sources': ['a test'],
+                'sources': {'test': {'title': 'a test'}},
                 'gyro': {'arw': {'value': 0.05, 'unit': 'deg/sqrt(h)'}},
                 'accel': {'vrw': {'value': 10.0, 'unit': 'm/s/sqrt(h)'}},
             }

@@ -1,0 +1,109 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small YAML files of settings: those that come with the package, and the user's own.
+
+A file is found by its name in the user's folder (``~/.config/allan_ros/<kind>``, or under
+``$XDG_CONFIG_HOME``), then among those of the package; or it is given by its path.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..core.errors import AllanError
+
+MAX_BYTES = 100_000
+"""Such a file is a page; more is another file."""
+
+NEAREST = 3
+"""How many names that resemble an unknown one are offered."""
+
+LISTED = 8
+"""How many names are listed where none resembles it."""
+
+
+def read_yaml(path: Path) -> Any:
+    """Return what a small YAML (or JSON) file holds.
+
+    Raises
+    ------
+    AllanError
+        When it cannot be read or parsed, or is over 100 kB.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise AllanError(f'{path}: over {MAX_BYTES} bytes, this is no file of settings')
+        return yaml.load(path.read_text(encoding='utf-8'), _Loader)
+    except OSError as error:
+        raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
+    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        where = ' '.join(str(error).split())
+        raise AllanError(f'{path}: is not YAML ({where[:120]}): mend it there') from error
+
+
+# YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
+_Loader: Any = type('_Loader', (yaml.SafeLoader,), {})
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
+)
+
+
+def config_names(kind: str) -> list[str]:
+    """Return the names of the files of a kind: the package's and the user's own."""
+    return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
+
+
+def config_file(kind: str, name: str, called: str) -> Path:
+    """Return the file of that name, or the path that was given.
+
+    Raises
+    ------
+    AllanError
+        When there is none of that name; ``called`` is what such a file is to the user.
+    """
+    path = Path(name)
+    if path.suffix.lower() in ('.yaml', '.yml'):
+        return path.expanduser()
+    if path.name == name:
+        for folder in config_folders(kind):
+            found = folder / f'{name.lower()}.yaml'
+            if found.is_file():
+                return found
+    raise AllanError(
+        f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
+        'or give the path of a .yaml file'
+    )
+
+
+def config_folders(kind: str) -> list[Path]:
+    """Return the folders of a kind, the first of which holds a name counting.
+
+    The user's own, then ``config/<kind>`` of a checkout or of wherever the package is installed.
+    """
+    here = Path(__file__).resolve()
+    checkout = here.parents[2] / 'config' / kind
+    installed = [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
+    return [folder for folder in (user_folder(kind), checkout, *installed) if folder.is_dir()]
+
+
+def user_folder(kind: str) -> Path:
+    """Return where the user's own files of a kind are looked for (XDG Base Directory, 0.8)."""
+    home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
+    return Path(home) / 'allan_ros' / kind
+
+
+def _suggestion(name: str, names: Sequence[str]) -> str:
+    """Return which names resemble the unknown one, else some of those there are."""
+    near = difflib.get_close_matches(name, names, NEAREST)
+    near = near or [known for known in names if name in known][:NEAREST]
+    if near:
+        return f'did you mean {" or ".join(near)}'
+    more = f' (and {len(names) - LISTED} more)' if len(names) > LISTED else ''
+    return f'choose one of {", ".join(names[:LISTED])}{more}'
