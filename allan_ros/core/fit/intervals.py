@@ -125,7 +125,8 @@ def power_interval(table: Table, term: int, power: Floats, misfit: float = 0.0) 
     score = Score(table, term, power, misfit)
     z_zero = score(0.0)
     deviation = max(score.deviation, white_floor(table))
-    middle = max(power[term], score.estimate, 0.0)
+    # Not the estimate under the weights of a zero where there is another: it can lie far outside.
+    middle = power[term] if power[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
         score(middle)
         deviation = score.deviation

@@ -56,6 +56,23 @@ def test_ends_are_where_the_score_says(fit, term):
     assert score(interval.low) == pytest.approx(1.96, abs=0.03)
 
 
+def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
+    # Two hours of the paper's z gyro: held at zero, K is estimated at 2.3 times its power.
+    axis_seed = np.random.SeedSequence(0).spawn(2)[0].spawn(6)[2]
+    terms = NoiseTerms(Q=1e-7, N=7.13e-5, B=2.94e-5, K=4.09e-6, R=8.92e-8)
+    y = simulate_axis(720_000, 0.01, terms, np.random.default_rng(axis_seed))
+    engine = RunningAllan(axes=('gyro_z',))
+    engine.update(y[:, None], 0, 7_199_990_000_000)
+    engine.end_segment()
+    fit = point_fit(Evidence(engine.sums), 0)
+    at_zero = Score(fit.table, K, fit.power)
+    at_zero(0.0)
+    assert at_zero.estimate > 2.0 * fit.power[K]
+    interval = power_interval(fit.table, K, fit.power)
+    assert interval.low < 0.7 * fit.power[K] < 1.5 * fit.power[K] < interval.high
+    assert interval.high < at_zero.estimate
+
+
 def test_an_absent_term_has_a_limit_and_no_interval(fit):
     interval = power_interval(fit.table, B, fit.power)
     assert not interval.observable
