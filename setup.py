@@ -49,6 +49,7 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
+        'argcomplete>=1.8',  # completes words in the shell; loaded only then
         'matplotlib>=3.5',
         'numpy>=1.21',
         'PyYAML>=5.4',

@@ -4,16 +4,23 @@
 
 An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
 runs of the same IMU: their evidence adds up.
+
+  allan analyze my_bag -o results
+  allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
+  allan analyze table.csv --columns t,gx,gy,gz,ax,ay,az --gyro-unit deg/s --accel-unit g
+  allan analyze my_bag --json | jq .axes.gyro_x.noise.N.value
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings
+from .console import Console
 from .options import add_settings, settings_of
 from .outcome import OutcomeSettings, add_runs, check_exports, finish
 
@@ -67,26 +74,48 @@ def run(args: argparse.Namespace) -> int:
     check_exports(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
+    console = Console.of(args)
+    console.detail(f'settings: {_settings_text(reading, evidence)}')
     jobs = [Job(path, reading, evidence, args.hardware_id) for path in args.inputs]
-    outcomes = list(_spread(jobs, args))
+    outcomes = list(_spread(jobs, args, console))
     lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     parts = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
     if not parts:
         raise AllanError('; '.join(str(finding) for finding in lost))
+    for part in parts:
+        console.detail(_read_text(part))
     parts[0] = add_findings(parts[0], lost)
     return finish(add_runs(part.run for part in parts), args, [part.signal for part in parts])
 
 
-def _spread(jobs: Sequence[Job], args: argparse.Namespace) -> Iterator[Part | Finding]:
+def _spread(
+    jobs: Sequence[Job], args: argparse.Namespace, console: Console
+) -> Iterator[Part | Finding]:
     """Do the jobs where the arguments say."""
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     if args.scheduler:
         from .cluster import on_cluster
 
-        return on_cluster(jobs, args.scheduler)
+        return on_cluster(jobs, args.scheduler, console)
     from .parts import in_processes, in_turn
 
     if min(args.jobs, len(jobs)) > 1:
-        return in_processes(jobs, args.jobs)
-    return in_turn(jobs)
+        return in_processes(jobs, args.jobs, console)
+    return in_turn(jobs, console)
+
+
+def _settings_text(*settings: Any) -> str:
+    """Return every setting with its value."""
+    values = {name: value for s in settings for name, value in asdict(s).items()}
+    return ', '.join(f'{name}={value!r}' for name, value in values.items())
+
+
+def _read_text(part: Part) -> str:
+    """Return what was read of one recording, and how."""
+    (source,), counts = part.run.provenance.sources, part.run.provenance.counts
+    what = ' '.join(word for word in (source.topic, source.type) if word)
+    return (
+        f'{source.path}: {counts.received:,} samples from {source.storage}'
+        f'{f", {what}" if what else ""}; {counts.used:,} used'
+    )

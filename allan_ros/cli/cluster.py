@@ -8,15 +8,18 @@ from collections.abc import Callable, Iterator, Sequence
 
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
+from .console import Console
 from .parts import Job, Part, accumulate
-from .progress import Progress
 
 CONNECT_S = 10.0
 """Seconds to wait for a scheduler."""
 
 
 def on_cluster(
-    jobs: Sequence[Job], address: str, work: Callable[[Job], Part] = accumulate
+    jobs: Sequence[Job],
+    address: str,
+    console: Console,
+    work: Callable[[Job], Part] = accumulate,
 ) -> Iterator[Part | Finding]:
     """Do the jobs on a cluster whose workers have this package and see the same paths.
 
@@ -41,7 +44,7 @@ def on_cluster(
             f'no Dask scheduler answers at {address}: check the address and that it runs'
         ) from error
     outcomes: dict[Job, Part | Finding] = {}
-    with client, Progress(f'{len(jobs)} recordings on {address}', None) as progress:
+    with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
         # a result of an earlier analysis is no answer: the recording may have changed
         futures = client.map(work, jobs, pure=False)
         doubtful: list[Job] = []

@@ -4,16 +4,22 @@
 
 The input is a results.json of `allan analyze` or `allan merge`. Without -o or --merge-into the
 file goes to the standard output. What a number in it is not, is said beside it and on stderr.
+
+  allan export --list
+  allan export results/results.json --to openvins -o kalibr_imu_chain.yaml
+  allan export results/results.json --to kalibr --merge-into my_imu.yaml
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
+from .console import Console
 from .options import add_settings, settings_of
 
 
@@ -38,6 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read the results, make the file and put it where it belongs."""
+    console = Console.of(args)
+    if args.list and console.json:
+        console.document({'targets': TARGETS})
+        return 0
     if args.list:
         width = max(map(len, TARGETS))
         for name, what in TARGETS.items():
@@ -55,13 +65,18 @@ def run(args: argparse.Namespace) -> int:
     existing = _text(args.merge_into) if args.merge_into else None
     made = make_export(results, args.to, options, existing)
     where = args.output or args.merge_into
-    if where:
-        path = Path(where)
-        write_atomic(path / target.file_name if path.is_dir() else path, made.text)
-    else:
+    path = Path(where) if where else None
+    if path is not None:
+        path = path / target.file_name if path.is_dir() else path
+        write_atomic(path, made.text)
+    if console.json:
+        findings = [asdict(said) for said in made.findings]
+        to = {'path': str(path)} if path else {'text': made.text}
+        console.document({'target': args.to, **to, 'findings': findings})
+    elif path is None:
         sys.stdout.write(made.text)
     for said in made.findings:
-        print(f'allan export: {said}', file=sys.stderr)
+        console.say(str(said))
     return 0
 
 

@@ -4,6 +4,8 @@
 
 An input is a sums.json of `allan analyze`, or a checkpoint of a node. The result is what one
 analysis of all recordings would give, to rounding.
+
+  allan merge monday/sums.json tuesday/sums.json -o both
 """
 
 from __future__ import annotations

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 from ..core.errors import AllanError
 from ..core.fit import METHODS
 from ..core.parameters import parameter
+from .console import Console
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from ..core.sums import AllanSums
     from ..io.envelope import SignalEnvelope
     from ..io.results import Provenance
@@ -98,7 +97,7 @@ def check_exports(args: argparse.Namespace) -> None:
 
 
 def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope] = ()) -> int:
-    """Fit the run, write its files where ``--output`` says, and print what was found.
+    """Fit the run, write its files where ``--output`` says, and show what was found.
 
     Returns
     -------
@@ -106,19 +105,32 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
         Exit code: 1 where nothing could be computed, else 0.
     """
     from ..io.results import analyse_sums
-    from .tables import print_results
 
-    results = analyse_sums(run.sums, run.provenance, args.method)
-    paths: list[Path] = []
+    console = Console.of(args)
+    with console.timed(f'fitted by {args.method}'):
+        results = analyse_sums(run.sums, run.provenance, args.method)
+    written = ''
     if args.output:
         from ..io.result_files import write_result_files
 
-        results, paths = write_result_files(
-            args.output, results, run.sums, signals, args.units, args.export
-        )
-    print_results(results, args.units)
-    if paths:
-        print(f'\nwritten to {args.output}: {", ".join(sorted(path.name for path in paths))}')
+        with console.timed('drawn and written'):
+            results, paths = write_result_files(
+                args.output, results, run.sums, signals, args.units, args.export
+            )
+        written = f'written to {args.output}: {", ".join(sorted(path.name for path in paths))}'
+    if console.json:
+        from ..io.documents import results_to_document
+
+        console.document(results_to_document(results))
+        console.findings(results.findings)
+        if written:
+            console.say(written)
+    elif not (console.quiet and written):
+        from .tables import print_results
+
+        print_results(results, args.units)
+        if written:
+            print(f'\n{written}')
     known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
     return 0 if any(c.value is not None for c in known) else 1
 

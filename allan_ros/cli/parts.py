@@ -18,8 +18,8 @@ from ..core.settings import SegmenterSettings
 from ..io.envelope import SignalEnvelope
 from ..io.recordings import ReadOptions, Recording, open_recordings
 from ..io.results import Provenance
+from .console import Console
 from .outcome import Run
-from .progress import Progress
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,18 @@ def accumulate(job: Job) -> Part:
     return _accumulate(job, recording, lambda samples: None)
 
 
-def in_turn(jobs: Sequence[Job]) -> Iterator[Part]:
+def in_turn(jobs: Sequence[Job], console: Console) -> Iterator[Part]:
     """Do the jobs one after the other, in this process."""
     # all are opened before the first is read: a wrong name shall not come out after an hour
     recordings = [open_recordings([job.path], job.reading)[0] for job in jobs]
     for job, recording in zip(jobs, recordings):
-        with Progress(job.path, recording.messages) as progress:
-            yield _accumulate(job, recording, progress.advance)
+        bar = console.progress(job.path, recording.messages)
+        with console.timed(f'read {job.path}'), bar as progress:
+            part = _accumulate(job, recording, progress.advance)
+        yield part
 
 
-def in_processes(jobs: Sequence[Job], processes: int) -> Iterator[Part]:
+def in_processes(jobs: Sequence[Job], processes: int, console: Console) -> Iterator[Part]:
     """Do the jobs in so many processes at a time.
 
     Raises
@@ -78,7 +80,7 @@ def in_processes(jobs: Sequence[Job], processes: int) -> Iterator[Part]:
     pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
     try:
         futures = [pool.submit(accumulate, job) for job in jobs]
-        with Progress(f'{len(jobs)} recordings in {workers} processes', None) as progress:
+        with console.progress(f'{len(jobs)} recordings in {workers} processes', None) as progress:
             for future in futures:
                 part = future.result()
                 progress.advance(part.run.provenance.counts.received)

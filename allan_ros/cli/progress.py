@@ -26,13 +26,19 @@ class Progress:
         What is being done.
     total : int or None
         How many units the work has; None when only doing it can tell.
+    stream : file, optional
+        Where to draw (default: stderr).
+    shown : bool
+        Whether to draw at all.
     """
 
-    def __init__(self, label: str, total: int | None, stream: TextIO | None = None) -> None:
+    def __init__(
+        self, label: str, total: int | None, stream: TextIO | None = None, shown: bool = True
+    ) -> None:
         self._label = label
         self._total = total
         self._stream = sys.stderr if stream is None else stream
-        self._draws = self._stream.isatty()
+        self._draws = shown and self._stream.isatty()
         self._start = self._drawn = time.monotonic()
         self._done = 0
 

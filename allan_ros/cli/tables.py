@@ -4,15 +4,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
-import textwrap
 from collections.abc import Iterator, Sequence
 from typing import TextIO
 
 from ..core.batch import AXES, SENSORS
-from ..core.findings import Finding
 from ..core.fit import TERMS
 from ..io.results import Results
 from ..io.shown import (
@@ -22,6 +18,7 @@ from ..io.shown import (
     shown_unit,
     value_text,
 )
+from .console import coloured, finding_lines, width, wrapped
 
 LABEL, GAP = 16, 2
 """Characters of the first column, and between the columns of two axes."""
@@ -29,36 +26,31 @@ LABEL, GAP = 16, 2
 MISFIT, NOTHING = 'misfit', '-'
 """Label of the last row, which is left out where the five terms describe every curve."""
 
-SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colours (ECMA-48): cyan, yellow, red."""
-
 
 def print_results(results: Results, units: str, stream: TextIO | None = None) -> None:
     """Print the results as wide as the terminal is."""
     stream = sys.stdout if stream is None else stream
-    width = shutil.get_terminal_size((100, 24)).columns
-    coloured = stream.isatty() and 'NO_COLOR' not in os.environ
-    for line in results_lines(results, units, width, coloured):
+    for line in results_lines(results, units, width(), coloured(stream)):
         print(line, file=stream)
 
 
 def results_lines(
-    results: Results, units: str, width: int, coloured: bool = False
+    results: Results, units: str, columns: int, colours: bool = False
 ) -> Iterator[str]:
     """Yield the lines of the report: headline, tables, reading of the curves, findings."""
-    yield headline(results)
+    yield from wrapped(headline(results), columns, '  ')
     for sensor, where in SENSORS.items():
-        columns = [_column(results, axis, units) for axis in AXES[where] if axis in results.axes]
-        if columns:
-            yield from _table_lines(_labels(sensor, units), columns, width)
+        axes = [_column(results, axis, units) for axis in AXES[where] if axis in results.axes]
+        if axes:
+            yield from _table_lines(_labels(sensor, units), axes, columns)
     if any(a.regions for a in results.axes.values()):
         yield ''
-        yield from _reading_lines(results, width)
+        yield from _reading_lines(results, columns)
     yield ''
-    yield _legend(results)
+    yield from wrapped(_legend(results), columns)
     for finding in results.findings:
         yield ''
-        yield from finding_lines(finding, width, coloured)
+        yield from finding_lines(finding, columns, colours)
 
 
 def headline(results: Results) -> str:
@@ -70,17 +62,6 @@ def headline(results: Results) -> str:
         f'{duration_text(results.duration_s)} of evidence in '
         f'{segments} segment{"" if segments == 1 else "s"}, fitted by {results.method}'
     )
-
-
-def finding_lines(finding: Finding, width: int, coloured: bool = False) -> Sequence[str]:
-    """Return a finding wrapped to the width, its severity first."""
-    lines = textwrap.wrap(
-        f'{finding.severity}: {finding}', max(width - 1, 40), subsequent_indent='  '
-    )
-    if coloured:
-        colour = SEVERITY_COLOURS[finding.severity]
-        lines[0] = lines[0].replace(finding.severity, f'\x1b[{colour}m{finding.severity}\x1b[0m', 1)
-    return lines
 
 
 def _legend(results: Results) -> str:
@@ -119,11 +100,9 @@ def _table_lines(
             yield (f'{text:{label}}' + ''.join(f'{entry:{cell}}' for entry in row)).rstrip()
 
 
-def _reading_lines(results: Results, width: int) -> Iterator[str]:
+def _reading_lines(results: Results, columns: int) -> Iterator[str]:
     for axis, result in results.axes.items():
         if not result.regions:
             continue
         reading = ', '.join(region_text(region) for region in result.regions)
-        yield from textwrap.wrap(
-            f'{axis:{len("accel_x")}}  {reading}', max(width - 1, 40), subsequent_indent=' ' * 9
-        )
+        yield from wrapped(f'{axis:{len("accel_x")}}  {reading}', columns, ' ' * 9)

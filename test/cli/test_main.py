@@ -4,17 +4,20 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import allan_ros
-from allan_ros.cli.main import VERBS, main
+from allan_ros.cli import merge
+from allan_ros.cli.main import EXITS, VERBS, main
 
 ALLAN = [sys.executable, '-m', 'allan_ros.cli.main']
 
@@ -26,15 +29,33 @@ def exit_code(words: Sequence[str]) -> object:
 
 
 @pytest.mark.parametrize('verb', VERBS)
-def test_every_verb_tells_its_options(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_verb_tells_its_options_an_example_and_its_exit_codes(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert exit_code([verb, '--help']) == 0
-    assert f'usage: allan {verb}' in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert said.startswith(f'usage: allan {verb} [options]')
+    assert f'\n  allan {verb} ' in said
+    assert all(f' --{option}' in said for option in ('json', 'quiet', 'verbose'))
+    assert all(f'\n  {code:<4} {what}' in said for code, what in EXITS.items())
 
 
 def test_help_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code(['--help']) == 0
-    said = capsys.readouterr().out
-    assert all(f'{verb} ' in said and what in said for verb, what in VERBS.items())
+    said = ' '.join(capsys.readouterr().out.split())
+    assert all(f'{verb} {what}' in said for verb, what in VERBS.items())
+    assert all(what in said for what in EXITS.values())
+
+
+@pytest.mark.parametrize('columns', [60, 80, 120])
+def test_help_keeps_to_the_width(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('COLUMNS', str(columns))
+    assert exit_code(['merge', '--help']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    # examples and exit codes are not broken: they are to be copied and found
+    assert max(len(line) for line in lines if line[:2] != '  ' or line[2] == ' ') <= columns
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +68,62 @@ def test_a_wrong_command_line_is_exit_2(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert exit_code(words) == 2
-    assert 'usage: allan' in capsys.readouterr().err
+    usage, wrong = capsys.readouterr().err.splitlines()
+    assert usage.startswith('usage: allan ')
+    assert wrong.startswith('allan')
+
+
+@pytest.mark.parametrize(
+    ('words', 'meant'),
+    [
+        (['analyse'], 'analyze'),
+        (['analyze', 'x', '--skp', '3'], '--skip'),
+        (['analyze', 'x', '--methd=gls'], '--method'),
+        (['merge', 'x', '--method', 'gsl'], 'gls'),
+        (['simulate', 'x', '--preset', 'papr'], 'paper'),
+    ],
+)
+def test_a_slip_is_answered_with_what_was_meant(
+    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code(words) == 2
+    assert f'; did you mean {meant}?' in capsys.readouterr().err
+
+
+def test_a_word_like_no_other_is_answered_with_where_to_look(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert exit_code(['analyze', 'x', '--zzz']) == 2
+    assert capsys.readouterr().err.endswith('; see `allan analyze --help`\n')
+
+
+def fails(error: BaseException) -> Any:
+    def run(_args: object) -> int:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ('error', 'code', 'said'),
+    [
+        (OSError(28, 'No space left on device', 'x.json'), 1, "No space left on device: 'x.json'"),
+        (MemoryError(), 1, 'not enough memory'),
+        (ZeroDivisionError('by zero'), 70, 'ZeroDivisionError: by zero at cli/main.py:'),
+        (KeyboardInterrupt(), 130, 'interrupted'),
+    ],
+)
+def test_what_goes_wrong_is_one_line_and_no_traceback(
+    error: BaseException,
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(merge, 'run', fails(error))
+    assert main(['merge', 'x', '--verbose']) == code
+    line = capsys.readouterr().err.strip()
+    assert line.startswith('allan merge: ') and said in line and '\n' not in line
 
 
 @pytest.mark.parametrize(
@@ -75,7 +151,9 @@ def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(2.0)
+    while not list(tmp_path.iterdir()):
+        assert process.poll() is None
+        time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -84,6 +162,17 @@ def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
 
 
 def test_a_reader_that_leaves_is_not_an_error_to_shout_about(recording: Path) -> None:
-    shell = f'"{sys.executable}" -m allan_ros.cli.main analyze "{recording}" --method paper | true'
-    done = subprocess.run(['sh', '-c', shell], capture_output=True, text=True)
-    assert done.stderr == ''
+    for words in (f'analyze "{recording}" --method paper', '--help'):
+        shell = f'"{sys.executable}" -m allan_ros.cli.main {words} | true'
+        done = subprocess.run(['sh', '-c', shell], capture_output=True, text=True)
+        assert done.stderr == ''
+
+
+def test_what_the_terminal_cannot_write_does_no_harm(tmp_path: Path) -> None:
+    missing = tmp_path / 'größe \udcff.mcap'
+    environment = {**os.environ, 'PYTHONIOENCODING': 'ascii', 'LC_ALL': 'C'}
+    done = subprocess.run(
+        [*ALLAN, 'analyze', str(missing)], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert 'no such file' in done.stderr and done.stderr.count('\n') == 1

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from allan_ros.cli.cluster import on_cluster
+from allan_ros.cli.console import Console
 from allan_ros.cli.main import main
 from allan_ros.cli.parts import Job, Part, accumulate, in_processes, in_turn
 from allan_ros.core.errors import AllanError
@@ -52,7 +53,7 @@ def test_processes_give_what_one_gives(
     recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs = jobs_of(recordings)
-    assert documents(in_processes(jobs, 2)) == documents(in_turn(jobs))
+    assert documents(in_processes(jobs, 2, Console())) == documents(in_turn(jobs, Console()))
     assert shown(recordings, capsys, '--jobs', '2') == shown(recordings, capsys)
 
 
@@ -83,7 +84,7 @@ def test_a_cluster_gives_what_one_process_gives(
     cluster: Any, recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs, address = jobs_of(recordings), cluster.scheduler_address
-    assert documents(on_cluster(jobs, address)) == documents(in_turn(jobs))
+    assert documents(on_cluster(jobs, address, Console())) == documents(in_turn(jobs, Console()))
     assert shown(recordings, capsys, '--scheduler', address) == shown(recordings, capsys)
 
 
@@ -103,7 +104,7 @@ def test_a_dead_worker_costs_nothing_while_another_lives(
     cluster: Any, recordings: list[str], tmp_path: Path
 ) -> None:
     work = deadly(recordings[1], tmp_path, times=1)
-    parts = list(on_cluster(jobs_of(recordings), cluster.scheduler_address, work))
+    parts = list(on_cluster(jobs_of(recordings), cluster.scheduler_address, Console(), work))
     assert len(list(tmp_path.iterdir())) == 1
     assert documents(parts) == documents([accumulate(job) for job in jobs_of(recordings)])
 
@@ -112,7 +113,7 @@ def test_a_recording_at_which_all_workers_die_costs_itself_only(
     cluster: Any, recordings: list[str], tmp_path: Path
 ) -> None:
     work = deadly(recordings[1], tmp_path, times=100)
-    first, lost, third = on_cluster(jobs_of(recordings), cluster.scheduler_address, work)
+    first, lost, third = on_cluster(jobs_of(recordings), cluster.scheduler_address, Console(), work)
     assert isinstance(lost, Finding) and lost.id == 'recording_lost'
     assert lost.message.startswith(recordings[1])
     kept = [accumulate(job) for job in jobs_of([recordings[0], recordings[2]])]
@@ -122,7 +123,7 @@ def test_a_recording_at_which_all_workers_die_costs_itself_only(
 def test_what_a_worker_finds_wrong_is_said(cluster: Any, tmp_path: Path) -> None:
     jobs = jobs_of([str(tmp_path / 'gone.npz')])
     with pytest.raises(AllanError, match='no such file'):
-        list(on_cluster(jobs, cluster.scheduler_address))
+        list(on_cluster(jobs, cluster.scheduler_address, Console()))
 
 
 def test_a_scheduler_that_does_not_answer_is_said(
@@ -131,4 +132,4 @@ def test_a_scheduler_that_does_not_answer_is_said(
     pytest.importorskip('distributed')
     monkeypatch.setattr('allan_ros.cli.cluster.CONNECT_S', 0.5)
     with pytest.raises(AllanError, match='no Dask scheduler answers at tcp://127'):
-        list(on_cluster(jobs_of(recordings), 'tcp://127.0.0.1:9'))
+        list(on_cluster(jobs_of(recordings), 'tcp://127.0.0.1:9', Console()))

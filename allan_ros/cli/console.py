@@ -1,0 +1,132 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How every verb speaks: its result to stdout, all else to stderr, and as much as was asked for."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import textwrap
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TextIO
+
+from .progress import Progress
+
+if TYPE_CHECKING:
+    from ..core.findings import Finding
+
+WIDTH = 100
+"""Columns where there is no terminal and ``COLUMNS`` does not say."""
+
+NARROWEST = 40
+"""Columns below which text is not squeezed: the terminal breaks the lines then."""
+
+SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
+"""ANSI colours (ECMA-48): cyan, yellow, red. The word itself says the same without them."""
+
+
+def add_console_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that every verb has."""
+    group = parser.add_argument_group('terminal')
+    group.add_argument(
+        '--json',
+        action='store_true',
+        help='one JSON document on stdout and nothing else; all that is said goes to stderr',
+    )
+    loudness = group.add_mutually_exclusive_group()
+    loudness.add_argument(
+        '-q',
+        '--quiet',
+        action='store_true',
+        help='say nothing but errors; the result is printed only where it goes to no file',
+    )
+    loudness.add_argument(
+        '-v',
+        '--verbose',
+        action='store_true',
+        help='tell the settings used, what was read and how long each step took, on stderr',
+    )
+
+
+@dataclass(frozen=True)
+class Console:
+    """What a verb says and where, by the options of `add_console_options`."""
+
+    verb: str = ''
+    json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> Console:
+        """Return the console that the arguments ask for."""
+        return cls(args.verb, args.json, args.quiet, args.verbose)
+
+    def document(self, document: Mapping[str, Any]) -> None:
+        """Print the one document of ``--json``, in ASCII: every terminal and pipe takes it."""
+        print(json.dumps(document, indent=1, allow_nan=False))
+
+    def say(self, text: str) -> None:
+        """Tell something beside the result."""
+        if not self.quiet:
+            print(f'allan {self.verb}: {text}', file=sys.stderr)
+
+    def detail(self, text: str) -> None:
+        """Tell something for those who look closely."""
+        if self.verbose:
+            self.say(text)
+
+    def findings(self, findings: Iterable[Finding]) -> None:
+        """Tell findings beside a result that does not show them itself."""
+        for finding in () if self.quiet else findings:
+            print(*finding_lines(finding, width(), coloured(sys.stderr)), sep='\n', file=sys.stderr)
+
+    def progress(self, label: str, total: int | None) -> Progress:
+        """Return a progress bar, which ``--quiet`` leaves out."""
+        return Progress(label, total, shown=not self.quiet)
+
+    @contextmanager
+    def timed(self, what: str) -> Iterator[None]:
+        """Tell how long a step took, once it is done."""
+        began = time.monotonic()
+        yield
+        self.detail(f'{what}: {time.monotonic() - began:.2f} s')
+
+
+def width() -> int:
+    """Return the columns to fill: of the terminal, of ``COLUMNS``, or a page's."""
+    return max(shutil.get_terminal_size((WIDTH, 24)).columns, NARROWEST)
+
+
+def coloured(stream: TextIO) -> bool:
+    """Tell whether to write colours: on a terminal, unless the environment says otherwise.
+
+    ``NO_COLOR`` forbids and ``FORCE_COLOR`` demands them where they are not empty, as
+    no-color.org and force-color.org have it.
+    """
+    if os.environ.get('NO_COLOR'):
+        return False
+    if os.environ.get('FORCE_COLOR'):
+        return True
+    return stream.isatty() and os.environ.get('TERM') != 'dumb'
+
+
+def finding_lines(finding: Finding, columns: int, colours: bool = False) -> Sequence[str]:
+    """Return a finding wrapped to the width, its severity first."""
+    lines = wrapped(f'{finding.severity}: {finding}', columns, '  ')
+    if colours:
+        colour = SEVERITY_COLOURS[finding.severity]
+        lines[0] = lines[0].replace(finding.severity, f'\x1b[{colour}m{finding.severity}\x1b[0m', 1)
+    return lines
+
+
+def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
+    """Return the text in lines that leave the last column free; later ones are indented."""
+    room = max(columns, NARROWEST) - 1
+    return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)

@@ -1,0 +1,125 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What goes to stdout, what to stderr, and how much: --json, --quiet, --verbose, colours."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from allan_ros.cli.console import coloured, width
+from allan_ros.cli.main import main
+from allan_ros.io.exporters import TARGETS
+
+FIT = ['--method', 'relative']
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture(scope='module')
+def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('analysed')
+    assert main(['analyze', str(recording), '-q', '-o', str(folder)]) == 0
+    return folder
+
+
+def test_json_is_the_results_document_and_nothing_else(
+    recording: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['analyze', str(recording), '--json']) == 0
+    shown = capsys.readouterr()
+    file = json.loads((folder / 'results.json').read_text())
+    assert {**json.loads(shown.out), 'findings': file['findings']} == file
+    assert main(['merge', str(folder / 'sums.json'), '--json']) == 0
+    merged = json.loads(capsys.readouterr().out)
+    assert merged['axes'] == json.loads(shown.out)['axes']
+
+
+def test_json_of_export(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['export', '--list', '--json']) == 0
+    assert json.loads(capsys.readouterr().out) == {'targets': TARGETS}
+    words = ['export', str(folder / 'results.json'), '--to', 'orb_slam3', '--json']
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    made = json.loads(shown.out)
+    assert made['target'] == 'orb_slam3' and made['text'].startswith('%YAML:1.0')
+    assert len(made['findings']) == shown.err.count('allan export: ') > 0
+    assert main([*words, '-q', '-o', str(folder)]) == 0
+    shown = capsys.readouterr()
+    assert Path(json.loads(shown.out)['path']).read_text() == made['text']
+    assert shown.err == ''
+
+
+def test_json_of_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / 'imu.npz'
+    how = ['--preset', 'paper', '--hours', '0.01', '--rate', '50', '--json']
+    assert main(['simulate', str(path), *how]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['path'] == str(path) and told['samples'] == 1800
+    assert Path(told['truth']).exists()
+
+
+def test_quiet_says_nothing_where_the_result_goes_to_files(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['analyze', str(recording), *FIT, '--quiet', '-o', str(tmp_path)]) == 0
+    assert capsys.readouterr() == ('', '')
+    assert main(['analyze', str(recording), *FIT, '--quiet']) == 0
+    shown = capsys.readouterr()
+    assert 'deg/sqrt(h)' in shown.out and shown.err == ''
+    assert main(['analyze', '/no/such.npz', '--quiet']) == 1
+    assert 'no such file' in capsys.readouterr().err
+
+
+def test_verbose_tells_settings_sources_and_times_on_stderr(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['analyze', str(recording), *FIT]) == 0
+    plain = capsys.readouterr()
+    assert plain.err == ''
+    assert main(['analyze', str(recording), *FIT, '--skip', '1.5', '-v']) == 0
+    said = capsys.readouterr().err
+    assert 'settings: ' in said and 'skip=1.5' in said and 'max_bridge=3' in said
+    assert f'{recording}: 18,000 samples from npz' in said
+    assert all(step in said for step in ('read ', 'fitted by relative: '))
+
+
+def test_quiet_and_verbose_contradict_each_other() -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(['analyze', 'x', '-q', '-v'])
+    assert stop.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ('environment', 'terminal', 'colours'),
+    [
+        ({}, True, True),
+        ({}, False, False),
+        ({'NO_COLOR': '1'}, True, False),
+        ({'NO_COLOR': ''}, True, True),  # no-color.org: "when present and not an empty string"
+        ({'FORCE_COLOR': '1'}, False, True),
+        ({'FORCE_COLOR': '1', 'NO_COLOR': '1'}, True, False),
+        ({'TERM': 'dumb'}, True, False),
+    ],
+)
+def test_colours_follow_the_terminal_and_the_environment(
+    environment: dict[str, str], terminal: bool, colours: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ('NO_COLOR', 'FORCE_COLOR', 'TERM'):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert coloured(Terminal() if terminal else io.StringIO()) == colours
+
+
+def test_the_width_is_what_columns_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('COLUMNS', '77')
+    assert width() == 77
+    monkeypatch.setenv('COLUMNS', '7')
+    assert width() == 40
