@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING
 from ..core.errors import AllanError
 from ..core.faults import Faults
 from ..core.presets import PRESETS
+from .console import Console
 from .options import add_settings, settings_of
-from .progress import Progress
 
 if TYPE_CHECKING:
     from ..core.batch import ImuBatch
@@ -100,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
     from ..io.truth import write_truth
     from ..io.writing import write_recording
 
+    console = Console.of(args)
     seconds = args.hours * HOUR
     terms = list(noise.values())
     batches = simulate_imu(
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     )
     written = write_recording(
         args.output,
-        _watched(batches, round(seconds * args.rate)),
+        _watched(batches, round(seconds * args.rate), console),
         storage=args.storage,
         compression=args.compression,
         topic=args.topic,
@@ -123,7 +124,19 @@ def run(args: argparse.Namespace) -> int:
     truth = write_truth(
         args.output, noise, seconds=seconds, rate=args.rate, seed=args.seed, faults=faults
     )
-    print(f'{args.output}: {written} samples, {seconds:g} s at {args.rate:g} Hz; truth in {truth}')
+    if console.json:
+        console.document(
+            {
+                'path': args.output,
+                'samples': written,
+                'duration_s': seconds,
+                'rate_hz': args.rate,
+                'truth': str(truth),
+            }
+        )
+    elif not console.quiet:
+        length = f'{written} samples, {seconds:g} s at {args.rate:g} Hz'
+        print(f'{args.output}: {length}; truth in {truth}')
     return 0
 
 
@@ -163,9 +176,9 @@ def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
     return with_noise(noise, Fields(changes, 'noise'))
 
 
-def _watched(batches: Iterator[ImuBatch], samples: int) -> Iterator[ImuBatch]:
+def _watched(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
     """Yield the batches under a progress bar."""
-    with Progress('writing', samples) as progress:
+    with console.progress('writing', samples) as progress:
         for batch in batches:
             yield batch
             progress.advance(len(batch))
