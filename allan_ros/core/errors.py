@@ -2,6 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one base error of the package: its message says what is wrong, where, and what to do."""
 
+SHOWN_START, SHOWN_END = 1500, 500
+"""Characters of a line that are shown where it has more: the place, and the remedy at its end."""
+
+
+def one_line(text: str) -> str:
+    """Return the text as a terminal can show it: one line of bearable length, nothing obeyed.
+
+    Names in it come from files and messages of strangers. What is no printable character is
+    spelled as its escape, such as ``\\x1b``.
+    """
+    if not text.isprintable():
+        text = ''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    if len(text) > SHOWN_START + SHOWN_END:
+        return f'{text[:SHOWN_START]} ... {text[-SHOWN_END:]}'
+    return text
+
 
 class AllanError(Exception):
     """Something a user can mend.
@@ -9,3 +25,6 @@ class AllanError(Exception):
     The message is one line that carries the numbers and the next step. It is caught once, at the
     shell (command line or node), and shown without a traceback.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))

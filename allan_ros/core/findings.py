@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from .errors import one_line
+
 Severity = Literal['info', 'warning', 'error']
 
 
@@ -55,9 +57,8 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
         When the id is not in the catalogue, or a value its words need is missing.
     """
     words = CATALOGUE[id]
-    return Finding(
-        id, words.severity, words.message.format(**values), words.remedy.format(**values), axes
-    )
+    message, remedy = (one_line(t.format(**values)) for t in (words.message, words.remedy))
+    return Finding(id, words.severity, message, remedy, axes)
 
 
 # --- the stream: what was dropped, repaired or refused on the way to the sums ---------------------
@@ -101,7 +102,7 @@ _word(
 _word(
     'frame_changed',
     'warning',
-    'frame_id changed from "{before}" to "{after}"; the two are different IMUs',
+    'frame_id changed from "{before}" to "{after}" (change {times}); different IMUs are kept apart',
     'give each IMU a topic of its own; the results are of the one with the longest time',
 )
 _word(
