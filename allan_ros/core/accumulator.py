@@ -7,22 +7,18 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from .batch import AXES, ImuBatch
-from .clock import LEARN
 from .findings import Finding, finding
-from .health import Counts, Span, StreamHealth
-from .lane_stream import Evidence, LaneStream
-from .lanes import plan_lanes
+from .frame_stream import FrameStream
+from .health import Counts, Span, State, StreamHealth
+from .lane_stream import Evidence
 from .settings import SegmenterSettings
 from .spectrum import SpectrumSums
 from .stream_findings import stream_findings
 from .sums import AllanSums, ImuIdentity
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+KEPT_FRAMES = 8
+"""Different frame_ids in one stream whose evidence is kept: each is another IMU."""
 
 
 @dataclass(frozen=True)
@@ -87,72 +83,38 @@ class ImuAccumulator:
         self._hardware_id = hardware_id
         self._with_spectra = with_spectra
         self._received = 0
-        self._skipped = 0
-        self._first_ns: int | None = None
-        self._last_ns: int | None = None
-        self._skip_until: int | None = None
-        self._former: list[LaneStream] = []
-        self._notes: list[Finding] = []
-        self._begin('')
-
-    def _begin(self, frame_id: str) -> None:
-        """Start anew with another frame."""
-        self._frame_id = frame_id
-        self._learning: list[tuple[Stamps, Stamps | None, Floats]] = []
-        self._learned = 0
-        self._lanes: tuple[LaneStream, ...] | None = None
-        self._use_record = self._settings.stamps == 'record'
-        self._made_up = 0  # samples whose stamps come from the declared rate
-        self._without_stamps = False
+        self._frames: dict[str, FrameStream] = {}
+        self._present = self._frame('')
+        self._frame_changes = 0
+        self._frame_note: Finding | None = None
+        self._forgotten = Counts()  # of the frames there was no room for
 
     def update(self, batch: ImuBatch) -> None:
         """Take the next samples of the stream."""
         if not len(batch):
             return
+        before, after = self._present.identity.frame_id, batch.frame_id
         if self._received == 0:
-            self._frame_id = batch.frame_id
-        elif batch.frame_id != self._frame_id:
-            self._flush()
-            self._former += self._lanes or ()
-            self._notes.append(
-                finding('frame_changed', before=self._frame_id, after=batch.frame_id)
-            )
-            self._begin(batch.frame_id)
+            self._present = self._frames[after] = self._frame(after)
+        elif after != before:
+            self._frame_changes += 1
+            times = self._frame_changes
+            self._frame_note = finding('frame_changed', before=before, after=after, times=times)
+            self._present = self._frames.get(after) or self._another(after)
         self._received += len(batch)
-        rows = batch.samples.T
-        if self._lanes is not None:
-            self._feed(batch.stamps_ns, batch.record_ns, rows)
-            return
-        # the first LEARN samples decide together, whatever chunks they came in
-        take = min(LEARN - self._learned, len(batch))
-        record = batch.record_ns
-        self._learning.append(
-            (
-                batch.stamps_ns[:take].copy(),
-                None if record is None else record[:take].copy(),
-                np.array(rows[:, :take], order='C'),
-            )
-        )
-        self._learned += take
-        if self._learned == LEARN:
-            self._learn()
-            if take < len(batch):
-                self._feed(
-                    batch.stamps_ns[take:],
-                    None if record is None else record[take:],
-                    rows[:, take:],
-                )
+        self._present.update(batch)
 
     def end(self) -> None:
         """Judge all that waits and close the segment: no more samples come."""
-        self._flush()
+        for frame in self._frames.values():
+            frame.flush()
 
     def result(self) -> Accumulation:
         """Return what is known, as if the input ended here; what follows is not disturbed."""
         now = copy.deepcopy(self)
-        state = now._lanes[0].state if now._lanes else ('learning' if now._learned else 'waiting')
-        now._flush()
-        lanes = now._lanes or ()
+        state = now._present.state
+        now.end()
+        lanes = now._present.lanes
         longest = now._longest()
         return Accumulation(
             tuple(sums for sums, _ in longest),
@@ -163,71 +125,29 @@ class ImuAccumulator:
             tuple(spectrum for _, spectrum in longest if spectrum is not None),
         )
 
-    # --- the way of a batch -------------------------------------------------------------------
+    # --- the frames ---------------------------------------------------------------------------
 
-    def _learn(self) -> None:
-        """Choose the stamps and the lanes from the first samples, then take them."""
-        waited, self._learning = self._learning, []
-        self._learned = 0
-        stamps = np.concatenate([s for s, _, _ in waited])
-        records = [r for _, r, _ in waited if r is not None]
-        rows = np.concatenate([r for _, _, r in waited], axis=1)
-        record = np.concatenate(records) if len(records) == len(waited) else None
-        if not self._use_record and len(stamps) > 1 and stamps.min() == stamps.max():
-            what = 'all zero' if not stamps.any() else 'all equal'
-            if record is not None:
-                self._use_record = True
-                self._notes.append(finding('stamps_unusable', what=what))
-            elif self._settings.declared_rate:
-                self._without_stamps = True
-                rate = self._settings.declared_rate
-                self._notes.append(finding('stamps_from_rate', what=what, rate=rate))
-            else:
-                self._notes.append(finding('stamps_missing', what=what))
-        plans, findings = plan_lanes(stamps, rows)
-        self._notes += findings
-        identity = ImuIdentity(self._frame_id, self._hardware_id)
-        self._lanes = tuple(
-            LaneStream(p, identity, self._settings, self._with_spectra) for p in plans
-        )
-        self._feed(stamps, record, rows)
+    def _frame(self, frame_id: str) -> FrameStream:
+        identity = ImuIdentity(frame_id, self._hardware_id)
+        return FrameStream(identity, self._settings, self._with_spectra)
 
-    def _feed(self, stamps: Stamps, record: Stamps | None, rows: Floats) -> None:
-        if self._use_record and record is not None:
-            stamps = record
-        elif self._without_stamps:
-            index = np.arange(self._made_up, self._made_up + len(stamps))
-            self._made_up += len(stamps)
-            stamps = np.rint(index * (1e9 / self._settings.declared_rate)).astype(np.int64)
-        if self._first_ns is None:
-            self._first_ns = int(stamps[0])
-            self._skip_until = self._first_ns + round(self._settings.skip * 1e9)
-        self._last_ns = int(stamps[-1])
-        if self._skip_until is not None and self._settings.skip:
-            late = stamps >= self._skip_until
-            if late.any():
-                start = int(np.argmax(late))
-                self._skip_until = None  # a clock that goes back later skips nothing more
-            else:
-                start = len(stamps)
-            self._skipped += start
-            stamps, rows = stamps[start:], rows[:, start:]
-        for lane in self._lanes or ():
-            lane.feed(stamps, rows)
-
-    def _flush(self) -> None:
-        if self._lanes is None and self._learned:
-            self._learn()
-        for lane in self._lanes or ():
-            lane.flush()
+    def _another(self, frame_id: str) -> FrameStream:
+        """Begin with another frame; where there are too many, that of the least evidence goes."""
+        if len(self._frames) >= KEPT_FRAMES:
+            least = min(self._frames.values(), key=lambda frame: frame.longest_ns)
+            least.flush()
+            self._forgotten.add(least.counts)
+            del self._frames[least.identity.frame_id]
+        self._frames[frame_id] = self._frame(frame_id)
+        return self._frames[frame_id]
 
     # --- what is known ------------------------------------------------------------------------
 
     def _longest(self) -> tuple[Evidence, ...]:
         """Return, for each sensor that ever came, the evidence of the longest time."""
         best: dict[str, Evidence] = {}
-        for lane in (*self._former, *(self._lanes or ())):
-            for evidence in (*lane.former, lane.evidence):
+        for frame in self._frames.values():
+            for evidence in frame.evidence:
                 sums = evidence.sums
                 for axis in sums.axes:
                     have = best.get(axis)
@@ -239,26 +159,31 @@ class ImuAccumulator:
                 chosen.append(best[axis])
         return tuple(chosen)
 
-    def _health(self, state: str) -> StreamHealth:
-        lanes = self._lanes or ()
-        counts = Counts(received=self._received, skipped=self._skipped)
-        for lane in (*self._former, *lanes):
-            counts.add(lane.counts)
-        clock = lanes[0].clock if lanes else None
+    def _health(self, state: State) -> StreamHealth:
+        frame, longest = self._present, self._longest()
+        counts = Counts(received=self._received)
+        for each in (self._forgotten, *(frame.counts for frame in self._frames.values())):
+            counts.add(each)
+        clock = frame.lanes[0].clock if frame.lanes else None
         return StreamHealth(
             counts,
-            state,  # type: ignore[arg-type]
+            state,
             1e9 / clock[0] if clock else None,
             clock[1] if clock else False,
-            self._first_ns,
-            self._last_ns,
-            'record' if self._use_record else 'header',
+            frame.first_ns,
+            frame.last_ns,
+            'record' if frame.use_record else 'header',
+            frame.identity.frame_id,
+            longest[0].sums.identity.frame_id if longest else frame.identity.frame_id,
+            self._frame_changes,
         )
 
     def _findings(self) -> tuple[Finding, ...]:
-        found = list(self._notes)
-        health = self._health('still')
-        relearned = sum(lane.relearned for lane in (*self._former, *(self._lanes or ())))
+        frames = self._frames.values()
+        found = [note for frame in frames for note in frame.notes]
+        if self._frame_note is not None:
+            found.append(self._frame_note)
+        relearned = sum(lane.relearned for frame in frames for lane in frame.lanes)
         longest = tuple(sums for sums, _ in self._longest())
-        found += stream_findings(health, longest, self._settings, relearned)
-        return tuple(found)
+        found += stream_findings(self._health('still'), longest, self._settings, relearned)
+        return tuple(dict.fromkeys(found))

@@ -259,13 +259,39 @@ _word(
     'several_publishers',
     'warning',
     '{count} publishers on {topic}: {names}; their samples mix',
-    'give each IMU a topic of its own',
+    'give each IMU a topic of its own; one that was killed is counted for some 20 s more',
 )
 _word(
     'messages_lost',
     'warning',
     '{lost} messages were lost on their way in the last minute, {share:.2%} of them',
     'raise input.queue_depth, or look at the load of the machine and the network',
+)
+_word(
+    'samples_missing',
+    'warning',
+    '{count} samples of the last minute ({share:.2%}) were never sent, by the stamps of the others',
+    'look at the driver, the bus of the sensor and the load of the machine that both are on',
+)
+_word(
+    'stamps_leapt',
+    'warning',
+    'the stamps leapt ahead by {seconds:.0f} s within the last minute; no difference straddles it',
+    'stamp with a steady clock, or let the clock settle before the driver starts',
+)
+_word(
+    'frame_changed_lately',
+    'warning',
+    'frame_id changed {times} times in the last minute, now it is "{frame_id}"; each frame_id is '
+    'taken to be an IMU of its own',
+    'give each IMU a topic of its own; look at what the driver was started with, and where',
+)
+_word(
+    'frame_waits',
+    'warning',
+    'the samples have frame_id "{present}" now, the results are of "{shown}", which has more '
+    'evidence',
+    'put that IMU back, or begin anew with ~/reset',
 )
 _word(
     'sensor_stuck',

@@ -86,9 +86,15 @@ class StreamHealth:
     bursty : bool
         Stamps come in bursts: single steps between them mean nothing.
     first_ns, last_ns : int or None
-        First and latest stamp that came.
+        First and latest stamp that came, of the present frame.
     stamps : str
         Which stamps are used: 'header' or 'record'.
+    frame_id : str
+        Of the latest sample.
+    evidence_frame_id : str
+        Of the sums with the longest time.
+    frame_changes : int
+        How often a sample had another frame_id than the one before.
     """
 
     counts: Counts
@@ -98,6 +104,9 @@ class StreamHealth:
     first_ns: int | None = None
     last_ns: int | None = None
     stamps: str = 'header'
+    frame_id: str = ''
+    evidence_frame_id: str = ''
+    frame_changes: int = 0
 
     @property
     def still_share(self) -> float | None:

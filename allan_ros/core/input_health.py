@@ -9,16 +9,21 @@ for months says what is wrong now.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from .findings import Finding, finding
 from .health import StreamHealth
+from .stamp_filter import BACKWARD_RUN
 
 LATELY_S = 60.0
 """What happened within this time is said; before, only the counts tell."""
 
 TOLD_LOST_SHARE = 1e-3
 """Messages lost on the way are worth a warning from this share on: bridging costs no more."""
+
+LEAP_S = 2.0
+"""Stamps that advance by this much more than time has passed were set forward: samples that
+wait in a queue come later, never earlier."""
 
 LIVE_FINDINGS = (
     'stamps_unusable',
@@ -70,16 +75,15 @@ class Reception:
 
 @dataclass(frozen=True)
 class _Tally:
-    """The counts at one time."""
+    """The counts at one time; ``run`` has those that begin anew with a run, by finding."""
 
     time_s: float
     received: int
     lost: int
-    stuck: int
-    not_finite: int
-    duplicate: int
-    backward: int
-    rate_changes: int
+    absent: int
+    leapt: int
+    samples: int
+    run: dict[str, int]
 
 
 class InputWatch:
@@ -97,6 +101,10 @@ class InputWatch:
         self._last_message = self._last_usable = time_s
         self._messages = self._usable = 0
         self._tallies: deque[_Tally] = deque()
+        self._missing = 0  # by the stamps, in this run; so the next two
+        self._leapt = 0  # those for which there was no time
+        self._absent = 0  # those that were never sent
+        self._lost_before = 0  # on the way, before this run
 
     def heard(self, time_s: float, messages: int) -> None:
         """Take note of how many messages have come; called more often than `observe`."""
@@ -149,24 +157,47 @@ class InputWatch:
         c = health.counts
         self.heard(time_s, reception.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
+        time_there_was = time_s - self._last_usable
         if usable != self._usable:
             self._last_usable, self._usable = time_s, usable
-        now = _Tally(
-            time_s,
-            reception.received,
-            reception.lost,
-            c.stuck,
-            c.not_finite,
-            c.duplicate,
-            c.backward,
-            c.cuts['rate change'],
-        )
-        if self._tallies and c.received < self._tallies[-1].received:
+        run = {
+            'sensor_stuck': c.stuck,
+            'not_finite': c.not_finite,
+            'duplicates': c.duplicate,
+            'backward_stamps': c.backward,
+            'clock_jumps': c.cuts['clock jump'],
+            'rate_changed_lately': c.cuts['rate change'],
+            'frame_changed': health.frame_changes,
+        }
+        if self._tallies and c.received < self._tallies[-1].samples:
             # a new run: its counts begin at zero, those of the middleware go on
-            self._tallies = deque([replace(now, stuck=0, not_finite=0, duplicate=0, backward=0)])
-        self._tallies.append(now)
+            self._missing = self._leapt = self._absent = 0
+            self._lost_before = reception.lost
+            self._tallies = deque([_Tally(time_s, reception.received, reception.lost, 0, 0, 0, {})])
+        self._follow_stamps(time_there_was, reception, health)
+        absent, leapt = self._absent, self._leapt
+        self._tallies.append(
+            _Tally(time_s, reception.received, reception.lost, absent, leapt, c.received, run)
+        )
         while len(self._tallies) > 2 and self._tallies[1].time_s <= time_s - LATELY_S:
             self._tallies.popleft()
+
+    def _follow_stamps(
+        self, time_there_was: float, reception: Reception, health: StreamHealth
+    ) -> None:
+        """Tell what is missing by the stamps apart: set clocks, and samples never sent.
+
+        ``time_there_was`` is that since usable samples came before, in s.
+        """
+        c = health.counts
+        missing, self._missing = c.lost - self._missing, c.lost
+        if health.rate_hz and missing > (time_there_was + LEAP_S) * health.rate_hz:
+            self._leapt += missing
+        # What is dropped, or lost on the way, is missing by the stamps too; the latter from both
+        # lanes, where the sensors tick apart. It is dropped before it is known to be missing,
+        # so what counts is the most there ever was.
+        explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
+        self._absent = max(self._absent, c.lost - self._leapt - explained)
 
     def _silence(
         self,
@@ -190,19 +221,30 @@ class InputWatch:
 
     def _lately(self, health: StreamHealth) -> list[Finding]:
         then, now = self._tallies[0], self._tallies[-1]
+        more = {id: count - then.run.get(id, 0) for id, count in now.run.items()}
         found = []
-        lost = now.lost - then.lost
-        sent = lost + now.received - then.received
-        if lost and lost >= TOLD_LOST_SHARE * sent:
-            found.append(finding('messages_lost', lost=lost, share=lost / sent))
-        if now.rate_changes > then.rate_changes and health.rate_hz:
+        received, lost = now.received - then.received, now.lost - then.lost
+        if lost and lost >= TOLD_LOST_SHARE * (received + lost):
+            found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
+        absent = now.absent - then.absent
+        if absent and absent >= TOLD_LOST_SHARE * (received + absent):
+            share = absent / (received + absent)
+            found.append(finding('samples_missing', count=absent, share=share))
+        if now.leapt > then.leapt and health.rate_hz:
+            seconds = (now.leapt - then.leapt) / health.rate_hz
+            found.append(finding('stamps_leapt', seconds=seconds))
+        if more['clock_jumps'] > 0:
+            # the first stamps after such a step are dropped as backward ones
+            more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
+        if more['frame_changed'] > 0:
+            times = more['frame_changed']
+            found.append(finding('frame_changed_lately', times=times, frame_id=health.frame_id))
+        if more['rate_changed_lately'] > 0 and health.rate_hz:
             found.append(finding('rate_changed_lately', rate=health.rate_hz))
-        for id, more in (
-            ('sensor_stuck', now.stuck - then.stuck),
-            ('not_finite', now.not_finite - then.not_finite),
-            ('duplicates', now.duplicate - then.duplicate),
-            ('backward_stamps', now.backward - then.backward),
-        ):
-            if more > 0:
-                found.append(finding(id, count=more))
+        for id in ('sensor_stuck', 'not_finite', 'duplicates', 'clock_jumps', 'backward_stamps'):
+            if more[id] > 0:
+                found.append(finding(id, count=more[id]))
+        if health.frame_id != health.evidence_frame_id:
+            present, shown = health.frame_id, health.evidence_frame_id
+            found.append(finding('frame_waits', present=present, shown=shown))
         return found

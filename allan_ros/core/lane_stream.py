@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .clock import LEARN, learn_clock
 from .clock_stage import ClockStage
 from .engine import RunningAllan
+from .errors import AllanError
 from .health import Counts, Span, State
 from .lanes import LanePlan, LaneSieve
 from .run import Run
@@ -31,12 +32,27 @@ Samples = tuple[Stamps, Floats, NDArray[np.bool_]]
 KEPT_SPANS = 1000
 """How many of the longest segments are listed."""
 
+KEPT_RATES = 8
+"""Rates a stream had whose evidence is kept."""
+
 
 class Evidence(NamedTuple):
     """What samples at one rate came to: their Allan sums, and their spectrum if asked for."""
 
     sums: AllanSums
     spectrum: SpectrumSums | None
+
+    def joined(self, other: Evidence) -> Evidence:
+        """Return both together.
+
+        Raises
+        ------
+        AllanError
+            When they are of different rates.
+        """
+        spectra = (self.spectrum, other.spectrum)
+        both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
+        return Evidence(self.sums + other.sums, both)
 
 
 class LaneStream:
@@ -46,8 +62,6 @@ class LaneStream:
     ----------
     counts : Counts
         What became of the samples of this lane.
-    former : list of Evidence
-        That at the rates the stream had before (its rate changed).
     relearned : int
         How often evidence was thrown away because it had been gathered in motion.
     """
@@ -61,7 +75,7 @@ class LaneStream:
     ) -> None:
         self.plan = plan
         self.counts = Counts()
-        self.former: list[Evidence] = []
+        self._former: list[Evidence] = []  # one of each rate the stream had
         self.relearned = 0
         self._identity = identity
         self._settings = settings
@@ -111,6 +125,19 @@ class LaneStream:
     def evidence(self) -> Evidence:
         """Sums and spectrum at the present rate."""
         return Evidence(self.sums, None if self._spectrum is None else self._spectrum.sums)
+
+    def evidence_by_rate(self) -> list[Evidence]:
+        """Return the evidence at each rate there was: a rate that comes back goes on."""
+        present = self.evidence
+        if not present.sums.samples:
+            return self._former
+        for i, former in enumerate(self._former):
+            try:
+                joined = former.joined(present)
+            except AllanError:  # another rate
+                continue
+            return [*self._former[:i], joined, *self._former[i + 1 :]]
+        return [*self._former, present]
 
     @property
     def spans(self) -> list[Span]:
@@ -183,8 +210,8 @@ class LaneStream:
                 self._accumulate(run)
         self._close_segment()
         self.counts.cuts['rate change'] += 1
-        if self.sums.samples:
-            self.former.append(self.evidence)
+        by_rate = sorted(self.evidence_by_rate(), key=lambda each: -each.sums.elapsed_ns)
+        self._former = by_rate[:KEPT_RATES]
         stamps, rows = self._clock.waiting
         self._start((stamps.copy(), rows.copy(), np.zeros(len(stamps), bool)))
 

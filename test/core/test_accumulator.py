@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.sums import assert_identical
 
-from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.accumulator import KEPT_FRAMES, ImuAccumulator
 from allan_ros.core.batch import AXES, ImuBatch
 from allan_ros.core.engine import RunningAllan
 from allan_ros.core.settings import SegmenterSettings
@@ -256,6 +256,46 @@ def test_another_frame_is_another_imu():
     result = accumulate(t, x, frames=frames)
     assert result.sums[0].identity.frame_id == 'imu_b' and result.sums[0].samples == 6000
     assert 'frame_changed' in ids(result)
+
+
+def test_two_imus_that_alternate_on_one_topic_are_kept_apart():
+    t, x = still(3000)
+    accumulator = ImuAccumulator()
+    for i in range(3000):
+        row = slice(i, i + 1)
+        accumulator.update(ImuBatch(t[row], x[row], frame_id=f'imu_{i % 2}'))
+    accumulator.end()
+    result = accumulator.result()
+    alone = accumulate(t[::2], x[::2], frames=['imu_0'] * 1500)
+    assert_identical(result.sums[0], alone.sums[0])
+    assert result.health.frame_changes == 2999
+    assert [f.id for f in result.findings].count('frame_changed') == 1
+    assert_accounted(result)
+
+
+def test_frames_without_end_take_no_memory_without_end():
+    t, x = still(300)
+    accumulator = ImuAccumulator()
+    for i in range(300):
+        row = slice(i, i + 1)
+        accumulator.update(ImuBatch(t[row], x[row], frame_id=f'imu_{i}'))
+    assert len(accumulator._frames) <= KEPT_FRAMES
+    assert_accounted(accumulator.result())
+
+
+def test_a_frame_that_comes_back_goes_on_with_its_evidence():
+    t, x = still(9000)
+    result = accumulate(t, x, frames=['imu_a'] * 4000 + ['imu_b'] * 1500 + ['imu_a'] * 3500)
+    assert result.sums[0].identity.frame_id == 'imu_a' and result.sums[0].samples == 7500
+
+
+def test_a_rate_that_comes_back_goes_on_with_its_evidence():
+    t, x = still(12000)
+    slow = np.clip(np.arange(12000) - 5000, 0, 2000)
+    result = accumulate(t + slow * PERIOD, x)
+    assert result.health.counts.cuts['rate change'] == 2
+    assert result.sums[0].samples == pytest.approx(10_000, abs=300)
+    assert_accounted(result)
 
 
 def test_of_two_rates_the_longest_time_counts_and_the_present_one_is_at_hand():

@@ -12,6 +12,7 @@ from allan_ros.core.health import Counts, StreamHealth
 from allan_ros.core.input_health import LATELY_S, InputWatch, Reception
 
 ONE = ('/driver',)
+CUTS = {'rate_changes': 'rate change', 'jumps': 'clock jump'}
 
 
 class Input:
@@ -22,6 +23,7 @@ class Input:
         self.time_s = 0.0
         self.reception = Reception()
         self.counts = Counts()
+        self.frames = ['imu', 'imu', 0]
 
     def second(self, publishers=ONE, stream=(), messages: int = 200, **changes: int) -> list[str]:
         """Let a second pass in which counts grow; return the ids of the findings."""
@@ -29,13 +31,20 @@ class Input:
         self.reception.received += messages
         self.counts.received += messages
         for name, more in changes.items():
-            if name == 'rate_changes':
-                self.counts.cuts['rate change'] += more
+            if name in CUTS:
+                self.counts.cuts[CUTS[name]] += more
             else:
-                where = self.reception if hasattr(self.reception, name) else self.counts
+                where = self.counts if hasattr(self.counts, name) else self.reception
                 setattr(where, name, getattr(where, name) + more)
         counts = replace(self.counts, cuts=Counter(self.counts.cuts))
-        health = StreamHealth(counts, 'still', 200.0)
+        health = StreamHealth(
+            counts,
+            'still',
+            200.0,
+            frame_id=self.frames[0],
+            evidence_frame_id=self.frames[1],
+            frame_changes=self.frames[2],
+        )
         found = self.watch.observe(
             self.time_s, self.reception, health, publishers, 2.0, tuple(stream)
         )
@@ -68,7 +77,8 @@ def test_messages_of_no_use_are_an_error():
 
 
 def test_a_trouble_is_forgotten_after_a_while():
-    for name in ('stuck', 'not_finite', 'duplicate', 'backward', 'rate_changes', 'reported_lost'):
+    names = ('stuck', 'not_finite', 'duplicate', 'backward', 'rate_changes', 'reported_lost')
+    for name in (*names, 'lost', 'jumps'):
         source = Input()
         source.second()
         assert len(source.second(**{name: 20})) == 1
@@ -93,6 +103,56 @@ def test_counts_of_a_new_run_begin_at_zero():
     source.counts = Counts()
     assert source.second() == []
     assert source.second(stuck=5) == ['sensor_stuck']
+
+
+def test_samples_that_the_driver_never_sent_are_told_apart():
+    source = Input()
+    source.second()
+    assert source.second(messages=190, lost=10) == ['samples_missing']
+    # what is dropped, or lost on the way, is missing by the stamps as well
+    source = Input()
+    for _ in range(100):
+        assert 'samples_missing' not in source.second(not_finite=200)
+    assert source.second(lost=20_000) == ['not_finite']
+    source = Input()
+    source.second()
+    assert source.second(messages=190, lost=10, reported_lost=10) == ['messages_lost']
+    # after a silence the samples of that time are missing, and no more
+    source = Input()
+    source.second()
+    for _ in range(100):
+        source.second(messages=0)
+    assert source.second(lost=20_000) == ['samples_missing']
+
+
+def test_a_clock_that_is_set_is_told_by_its_direction():
+    source = Input()
+    source.second()
+    assert source.second(lost=720_000) == ['stamps_leapt']
+    source = Input()
+    source.second()
+    assert source.second(jumps=1, backward=15) == ['clock_jumps']
+    assert source.second(backward=2) == ['clock_jumps', 'backward_stamps']
+
+
+def test_another_frame_is_said_until_its_evidence_is_shown():
+    source = Input()
+    source.second()
+    source.frames = ['other', 'imu', 1]
+    assert source.second() == ['frame_changed_lately', 'frame_waits']
+    for _ in range(int(LATELY_S)):
+        source.second()
+    assert source.second() == ['frame_waits']
+    source.frames = ['other', 'other', 1]
+    assert source.second() == []
+
+
+def test_a_malformed_message_before_a_silence_hides_nothing():
+    source = Input()
+    source.second()
+    source.reception.received += 1
+    source.second(stuck=30)
+    assert source.second(messages=0) == ['sensor_stuck']
 
 
 def test_the_gravest_comes_first():
