@@ -124,6 +124,7 @@ class ImuWatch:
     def status(self, now: float) -> DiagnosticStatus:
         """Return the health of the input."""
         self._update()
+        self._checkpoint.tick()
         known = self._accumulator.result()
         reception, publishers = self._input.reception(), self._input.publishers()
         silence = self._health.silence_s(now)
@@ -236,12 +237,6 @@ class ImuWatch:
         samples = max((s.samples for s in total[0]), default=0)
         saved = f'{self._checkpoint.path}: {samples} samples'
         response.message = '; '.join([saved, *map(str, self._checkpoint.findings)])
-        return response
-        response.success = self._save(self._checkpoint)
-        trouble = self._unsaved or self._checkpoint.loaded
-        samples = max((s.samples for s in total[0]), default=0)
-        saved = f'{self._checkpoint.path}: {samples} samples'
-        response.message = saved if response.success else str(trouble)
         return response
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -99,6 +99,11 @@ class CheckpointKeeper:
         if self._file is not None and self._news and not self._file.kept:
             self._writing = self._writer.submit(self._file.save, *total)
 
+    def tick(self) -> None:
+        """Learn what became of a writing in the background, once it has ended."""
+        if self._writing is not None and self._writing.done():
+            self._wait()
+
     def begin_anew(self, total: Total) -> str:
         """Save the total under another name and forget it; return where it is, '' for nowhere."""
         if not self.save(total) or self._file is None:

@@ -82,6 +82,8 @@ def row(status: DiagnosticStatus, age_s: float) -> Row:
     name, message = status.name.split(': ', 1)[-1], status.message
     if level == DiagnosticStatus.OK and any(terms):
         message = message.partition(' from ')[2]  # what comes before stands in the columns
+    if age_s > STALE_S:
+        message = f'no word for {age_s:.0f} s: start the node again, or look why it hangs'
     return LEVEL_WORDS[level][0], name, terms[0], terms[1], terms[2], message
 
 
