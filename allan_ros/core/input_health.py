@@ -104,6 +104,7 @@ class InputWatch:
         self._missing = 0  # by the stamps, in this run; so the next two
         self._leapt = 0  # those for which there was no time
         self._absent = 0  # those that were never sent
+        self._seen_absent = 0  # the same, the last time
         self._lost_before = 0  # on the way, before this run
 
     def heard(self, time_s: float, messages: int) -> None:
@@ -171,7 +172,7 @@ class InputWatch:
         }
         if self._tallies and c.received < self._tallies[-1].samples:
             # a new run: its counts begin at zero, those of the middleware go on
-            self._missing = self._leapt = self._absent = 0
+            self._missing = self._leapt = self._absent = self._seen_absent = 0
             self._lost_before = reception.lost
             self._tallies = deque([_Tally(time_s, reception.received, reception.lost, 0, 0, 0, {})])
         self._follow_stamps(time_there_was, reception, health)
@@ -195,9 +196,12 @@ class InputWatch:
             self._leapt += missing
         # What is dropped, or lost on the way, is missing by the stamps too; the latter from both
         # lanes, where the sensors tick apart. It is dropped before it is known to be missing,
-        # so what counts is the most there ever was.
+        # so what counts is the most there ever was; and the latest samples are not judged for
+        # good yet, so it counts once it was seen twice.
         explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
-        self._absent = max(self._absent, c.lost - self._leapt - explained)
+        absent = c.lost - self._leapt - explained
+        self._absent = max(self._absent, min(absent, self._seen_absent))
+        self._seen_absent = absent
 
     def _silence(
         self,
