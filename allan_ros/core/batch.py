@@ -17,6 +17,12 @@ AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'ac
 SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
 """Where each three-axis sensor stands among `AXES`."""
 
+LARGEST = 1e30
+"""Larger numbers, either way, no IMU measures; their squares, summed over years, stay finite."""
+
+MAX_NAME = 1000
+"""Longest frame_id or hardware id, in characters: what is longer is damage, or meant ill."""
+
 
 @dataclass(frozen=True)
 class ImuBatch:
@@ -47,6 +53,11 @@ class ImuBatch:
             raise AllanError(
                 f'a batch of {n} stamps needs samples of shape ({n}, {len(AXES)}), '
                 f'got {self.samples.shape}: pass one row of six axes per stamp'
+            )
+        if len(self.frame_id) > MAX_NAME:
+            raise AllanError(
+                f'frame_id has {len(self.frame_id)} characters, {self.frame_id[:20]!r} ...: '
+                'a name is expected'
             )
         if self.record_ns is not None and self.record_ns.shape != (n,):
             raise AllanError(

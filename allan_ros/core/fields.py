@@ -19,8 +19,8 @@ from .errors import AllanError
 MAX_INTEGER = 2**62
 """Counts and stamps stay below this, either way, so that sums of two fit 64 bits."""
 
-MAX_FLOAT = float(np.finfo(float).max)
-"""No finite float64 is beyond this, either way."""
+MAX_FLOAT = 1e150
+"""No number of ours is beyond this, either way: its square is a finite float64."""
 
 MAX_TEXT = 100_000
 """No text of ours is longer; a name is bounded by who reads it."""
@@ -73,11 +73,14 @@ class Fields:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
-    def number(self, key: str) -> float:
-        return self._number(key, self._get(key, (int, float), 'a number'))
+    def number(self, key: str, least: float = -MAX_FLOAT) -> float:
+        value = self._number(key, self._get(key, (int, float), 'a number'))
+        if value < least:
+            raise self._wrong(key, value, f'a number of at least {least:g}')
+        return value
 
-    def optional_number(self, key: str) -> float | None:
-        return None if self._document.get(key) is None else self.number(key)
+    def optional_number(self, key: str, least: float = -MAX_FLOAT) -> float | None:
+        return None if self._document.get(key) is None else self.number(key, least)
 
     def interval(self, key: str) -> tuple[float, float]:
         values = self.sequence(key)
@@ -130,6 +133,10 @@ class Fields:
         found: Mapping[str, Any] = self._get(key, dict, 'an object')
         return found
 
+    def value(self, key: str) -> object:
+        """Return a value of any kind, which the caller checks."""
+        return self._get(key, object, 'a value')
+
     def holds_object(self, key: str) -> bool:
         return isinstance(self._document.get(key), dict)
 
@@ -153,7 +160,7 @@ class Fields:
         value = self._document.get(key, default)
         if value is _REQUIRED:
             raise AllanError(f'{self.where}: {key} is missing')
-        if not isinstance(value, kind) or isinstance(value, bool):
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not object):
             raise self._wrong(key, value, expected)
         return value
 
@@ -164,8 +171,8 @@ class Fields:
             number = float(value)
         except OverflowError:  # JSON integers have no bound
             number = math.inf
-        if not math.isfinite(number):
-            raise self._wrong(key, value, 'a finite number')
+        if not -MAX_FLOAT <= number <= MAX_FLOAT:
+            raise self._wrong(key, value, f'a number within {MAX_FLOAT:g}')
         return number
 
     def _wrong(self, key: str, value: object, expected: str) -> AllanError:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .batch import LARGEST
 from .health import Counts
 
 Floats = NDArray[np.float64]
@@ -20,7 +21,7 @@ BACKWARD_RUN = 16
 
 
 class StampFilter:
-    """Drops samples that are not finite, repeat the one before, or go back in time."""
+    """Drops samples that are no numbers of an IMU, repeat the one before, or go back in time."""
 
     def __init__(self, axes: int, counts: Counts) -> None:
         self._counts = counts
@@ -40,8 +41,8 @@ class StampFilter:
         -------
         stamps, rows, jumped : (k,), (axes, k) and (k,) bool arrays
         """
-        if not np.isfinite(rows.sum()):  # a sum is finite only if all its terms are
-            finite = np.isfinite(rows).all(axis=0)
+        if len(stamps) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
+            finite = (np.abs(rows) <= LARGEST).all(axis=0)
             self._counts.not_finite += int(np.count_nonzero(~finite))
             stamps, rows = stamps[finite], rows[:, finite]
         if not len(stamps):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .batch import AXES
+from .batch import AXES, MAX_NAME
 from .cascade import PHASE_POINTS
 from .errors import AllanError
 from .fields import Fields
@@ -27,9 +27,6 @@ MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
 
 MAX_CLASSES = 500
 """1.1^500 is 5e20 samples: no stream has a longer segment."""
-
-MAX_NAME = 1000
-"""Longest frame_id or hardware id."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any
 
 import numpy as np
@@ -108,6 +109,8 @@ _LIBRARY_ERRORS = (
     OverflowError,
     MemoryError,
     SyntaxError,
+    TokenError,
+    TypeError,
 )
 """What zipfile and numpy raise on files that are not what they seem."""
 

@@ -123,7 +123,9 @@ def _described(path: Path) -> BagFiles:
             before = described[key].count if key in described else 0
             count = before + int(entry['message_count'])
             described[key] = Described(count, str(topic['serialization_format']))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, OSError) as error:
+    except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
+        raise damaged(path / METADATA, error, remedy) from error
+    except RecursionError as error:  # thousands of brackets
         raise damaged(path / METADATA, error, remedy) from error
     if missing := [file.name for file in files if not file.exists()]:
         raise AllanError(

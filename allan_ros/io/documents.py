@@ -8,19 +8,16 @@ the wrong type or of another version is refused with the place where it stands.
 
 from __future__ import annotations
 
-import json
 import math
-import os
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from pathlib import Path
+from dataclasses import fields as fields_of
 from typing import Any
 
-import numpy as np
-
 from .. import __version__
-from ..core.errors import AllanError
+from ..core.batch import AXES, MAX_NAME
+from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Sinusoid
@@ -30,6 +27,8 @@ from ..core.sums import AllanSums, ImuIdentity
 from ..core.sums_document import sums_from_document, sums_to_document
 from ..core.units import SI_UNITS, sensor_of
 from .datasheet_comparison import comparison_from_document, comparison_to_document
+from .json_text import read_json as read_json  # documents as text have their door here too
+from .json_text import to_json as to_json
 from .recordings import SourceInfo
 from .results import AxisCurve, AxisResult, Provenance, Results
 
@@ -39,11 +38,14 @@ SUMS_SCHEMA = 'allan_ros/sums_file/1'
 CURVE_CI_LEVEL = 0.683
 """Confidence of the limits on a curve: one sigma, as NIST SP 1065 tabulates them."""
 
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
+"""Sample periods: stamps are in ns, and a sample in thirty years is none."""
+
+MAX_SETTINGS = 100
+"""More settings, or entries of one, no tool of ours has."""
+
 LISTED_SPANS = 1000
 """How many segments are listed, the longest; their number is always given."""
-
-MAX_BYTES = 64 * 2**20
-"""No document of ours comes near this; a larger file is not read."""
 
 
 def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
@@ -84,11 +86,11 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
-        fields.number('tau0_s'),
-        fields.integer('samples'),
-        fields.number('duration_s'),
-        fields.integer('segment_count'),
-        {name: _axis_from_document(axes.fields(name)) for name in axes},
+        _period_from_document(fields),
+        fields.integer('samples', least=0),
+        fields.number('duration_s', least=0.0),
+        fields.integer('segment_count', least=0),
+        {name: _axis_from_document(axes.fields(name)) for name in _axes_of(axes)},
         provenance,
         provenance.findings,
         None if datasheet is None else comparison_from_document(datasheet),
@@ -124,32 +126,6 @@ def sums_file_from_document(
     )
 
 
-def to_json(document: Mapping[str, Any]) -> str:
-    """Return the document as text; a NaN in it is a bug and raises ValueError."""
-    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
-
-
-def read_json(path: str | os.PathLike[str]) -> object:
-    """Return what a JSON file holds.
-
-    Raises
-    ------
-    AllanError
-        When it is missing, too large, or not JSON.
-    """
-    path = Path(path)
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AllanError(f'{path}: has more than {MAX_BYTES} bytes: it is not a file of ours')
-        return json.loads(path.read_text(encoding='utf-8'))
-    except FileNotFoundError:
-        raise AllanError(f'{path}: no such file: check the path') from None
-    except OSError as error:
-        raise AllanError(f'{path}: cannot be read ({error.strerror})') from error
-    except (ValueError, RecursionError) as error:
-        raise AllanError(f'{path}: is not JSON ({error}): write it again') from None
-
-
 def _tool() -> dict[str, str]:
     return {'name': 'allan_ros', 'version': __version__}
 
@@ -175,29 +151,61 @@ def _provenance_from_document(fields: Fields) -> Provenance:
             for s in fields.each('source')
         ),
         tuple(
-            Span(s.integer('start_ns'), s.integer('samples'), s.number('duration_s'))
+            Span(
+                s.integer('start_ns'),
+                s.integer('samples', least=0),
+                s.number('duration_s', least=0.0),
+            )
             for s in fields.each('segments')
         ),
         tuple(_finding_from_document(f) for f in fields.each('findings')),
         _counts_from_document(fields.fields('counts')),
-        fields.mapping('settings'),
+        _settings_from_document(fields.fields('settings')),
     )
 
 
 def _counts_from_document(fields: Fields) -> Counts:
     cuts = fields.fields('cuts')
+    known = [f.name for f in fields_of(Counts) if f.name in fields and f.name != 'cuts']
     return Counts(
-        **{key: fields.integer(key) for key in fields if key != 'cuts'},
-        cuts=Counter({reason: cuts.integer(reason) for reason in cuts}),
+        **{name: fields.integer(name, least=0) for name in known},
+        cuts=Counter({reason: cuts.integer(reason, least=0) for reason in cuts}),
     )
+
+
+def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
+    """Return the settings of an analysis: plain values, or lists of those."""
+    settings: dict[str, Any] = {}
+    for name in fields:
+        value = fields.value(name)
+        items = value if isinstance(value, list) else [value]
+        plain = all(v is None or isinstance(v, (bool, str, int, float)) for v in items)
+        if not plain or max(len(items), len(settings)) > MAX_SETTINGS or math.inf in items:
+            raise AllanError(f'{fields.where}: {name!r:.40} is no setting of ours')
+        settings[name] = value
+    return settings
+
+
+def _period_from_document(fields: Fields) -> float:
+    period = fields.number('tau0_s', least=SHORTEST_PERIOD_S)
+    if period > LONGEST_PERIOD_S:
+        raise AllanError(f'{fields.where}.tau0_s is {period}: no IMU is as slow')
+    return period
+
+
+def _axes_of(fields: Fields) -> tuple[str, ...]:
+    """Return the names of the axes of an object, in the order of `AXES`."""
+    if strange := [name for name in fields if name not in AXES]:
+        raise AllanError(f'{fields.where}: {strange[0]!r:.40} is no axis: {", ".join(AXES)} are')
+    return tuple(name for name in AXES if name in fields)
 
 
 def _finding_from_document(fields: Fields) -> Finding:
     return Finding(
         fields.text('id'),
         fields.choice('severity', ('info', 'warning', 'error')),  # type: ignore[arg-type]
-        fields.text('message'),
-        fields.text('remedy'),
+        one_line(fields.text('message')),
+        one_line(fields.text('remedy')),
         tuple(str(axis) for axis in fields.sequence('axes')),
     )
 
@@ -225,23 +233,28 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
 
 def _axis_from_document(fields: Fields) -> AxisResult:
     noise = fields.fields('noise')
-    misfit = fields.optional_number('misfit')
+    misfit = fields.optional_number('misfit', least=0.0)
     return AxisResult(
-        fields.number('tau0_s'),
+        _period_from_document(fields),
         AxisFit(
             {t: _coefficient_from_document(noise.fields(t)) for t in TERMS},
             math.nan if misfit is None else misfit,
-            fields.integer('m_min'),
+            fields.integer('m_min', least=1),
             fields.optional_number('gof_z'),
             _gauss_markov_from_document(fields.optional_fields('gauss_markov')),
             _sinusoid_from_document(fields.optional_fields('sinusoid')),
         ),
         _curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         tuple(
-            Region(r.number('tau_low'), r.number('tau_high'), r.text('term'), r.number('slope'))
+            Region(
+                r.number('tau_low', least=0.0),
+                r.number('tau_high', least=0.0),
+                r.text('term', longest=MAX_NAME),
+                r.number('slope'),
+            )
             for r in fields.each('reading')
         ),
-        fields.optional_number('sample_std'),
+        fields.optional_number('sample_std', least=0.0),
     )
 
 
@@ -250,9 +263,9 @@ def _gauss_markov_from_document(fields: Fields | None) -> GaussMarkov | None:
         None
         if fields is None
         else GaussMarkov(
-            fields.number('sigma'),
+            fields.number('sigma', least=0.0),
             fields.interval('sigma_ci95'),
-            fields.number('correlation_time'),
+            fields.number('correlation_time', least=0.0),
             fields.interval('correlation_time_ci95'),
         )
     )
@@ -263,9 +276,9 @@ def _sinusoid_from_document(fields: Fields | None) -> Sinusoid | None:
         None
         if fields is None
         else Sinusoid(
-            fields.number('amplitude'),
+            fields.number('amplitude', least=0.0),
             fields.interval('amplitude_ci95'),
-            fields.number('frequency'),
+            fields.number('frequency', least=0.0),
             fields.interval('frequency_ci95'),
         )
     )
@@ -291,9 +304,9 @@ def _coefficient_to_document(c: Coefficient, unit: str) -> dict[str, Any]:
 
 def _coefficient_from_document(fields: Fields) -> Coefficient:
     return Coefficient(
-        fields.optional_number('value'),
+        fields.optional_number('value', least=0.0),
         fields.optional_interval('ci95'),
-        fields.optional_number('upper95'),
+        fields.optional_number('upper95', least=0.0),
         fields.choice('status', ('estimated', 'not_observable')),  # type: ignore[arg-type]
         fields.integer('sign', 0),
     )
@@ -312,13 +325,14 @@ def _curve_to_document(curve: AxisCurve) -> dict[str, Any]:
 
 
 def _curve_from_document(fields: Fields) -> AxisCurve:
-    columns = {key: fields.numbers(key) for key in ('m', 'tau', 'n', 'adev', 'ci_low', 'ci_high')}
-    if len({len(column) for column in columns.values()}) != 1:
+    factors = len(fields.sequence('m'))
+    columns = {key: fields.numbers(key) for key in ('tau', 'adev', 'ci_low', 'ci_high')}
+    if {len(column) for column in columns.values()} != {factors}:
         raise AllanError(f'{fields.where}: its columns have different lengths')
     return AxisCurve(
-        columns['m'].astype(np.int64),
+        fields.integers('m', factors),
         columns['tau'],
-        columns['n'].astype(np.int64),
+        fields.integers('n', factors),
         columns['adev'],
         columns['ci_low'],
         columns['ci_high'],

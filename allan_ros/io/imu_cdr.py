@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.batch import AXES, SENSORS, ImuBatch
+from ..core.batch import AXES, MAX_NAME, SENSORS, ImuBatch
 
 Encoding = Literal['cdr', 'ros1']
 
@@ -185,6 +185,8 @@ def _decode_alike(
     except (ValueError, OverflowError) as error:
         reason = f'its frame_id of {frame_bytes} bytes does not fit {payloads.itemsize} bytes'
         raise MalformedMessage(_first(rows), reason) from error
+    if frame_bytes > MAX_NAME:
+        raise MalformedMessage(_first(rows), f'its frame_id of {frame_bytes} bytes is no name')
     _fill(payloads.view(dtype), encoding, rows, into)
 
 

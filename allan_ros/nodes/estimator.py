@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 
@@ -15,6 +14,7 @@ from std_msgs.msg import String
 from ..core.errors import AllanError
 from ..core.findings import finding
 from ..io.documents import sums_file_from_document
+from ..io.json_text import parse_json
 from .diagnostics import diagnostic_array, key_values, message_of, status_name, worst_level
 from .estimation import ImuEstimate, load_references
 from .parameter_push import ParameterPush
@@ -30,6 +30,9 @@ TICK_S = 0.1
 
 STALE_PERIODS = 3.0
 """Sums that have not come for so many of their periods are said to be missing."""
+
+ALONE_S = 5.0
+"""So they are after this time where nobody publishes them; less is discovery."""
 
 
 class Estimator(Node):
@@ -55,9 +58,9 @@ class Estimator(Node):
     def _on_sums(self, message: String) -> None:
         self._last_sums = time.monotonic()
         try:
-            self._estimate.take(sums_file_from_document(json.loads(message.data), 'sums'))
+            self._estimate.take(sums_file_from_document(parse_json(message.data, 'sums'), 'sums'))
             self._trouble = ''
-        except (AllanError, ValueError, RecursionError) as error:
+        except AllanError as error:
             self._trouble = f'these sums cannot be read: {error}'
             self.get_logger().warning(self._trouble, throttle_duration_sec=60.0)
 
@@ -73,7 +76,10 @@ class Estimator(Node):
     def _sums_status(self, now: float) -> DiagnosticStatus:
         """Return whether sums come at all."""
         topic, age = self._subscription.topic_name, now - self._last_sums
-        late = age > STALE_PERIODS * self._publish.value.sums_period
+        patience = STALE_PERIODS * self._publish.value.sums_period
+        if not self.count_publishers(topic):
+            patience = min(patience, ALONE_S)
+        late = age > patience
         findings = [finding('no_sums', topic=topic, seconds=age)] if late else []
         status = DiagnosticStatus(
             level=worst_level(findings),

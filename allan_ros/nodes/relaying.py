@@ -9,7 +9,6 @@ own `wait_for_message` does. Where a client library lacks that, a plain callback
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from ..core.sample_variance import Variances, measured_variances, white_variance
 from ..io.documents import results_from_document
 from ..io.imu_cdr import MalformedMessage
 from ..io.imu_patch import CovariancePatch, frame_id_of
+from ..io.json_text import parse_json
 from ..io.results import Results
 from .diagnostics import key_values, message_of, status_name, worst_level
 from .imu_input import DrainedGroup
@@ -256,9 +256,8 @@ class ImuRelay:
 
     def _on_model(self, message: String) -> None:
         try:
-            results = results_from_document(json.loads(message.data), 'noise model')
-            relay_variances(results, self._settings.value)  # a rate of zero shows here
-        except (AllanError, ValueError, ArithmeticError, RecursionError) as error:
+            results = results_from_document(parse_json(message.data, 'noise model'), 'noise model')
+        except AllanError as error:
             topic = self._model.topic_name
             self._trouble = (finding('relay_model_unreadable', topic=topic, reason=error),)
             self._node.get_logger().warning(str(self._trouble[0]), throttle_duration_sec=60.0)
