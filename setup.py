@@ -38,7 +38,7 @@ setup(
     maintainer_email='maintainers@users.noreply.h-seed-d8235d04.example',
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed', 'io/*.css']},
+    package_data={PACKAGE: ['py.typed', 'io/report/*.css', 'io/report/*.js', 'io/report/uplot/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

@@ -56,15 +56,20 @@ class SignalEnvelope:
         return self._high[: self.bins]
 
     @property
-    def time_s(self) -> NDArray[np.float64]:
-        """Start of each span since the first sample, (bins,), s.
+    def start_ns(self) -> NDArray[np.int64]:
+        """Stamp of the first sample of each span, (bins,).
 
-        By the header stamps, or by the time of recording where those do not advance.
+        By the header, or by the time of recording where the header's does not advance.
         """
         header, record = self._start_ns[: self.bins].T
-        stamps = header if np.ptp(header) > 0 else record
-        seconds: NDArray[np.float64] = (stamps - stamps[:1]) * 1e-9
-        return seconds
+        stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
+        return stamps
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Start of each span since the first sample, (bins,), s."""
+        stamps = self.start_ns
+        return np.asarray((stamps - stamps[:1]) * 1e-9, float)
 
     def _put(self, batch: ImuBatch) -> None:
         """Add samples that fit into the spans there are."""

@@ -17,6 +17,24 @@ SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 """Significant digits of a value and of the ends of its interval."""
 
+DENSITY_UNITS = {
+    'datasheet': {'gyro': 'deg/s/sqrt(Hz)', 'accel': 'ug/sqrt(Hz)'},
+    'si': {'gyro': 'rad/s/sqrt(Hz)', 'accel': 'm/s^2/sqrt(Hz)'},
+}
+"""Units of the root of the power spectral density, which datasheets call noise density."""
+
+PRETTY = (
+    ('sqrt(Hz)', '√Hz'),
+    ('sqrt(h)', '√h'),
+    ('^2', '²'),
+    ('^3', '³'),
+    ('deg', '°'),
+    ('urad', 'µrad'),
+    ('um/', 'µm/'),
+    ('ug', 'µg'),
+)
+"""What units are written as in tables, files and on terminals, and as on a page or a picture."""
+
 NOTHING_KNOWN = '-'
 """Stands where there is neither a value nor a limit."""
 
@@ -41,6 +59,22 @@ def shown_signal_unit(axis: str, units: str) -> ShownUnit:
     """Return the unit in which the samples of an axis are shown."""
     sensor = sensor_of(axis)
     return _shown(SI_UNITS[sensor]['B'] if units == 'si' else SIGNAL_UNITS[sensor])
+
+
+def shown_density_unit(axis: str, units: str) -> ShownUnit:
+    """Return the unit in which the root of the spectral density of an axis is shown."""
+    return _shown(DENSITY_UNITS[units][sensor_of(axis)])
+
+
+def pretty_unit(name: str) -> str:
+    """Return a unit as it is typeset.
+
+    >>> pretty_unit('deg/sqrt(h)'), pretty_unit('ug'), pretty_unit('m/s^2/sqrt(Hz)')
+    ('°/√h', 'µg', 'm/s²/√Hz')
+    """
+    for plain, typeset in PRETTY:
+        name = name.replace(plain, typeset)
+    return name
 
 
 def significant(value: float, digits: int) -> str:

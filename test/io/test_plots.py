@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures and the report: they show the numbers, and survive every hole in them."""
+"""The pictures: they show the numbers, and survive every hole in them."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from allan_ros.core.batch import ImuBatch
-from allan_ros.core.findings import Finding
 from allan_ros.io.envelope import SignalEnvelope
-from allan_ros.io.plots import sensor_figure, to_png, to_svg
-from allan_ros.io.report import render_report, verdict
+from allan_ros.io.plots import sensor_figure, to_png
 from allan_ros.io.results import Results
 
 DEG_PER_HOUR = math.pi / 180.0 / 3600.0
@@ -71,43 +68,3 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
 def test_plots_do_without_pyplot() -> None:
     program = 'import sys, allan_ros.io.plots; sys.exit("matplotlib.pyplot" in sys.modules)'
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0
-
-
-class Page(HTMLParser):
-    """Collects the text of a page and refuses anything fetched from elsewhere."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.text = ''
-        self.open: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert tag not in ('script', 'link', 'img'), tag
-        if tag not in ('meta', 'br'):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
-def test_the_report_stands_alone_and_escapes_what_it_is_told(small_results: Results) -> None:
-    finding = Finding('x', 'warning', 'a <b> & "c"', 'do <i>', ('gyro_x',))
-    results = replace(small_results, findings=(finding,))
-    page = Page()
-    page.feed(render_report(results, {'gyro': to_svg(sensor_figure(results, 'gyro'))}, 'datasheet'))
-    page.close()
-    assert page.open == []
-    assert 'a <b> & "c"' in page.text
-    assert 'Noise of unit 7' in page.text
-    assert verdict(results, 'datasheet') in page.text
-    assert 'runs/one.mcap' in page.text
-
-
-def test_the_verdict_names_the_worst_axis_and_what_is_hidden(small_results: Results) -> None:
-    said = verdict(small_results, 'datasheet')
-    worst = max(small_results.axes[f'gyro_{a}'].fit.noise['N'].value for a in 'xyz')
-    assert f'gyro N {worst / (math.pi / 180.0 / 60.0):.3g}' in said
-    assert 'Not observable' in said

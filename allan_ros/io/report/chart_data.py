@@ -1,0 +1,220 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the page draws, as plain values: SI throughout, beside the factors of the units shown."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.batch import AXES, SENSORS
+from ...core.compare import Reference
+from ...core.fit import TERMS
+from ...core.spectrum import Spectrum
+from ...core.terms import NoiseTerms, term_avar
+from ..outline import Outline
+from ..results import AxisResult, Results
+from ..shown import ShownUnit, pretty_unit, shown_density_unit, shown_signal_unit, shown_unit
+from .clipboard import copies
+from .model_spectrum import model_density
+
+SYSTEMS = ('datasheet', 'si')
+"""The units one may switch between."""
+
+DIGITS = 5
+"""Significant digits of a point: a tenth of a pixel on any screen."""
+
+BELOW_CURVE = 0.2
+"""A part is drawn where it is above this share of the lowest point of the curve."""
+
+
+def sensor_charts(
+    results: Results,
+    sensor: str,
+    references: Sequence[Reference],
+    former: Mapping[str, Results],
+    spectra: Sequence[Spectrum],
+    outline: Outline | None,
+) -> dict[str, Any]:
+    """Return what is drawn of one sensor.
+
+    Parameters
+    ----------
+    results : Results
+    sensor : 'gyro' or 'accel'
+    references : sequence of Reference
+        Datasheets: their N and B make a curve.
+    former : mapping of name to Results
+        Earlier runs: their curves are drawn.
+    spectra : sequence of Spectrum
+    outline : Outline or None
+    """
+    axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
+    tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
+    return {
+        'sensor': sensor,
+        'units': {units: _units(sensor, units) for units in SYSTEMS},
+        'tau': _rounded(tau),
+        'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
+        'references': [
+            *_datasheet_curves(axes, references, tau),
+            *_former_curves(axes, former, tau),
+        ],
+        'spectrum': _spectrum(axes, spectra),
+        'signal': None if outline is None else _signal(axes, outline),
+        'copy': {units: copies(results, list(axes), units) for units in SYSTEMS},
+    }
+
+
+def to_script(data: object) -> str:
+    """Return plain values as JSON that may stand inside a ``<script>`` element.
+
+    ``<`` would let a frame_id end the element, and the two line separators end a line in older
+    JavaScript; inside JSON strings, the only place where they can be, all have an escape.
+    """
+    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
+    for character in '<>&\u2028\u2029':
+        text = text.replace(character, f'\\u{ord(character):04x}')
+    return text
+
+
+def _units(sensor: str, units: str) -> dict[str, Any]:
+    of = {
+        'curve': shown_unit(sensor, 'B', units),
+        'signal': shown_signal_unit(sensor, units),
+        'density': shown_density_unit(sensor, units),
+        **{term: shown_unit(sensor, term, units) for term in TERMS},
+    }
+    return {what: _unit(unit) for what, unit in of.items()}
+
+
+def _unit(unit: ShownUnit) -> list[Any]:
+    return [pretty_unit(unit.name), unit.factor]
+
+
+def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
+    """Return the curve, the fit and its parts of one axis at the averaging times of its sensor."""
+    shown: dict[str, Any] = {'name': name, 'label': name.rsplit('_', 1)[1]}
+    curve = axis.curve
+    if curve is None:
+        return shown
+    at = np.searchsorted(tau, curve.tau)
+
+    def column(values: ArrayLike) -> list[float | None]:
+        spread = np.full(len(tau), np.nan)
+        spread[at] = values
+        return _rounded(spread)
+
+    positive = curve.adev[curve.adev > 0.0]
+    floor = BELOW_CURVE * float(positive.min()) if len(positive) else math.inf
+    parts = dict(zip(TERMS, axis.part_adev(curve.m).T))
+    known = {t: p for t, p in parts.items() if axis.fit.noise[t].status == 'estimated'}
+    fitted = curve.m >= axis.fit.m_min
+    return {
+        **shown,
+        'adev': column(np.where(curve.adev > 0.0, curve.adev, np.nan)),
+        'low': column(np.where(curve.ci_low > 0.0, curve.ci_low, np.nan)),
+        'high': column(np.where(curve.ci_high > 0.0, curve.ci_high, np.nan)),
+        'n': column(curve.n),
+        'fit': column(np.where(fitted & (floor < math.inf), axis.total_adev(curve.m), np.nan)),
+        'parts': {
+            **{t: column(np.where(p > floor, p, np.nan)) for t, p in known.items()},
+            **{
+                extra: column(np.where(p > floor, p, np.nan))
+                for extra, p in axis.extra_adev(curve.m).items()
+            },
+        },
+        'regions': [[*_rounded([r.tau_low, r.tau_high]), r.term, r.slope] for r in axis.regions],
+    }
+
+
+def _datasheet_curves(
+    axes: Mapping[str, AxisResult], references: Sequence[Reference], tau: Sequence[float]
+) -> Iterable[dict[str, Any]]:
+    """Yield the curve that the stated terms of each datasheet make."""
+    for reference in references:
+        for name, axis in axes.items():
+            limits = reference.limits.get(name, {})
+            if limits and tau:
+                factors = np.asarray(tau) / axis.tau0
+                adev = np.sqrt(term_avar(factors, axis.tau0, NoiseTerms(**limits)).sum(axis=1))
+                yield {'name': reference.name, 'axis': name, 'adev': _rounded(adev)}
+
+
+def _former_curves(
+    axes: Mapping[str, AxisResult], former: Mapping[str, Results], tau: Sequence[float]
+) -> Iterable[dict[str, Any]]:
+    """Yield the curve of each earlier run, read off at the averaging times of this one."""
+    for run, results in former.items():
+        for name in axes:
+            curve = results.axes[name].curve if name in results.axes else None
+            if curve is None or not np.any(curve.adev > 0.0):
+                continue
+            some = curve.adev > 0.0
+            logs = np.interp(
+                np.log(tau), np.log(curve.tau[some]), np.log(curve.adev[some]), np.nan, np.nan
+            )
+            yield {'name': run, 'axis': name, 'adev': _rounded(np.exp(logs))}
+
+
+def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
+    """Return the root of the density of each axis, and that of its fit."""
+    for spectrum in spectra:
+        columns = [name for name in axes if name in spectrum.axes]
+        if not columns:
+            continue
+        shown = []
+        for name in columns:
+            i = spectrum.axes.index(name)
+            roots = (np.sqrt(a[:, i]) for a in (spectrum.psd, spectrum.low, spectrum.high))
+            model = np.sqrt(model_density(axes[name], spectrum.frequency))
+            density, low, high, fit = (
+                _rounded(np.where(a > 0, a, np.nan)) for a in (*roots, model)
+            )
+            shown.append({'name': name, 'density': density, 'low': low, 'high': high, 'fit': fit})
+        return {'frequency': _rounded(spectrum.frequency), 'axes': shown}
+    return None
+
+
+def _signal(axes: Mapping[str, AxisResult], outline: Outline) -> dict[str, Any]:
+    """Return the outline of each axis about its middle."""
+    shown = []
+    for name in axes:
+        i = AXES.index(name)
+        middle = float(outline.middle[i])
+        low, high = outline.low[:, i] - middle, outline.high[:, i] - middle
+        shown.append(
+            {
+                'name': name,
+                'middle': _rounded([middle])[0],
+                'low': _short(low),
+                'high': _short(high),
+            }
+        )
+    return {
+        'time': _rounded(outline.time_s),
+        'axes': shown,
+        'leftOut': [_rounded(span) for span in outline.left_out],
+        'gaps': [_rounded(span) for span in outline.gaps],
+        'starts': _rounded(outline.starts),
+    }
+
+
+def _rounded(values: ArrayLike) -> list[float | None]:
+    """Return numbers to `DIGITS` digits, None for what is not finite."""
+    return [
+        float(f'{v:.{DIGITS}g}') if math.isfinite(v) else None
+        for v in np.asarray(values, float).tolist()
+    ]
+
+
+def _short(values: ArrayLike) -> list[float | None]:
+    """Return numbers to three digits, None for what is not finite."""
+    return [
+        float(f'{v:.3g}') if math.isfinite(v) else None for v in np.asarray(values, float).tolist()
+    ]

@@ -1,0 +1,251 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`report.html`: the verdict first, then curves, tables and findings, in one file of its own.
+
+Nothing is fetched: the page forbids itself any request (Content-Security-Policy), and names each
+of its scripts by its hash, so that none but ours can run, whatever a recording says.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
+
+from ... import __version__
+from ...core.batch import AXES, SENSORS
+from ...core.compare import Comparison, Reference, compare, reference_of_run
+from ...core.findings import Finding
+from ...core.spectrum import Spectrum
+from ..envelope import SignalEnvelope
+from ..outline import outline_of
+from ..results import AxisResult, Results
+from ..shown import duration_text, significant
+from .background import background, recorded_on
+from .chart_data import sensor_charts, to_script
+from .tables import coefficient_table, datasheet_table, former_table
+from .verdict import Verdict, verdict_of
+from .words import SENSOR_NAMES
+
+STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
+SCRIPTS = (
+    'uplot/uPlot.iife.min.js',
+    'chart.js',
+    'allan_chart.js',
+    'other_charts.js',
+    'page.js',
+)
+"""Files beside this one, in the order in which they stand in the page."""
+
+OUTLINE_BINS = 1000
+"""Spans of the raw signal: as many as a plot has pixels across."""
+
+ICONS = {
+    'good': '<path d="M7 12.5l3.5 3.5L17 9"/>',
+    'caution': '<path d="M12 6.5v7M12 17v.5"/>',
+    'bad': '<path d="M8 8l8 8M16 8l-8 8"/>',
+}
+"""Light -> the sign in its disc: the light is told by sign and word as well as by colour."""
+
+FOLDED = 3
+"""More notes than this are folded away under their number."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What the page shows beside the results.
+
+    Attributes
+    ----------
+    pictures : mapping of sensor to str
+        ``<svg>`` elements: for print, and where there is no script.
+    signals : sequence of SignalEnvelope
+        One a recording.
+    spectra : sequence of Spectrum
+    former : mapping of name to Results
+        Earlier runs.
+    margin : float
+        Fraction by which an interval must lie above an earlier run to be beyond it.
+    method : mapping of str to str
+        What one needs to do it again.
+    """
+
+    pictures: Mapping[str, str] = field(default_factory=dict)
+    signals: Sequence[SignalEnvelope] = ()
+    spectra: Sequence[Spectrum] = ()
+    former: Mapping[str, Results] = field(default_factory=dict)
+    margin: float = 0.0
+    method: Mapping[str, str] = field(default_factory=dict)
+
+
+def render_report(results: Results, beside: Beside, units: str) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    results : Results
+    beside : Beside
+    units : 'datasheet' or 'si'
+        Those shown first.
+    """
+    name = results.identity.hardware_id or results.identity.frame_id or 'IMU'
+    comparisons = {run: _with_run(results, run, beside) for run in beside.former}
+    held = [*_with_datasheet(results), *(c for of_run in comparisons.values() for c in of_run)]
+    sensors = {
+        sensor: axes
+        for sensor, where in SENSORS.items()
+        if (axes := {a: results.axes[a] for a in AXES[where] if a in results.axes})
+    }
+    body = [
+        *_header(results, name, sensors, units),
+        '<main>',
+        *_verdict_section(verdict_of(results, held, units)),
+        *_findings_section(results.findings),
+    ]
+    for sensor, axes in sensors.items():
+        body += [
+            *_sensor_section(sensor, axes, beside),
+            *(datasheet_table(sensor, axes, results.datasheet) if results.datasheet else ()),
+        ]
+        for run, former in beside.former.items():
+            body += former_table(sensor, axes, run, former, comparisons[run])
+        body.append('</section>')
+    body += [
+        '<section id="background"><h2>Recording and method</h2>',
+        *background(results, {**beside.method, 'fit': f'method {results.method}'}),
+        '</section></main>',
+        f'<footer>allan_ros {__version__}</footer>',
+    ]
+    return _page(f'Noise of {name}', '\n'.join(body), _data(results, beside, list(sensors), units))
+
+
+def _page(title: str, body: str, data: str) -> str:
+    here = files(__package__)
+    scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
+    styles = '\n'.join(here.joinpath(name).read_text('utf-8') for name in STYLES)
+    hashes = ' '.join(f"'sha256-{_digest(script)}'" for script in scripts)
+    policy = (
+        "default-src 'none'; base-uri 'none'; form-action 'none'; "
+        f"style-src 'unsafe-inline'; script-src {hashes}"
+    )
+    run = ''.join(f'<script>{script}</script>\n' for script in scripts)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f'<title>{escape(title)}</title>\n<style>\n{styles}</style>\n</head>\n<body>\n{body}\n'
+        f'<script type="application/json" id="data">{data}</script>\n{run}</body>\n</html>\n'
+    )
+
+
+def _digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def _data(results: Results, beside: Beside, sensors: Sequence[str], units: str) -> str:
+    spans = results.provenance.spans
+    outline = outline_of(beside.signals, spans, OUTLINE_BINS)
+    references = [] if results.datasheet is None else [results.datasheet.datasheet.reference()]
+    charts = [
+        sensor_charts(results, sensor, references, beside.former, beside.spectra, outline)
+        for sensor in sensors
+    ]
+    return to_script({'units': units, 'sensors': charts})
+
+
+def _with_datasheet(results: Results) -> list[Comparison]:
+    sheet = results.datasheet
+    if sheet is None:
+        return []
+    name = sheet.datasheet.name
+    return [Comparison(name, h.axis, h.term, h.limit.value, h.verdict) for h in sheet.held]
+
+
+def _with_run(results: Results, run: str, beside: Beside) -> list[Comparison]:
+    former = {name: axis.fit.noise for name, axis in beside.former[run].axes.items()}
+    reference: Reference = reference_of_run(run, former)
+    return [
+        comparison
+        for name, axis in results.axes.items()
+        for comparison in compare(name, axis.fit.noise, reference, beside.margin)
+    ]
+
+
+def _header(
+    results: Results, name: str, sensors: Mapping[str, object], units: str
+) -> Iterator[str]:
+    number = results.segments
+    facts = [
+        f'{results.samples:,} samples at {significant(results.rate_hz, 4)} Hz',
+        f'{duration_text(results.duration_s)} at rest in {number} '
+        f'segment{"" if number == 1 else "s"}',
+        recorded_on(results),
+    ]
+    said = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
+    yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{said}</ul></header>'
+    links = ''.join(f'<a href="#{s}">{SENSOR_NAMES[s]}</a>' for s in sensors)
+    switch = ''.join(
+        f'<label><input type="radio" name="units" id="units-{system}" value="{system}"'
+        f'{" checked" if system == units else ""}>{label}</label>'
+        for system, label in (('datasheet', 'datasheet'), ('si', 'SI'))
+    )
+    yield (
+        f'<nav aria-label="Sections"><div><a href="#verdict">Verdict</a>{links}'
+        '<a href="#background">Recording</a></div><fieldset class="switch"><legend>Units</legend>'
+        f'{switch}</fieldset></nav>'
+    )
+
+
+def _verdict_section(verdict: Verdict) -> Iterator[str]:
+    steps = ''.join(f'<li>{escape(step)}</li>' for step in verdict.steps)
+    yield (
+        f'<section id="verdict" class="{verdict.light}">'
+        f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
+        f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.light]}</svg>'
+        f'<strong>{verdict.word}</strong></p><div class="answers">'
+        f'<div><h2>Is this IMU fine?</h2><p>{escape(verdict.fine)}</p></div>'
+        f'<div><h2>Was the recording long enough?</h2><p>{escape(verdict.long_enough)}</p></div>'
+        f'<div><h2>What to do next</h2><ol>{steps}</ol></div></div></section>'
+    )
+
+
+def _findings_section(findings: Sequence[Finding]) -> Iterator[str]:
+    if not findings:
+        return
+    yield '<section id="findings"><h2>Findings</h2>'
+    pressing = [finding for finding in findings if finding.severity != 'info']
+    notes = [finding for finding in findings if finding.severity == 'info']
+    yield from map(_finding_block, pressing)
+    if len(notes) > FOLDED:
+        yield f'<details><summary>{len(notes)} notes</summary>'
+        yield from map(_finding_block, notes)
+        yield '</details>'
+    else:
+        yield from map(_finding_block, notes)
+    yield '</section>'
+
+
+def _finding_block(finding: Finding) -> str:
+    where = f'<b>{escape(", ".join(finding.axes))}</b> ' if finding.axes else ''
+    return (
+        f'<div class="finding {finding.severity}"><p><span class="severity">{finding.severity}'
+        f'</span> {where}{escape(finding.message)}</p>'
+        f'<p class="remedy">{escape(finding.remedy)}</p></div>'
+    )
+
+
+def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], beside: Beside) -> Iterator[str]:
+    name = SENSOR_NAMES[sensor]
+    yield f'<section id="{sensor}" class="sensor"><h2>{name}</h2>'
+    yield f'<div class="charts" data-sensor="{sensor}" hidden></div>'
+    if sensor in beside.pictures:
+        yield (
+            f'<figure class="static" role="img" aria-label="Allan deviation of the {sensor}">'
+            f'{beside.pictures[sensor]}</figure>'
+        )
+    yield f'<h3>Coefficients</h3><div class="copy" data-sensor="{sensor}" hidden></div>'
+    yield from coefficient_table(sensor, axes)
