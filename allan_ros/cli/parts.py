@@ -8,7 +8,9 @@ recordings add up. So the ways differ in time only, not in what comes out.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
 from ..core.accumulator import ImuAccumulator
@@ -73,24 +75,39 @@ def in_processes(jobs: Sequence[Job], processes: int, console: Console) -> Itera
     """
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import get_context
+    from multiprocessing import active_children, get_context
 
     # a fork would copy the threads' locks of numpy's libraries, but not the threads
     workers = min(processes, len(jobs))
     pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
     try:
-        futures = [pool.submit(accumulate, job) for job in jobs]
+        with _deaf_to_interrupts():
+            futures = [pool.submit(accumulate, job) for job in jobs]
         with console.progress(f'{len(jobs)} recordings in {workers} processes', None) as progress:
             for future in futures:
                 part = future.result()
                 progress.advance(part.run.provenance.counts.received)
                 yield part
+    except KeyboardInterrupt:
+        for child in active_children():  # none of them writes anything
+            child.terminate()
+        raise
     except BrokenProcessPool as error:
         raise AllanError(
             f'one of {workers} processes died, perhaps for want of memory: use fewer --jobs'
         ) from error
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Hold SIGINT back for a moment: what starts within never hears it, and leaves it to us."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def add_findings(part: Part, lost: Iterable[Finding]) -> Part:

@@ -161,6 +161,28 @@ def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
     assert not endless.exists()
 
 
+def test_ctrl_c_ends_all_processes_of_an_analysis_in_one_line(
+    recording: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / 'other.npz'
+    other.write_bytes(recording.read_bytes())
+    process = subprocess.Popen(
+        [*ALLAN, 'analyze', str(recording), str(other), '--jobs', '2', '-o', str(tmp_path / 'out')],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+    while len(children.read_text().split()) < 3:  # a resource tracker and two workers
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.strip() == 'allan analyze: interrupted, nothing more is written'
+    assert not (tmp_path / 'out').exists()
+
+
 def test_a_reader_that_leaves_is_not_an_error_to_shout_about(recording: Path) -> None:
     for words in (f'analyze "{recording}" --method paper', '--help'):
         shell = f'"{sys.executable}" -m allan_ros.cli.main {words} | true'
