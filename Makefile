@@ -19,7 +19,7 @@ endif
 # The matrices of a fit are small: threads only wait for each other, and tests run side by side.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-floor lint format bench clean
+.PHONY: help venv demo test test-floor lint format bench docs pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -45,6 +45,12 @@ format: $(VENV)/.ready  ## put the code into the house style
 
 bench: $(VENV)/.ready  ## run the benchmarks
 	@for file in bench/bench_*.py; do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
+
+docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
+	$(VENV)/bin/python scripts/reference.py
+
+pictures: $(VENV)/.ready  ## draw the pictures of docs/ anew
+	$(VENV)/bin/python scripts/pictures.py docs/images
 
 test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy and scipy
 	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) test/core test/io test/cli

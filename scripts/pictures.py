@@ -1,0 +1,274 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of the documentation, drawn from simulated IMUs with fixed seeds.
+
+usage: pictures.py FOLDER
+
+The IMU is that of `allan simulate --preset paper`; what is wrong with some of them are the faults
+of `allan simulate`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import AXES
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.faults import Faults
+from allan_ros.core.presets import PRESETS
+from allan_ros.core.settings import SegmenterSettings
+from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.terms import NoiseTerms, term_avar
+from allan_ros.core.units import UNITS, from_datasheet, sensor_of
+from allan_ros.io.plots import TERM_STYLES
+from allan_ros.io.results import AxisResult, Provenance, Results, analyse_sums
+
+RATE = 100.0
+"""Hz, of every picture."""
+
+HOUR = 3600.0
+
+DEG_H = 1.0 / UNITS['deg/h'].factor
+UG = 1.0 / UNITS['ug'].factor
+"""What to multiply SI by to have deg/h, ug."""
+
+DPI = 100
+FONT = {'font.size': 9.0, 'axes.grid': False}
+GREY = '0.6'
+ON_WHITE = {'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}
+"""Ground of words that stand on lines."""
+
+ALL_FIVE = NoiseTerms(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
+"""A gyro on whose curve every term shows: an invented one."""
+
+CALM = SegmenterSettings(motion_gate=False)
+"""Nothing moves here but what a picture is to show."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A curve that is not that of the five terms."""
+
+    name: str
+    axis: str
+    faults: Faults
+    hours: float
+    says: str
+
+
+SHAPES = (
+    Shape('filtered', 'gyro_z', Faults(low_pass=15.0), 2.0, 'low-pass filter of 15 Hz'),
+    Shape(
+        'line',
+        'gyro_z',
+        Faults(vibration_gyro=6e-5, vibration_frequency=0.05),
+        2.0,
+        'vibration at 0.05 Hz',
+    ),
+    Shape('warm-up', 'gyro_z', Faults(warmup_gyro=3e-3, warmup_time=600.0), 2.0, 'warming up'),
+    Shape(
+        'correlated',
+        'gyro_z',
+        Faults(gauss_markov_gyro=8e-5, gauss_markov_time=20.0),
+        2.0,
+        'bias that returns within 20 s',
+    ),
+    Shape('rounded', 'gyro_z', Faults(lsb_gyro=1.75e-3), 2.0, 'values rounded to 0.1 deg/s'),
+)
+
+
+def paper_noise() -> list[NoiseTerms]:
+    """Return the terms of the paper's IMU, in the order of the axes."""
+    return [
+        NoiseTerms(**{t: from_datasheet(t, sensor_of(axis), v) for t, v in terms.items()})
+        for axis, terms in ((axis, PRESETS['paper'][axis]) for axis in AXES)
+    ]
+
+
+def analysed(hours: float, faults: Faults = Faults(), seed: int = 0) -> Results:
+    """Return what the tool says of the paper's IMU."""
+    accumulator = ImuAccumulator(CALM)
+    noise = paper_noise()
+    for batch in simulate_imu(
+        hours * HOUR, RATE, noise[:3], noise[3:], seed=seed, faults=faults, frame_id='imu_link'
+    ):
+        accumulator.update(batch)
+    accumulator.end()
+    known = accumulator.result()
+    return analyse_sums(known.sums, Provenance(findings=known.findings, spans=known.spans))
+
+
+def as_it_came(hours: float, faults: Faults) -> Results:
+    """Return the same of all samples as they are, held ones included."""
+    engine, noise = RunningAllan(), paper_noise()
+    for batch in simulate_imu(hours * HOUR, RATE, noise[:3], noise[3:], faults=faults):
+        engine.update(batch.samples, int(batch.stamps_ns[0]), int(batch.stamps_ns[-1]))
+    engine.end_segment()
+    return analyse_sums([engine.sums], Provenance())
+
+
+def draw_measured(panel: Axes, result: AxisResult, factor: float, **style: object) -> None:
+    """Draw the points of a curve with their limits."""
+    curve = result.curve
+    assert curve is not None
+    panel.fill_between(curve.tau, factor * curve.ci_low, factor * curve.ci_high, color='0.85', lw=0)
+    panel.plot(
+        curve.tau,
+        factor * curve.adev,
+        **{'marker': 'o', 'ms': 3.5, 'ls': '', 'mfc': 'white', 'mec': '0.1', 'mew': 0.9, **style},
+    )
+
+
+def draw_parts(panel: Axes, result: AxisResult, factor: float, lowest: float) -> None:
+    """Draw the fit and the parts it is made of."""
+    curve = result.curve
+    assert curve is not None
+    for term, part in zip('QNBKR', result.part_adev(curve.m).T):
+        if result.fit.noise[term].status == 'estimated':
+            colour, dashes = TERM_STYLES[term]
+            shown = np.where(factor * part > lowest, factor * part, np.nan)
+            panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.5, label=term)
+    for name, extra in result.extra_adev(curve.m).items():
+        shown = np.where(factor * extra > lowest, factor * extra, np.nan)
+        panel.plot(curve.tau, shown, color=GREY, lw=1.2, label=name)
+    fitted = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
+    panel.plot(curve.tau, factor * fitted, color='black', lw=1.0, label='fit', zorder=1.9)
+
+
+def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Sequence[Axes]]:
+    """Return a figure of that size in inches with log-log panels side by side."""
+    figure = Figure(figsize=(width, height), layout='constrained')
+    panels = figure.subplots(1, columns, squeeze=False)[0]
+    for panel in panels:
+        panel.set(xscale='log', yscale='log', xlabel='averaging time τ [s]')
+        panel.grid(which='major', color='0.9', lw=0.6)
+    return figure, panels
+
+
+def five_slopes() -> Figure:
+    """Draw the curve of a gyro on which every term shows, and where each one is read."""
+    figure, (panel,) = new_figure(6.4, 4.2)
+    tau = np.geomspace(0.01, 1e5, 400)
+    avar = DEG_H**2 * term_avar(tau * RATE, 1.0 / RATE, ALL_FIVE)
+    panel.plot(tau, np.sqrt(avar.sum(axis=1)), color='black', lw=2.2)
+    names = {
+        'Q': ('Q  quantization\nslope −1', 0.03, 50.0),
+        'N': ('N  angle random\nwalk, slope −½', 0.012, 1.25),
+        'B': ('B  bias instability\nflat, at 0.664 B', 0.013, 0.5),
+        'K': ('K  rate random\nwalk, slope +½', 4.2e3, 0.4),
+        'R': ('R  rate ramp\nslope +1', 1.5e3, 14.0),
+    }
+    for term, part in zip('QNBKR', np.sqrt(avar).T):
+        colour, dashes = TERM_STYLES[term]
+        panel.plot(tau, part, color=colour, ls=dashes, lw=1.5)
+        text, x, y = names[term]
+        panel.text(x, y, text, color=colour, bbox=ON_WHITE)
+    panel.set(ylim=(0.25, 120.0), ylabel='Allan deviation [deg/h]', xlim=(tau[0], tau[-1]))
+    return figure
+
+
+def paper_gyro() -> Figure:
+    """Draw the z gyro of two simulated hours as the tool reads it, with its numbers."""
+    result = analysed(2.0).axes['gyro_z']
+    figure, (panel,) = new_figure(7.2, 4.0)
+    draw_measured(panel, result, DEG_H)
+    draw_parts(panel, result, DEG_H, 2.0)
+    n, b, k = (result.fit.noise[term] for term in 'NBK')
+    for c, name, unit, shown, x, y in (
+        (n, 'N', 'deg/sqrt(h)', 'deg/√h', 0.3, 45.0),
+        (b, 'B', 'deg/h', 'deg/h', 0.012, 4.4),
+        (k, 'K', 'deg/h^1.5', 'deg/h$^{1.5}$', 400.0, 4.7),
+    ):
+        factor, (low, high) = 1.0 / UNITS[unit].factor, c.ci95
+        panel.text(
+            x,
+            y,
+            f'{name} = {c.value * factor:.3g} {shown}\n'
+            f'95 %: {low * factor:.3g} … {high * factor:.3g}',
+            color=TERM_STYLES[name][0],
+            bbox=ON_WHITE,
+        )
+    panel.set(ylabel='Allan deviation [deg/h]', ylim=(2.0, 200.0))
+    panel.set_title('z gyro of an ADIS16475-3, simulated: 2 h at 100 Hz, 68 % limits', fontsize=9)
+    return figure
+
+
+def wrong_shape(shape: Shape) -> Figure:
+    """Draw a curve with something wrong, over the same one without."""
+    bad, good = analysed(shape.hours, shape.faults), analysed(shape.hours)
+    figure, (panel,) = new_figure(5.2, 3.2)
+    clean = good.axes[shape.axis].curve
+    assert clean is not None
+    panel.plot(clean.tau, DEG_H * clean.adev, color='#56B4E9', lw=1.2, label='without it')
+    draw_measured(panel, bad.axes[shape.axis], DEG_H)
+    draw_parts(panel, bad.axes[shape.axis], DEG_H, 2.0)
+    panel.set(ylabel='Allan deviation [deg/h]', ylim=(2.0, None))
+    panel.legend(frameon=False, fontsize=8)
+    panel.set_title(shape.says, fontsize=9)
+    return figure
+
+
+def held_samples() -> Figure:
+    """Draw an accelerometer read at 62.5 Hz whose samples are repeated at 100 Hz."""
+    faults = Faults(accel_rate=62.5)
+    figure, (panel,) = new_figure(5.2, 3.2)
+    held = as_it_came(0.5, faults).axes['accel_z']
+    fresh = analysed(0.5, faults).axes['accel_z']
+    draw_measured(panel, held, UG, label='every message counted')
+    draw_measured(
+        panel, fresh, UG, label='fresh samples only', mfc='#0072B2', mec='#0072B2', ms=2.5
+    )
+    panel.set(ylabel='Allan deviation [ug]')
+    panel.legend(frameon=False, fontsize=8)
+    panel.set_title('accelerometer of 62.5 Hz in messages of 100 Hz', fontsize=9)
+    return figure
+
+
+def more_time() -> Figure:
+    """Draw the same gyro after ten minutes, an hour and eight hours."""
+    figure, panels = new_figure(9.0, 3.1, 3)
+    for panel, (hours, name) in zip(panels, ((1 / 6, '10 min'), (1.0, '1 h'), (8.0, '8 h'))):
+        result = analysed(hours, seed=1).axes['gyro_z']
+        draw_measured(panel, result, DEG_H)
+        draw_parts(panel, result, DEG_H, 2.0)
+        seen = ', '.join(t for t in 'QNBKR' if result.fit.noise[t].status == 'estimated')
+        panel.set_title(f'{name}: shows {seen}', fontsize=9)
+        panel.set(xlim=(0.008, 2e4), ylim=(2.0, 300.0))
+    panels[0].set_ylabel('Allan deviation [deg/h]')
+    panels[-1].legend(frameon=False, fontsize=8)
+    return figure
+
+
+def main() -> int:
+    """Draw all pictures into the folder."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('folder', type=Path)
+    folder = parser.parse_args().folder
+    folder.mkdir(parents=True, exist_ok=True)
+    with rc_context(FONT):
+        figures = {
+            'paper-gyro': paper_gyro(),
+            'five-slopes': five_slopes(),
+            'more-time': more_time(),
+            'held': held_samples(),
+            **{shape.name: wrong_shape(shape) for shape in SHAPES},
+        }
+        for name, figure in figures.items():
+            path = folder / f'{name}.png'
+            figure.savefig(path, dpi=DPI, metadata={'Software': 'allan_ros'})
+            print(f'{path}: {path.stat().st_size / 1000:.0f} kB')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

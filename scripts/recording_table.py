@@ -1,0 +1,116 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What 10 min, 1 h, 2 h and 8 h show of three grades of IMU: the table of docs/recording.md.
+
+usage: recording_table.py [--records N]
+
+The three grades are the three axes of one simulated IMU at 100 Hz. A term counts as shown where it
+is `estimated`; the number is the median half-width of its 95 % interval, in percent of the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import AXES
+from allan_ros.core.fit import fit_noise
+from allan_ros.core.settings import SegmenterSettings
+from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.terms import NoiseTerms
+from allan_ros.core.units import from_datasheet, sensor_of
+
+RATE = 100.0
+"""Hz."""
+
+LENGTHS = {'10 min': 600.0, '1 h': 3600.0, '2 h': 7200.0, '8 h': 28800.0}
+"""What is said -> s."""
+
+GRADES = {
+    'gyro': {
+        'consumer': {'N': 0.3, 'B': 20.0, 'K': 100.0},
+        'industrial': {'N': 0.24, 'B': 6.0, 'K': 40.0},
+        'tactical': {'N': 0.1, 'B': 1.0, 'K': 2.0},
+    },
+    'accel': {
+        'consumer': {'N': 0.1, 'B': 150.0, 'K': 600.0},
+        'industrial': {'N': 0.012, 'B': 6.0, 'K': 30.0},
+        'tactical': {'N': 0.006, 'B': 4.0, 'K': 8.0},
+    },
+}
+"""sensor -> grade -> terms in datasheet units: examples, no product's."""
+
+MOSTLY = 0.5
+"""Share of records in which a term must show for a number to be given."""
+
+
+def noise_of(sensor: str) -> list[NoiseTerms]:
+    """Return the terms of the three grades of a sensor in SI."""
+    return [
+        NoiseTerms(**{t: from_datasheet(t, sensor, v) for t, v in terms.items()})
+        for terms in GRADES[sensor].values()
+    ]
+
+
+def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
+    """Return (axis, term) -> half-width of its interval relative to the truth, NaN if not shown."""
+    accumulator = ImuAccumulator(SegmenterSettings(motion_gate=False))
+    noise = {sensor: noise_of(sensor) for sensor in GRADES}
+    for batch in simulate_imu(seconds, RATE, noise['gyro'], noise['accel'], seed=seed):
+        accumulator.update(batch)
+    accumulator.end()
+    fit = fit_noise(accumulator.result().sums[0])
+    out = {}
+    for i, axis in enumerate(AXES):
+        truth = noise[sensor_of(axis)][i % 3]
+        for term in 'NBK':
+            c = fit.axes[axis].noise[term]
+            seen = c.status == 'estimated' and c.ci95 is not None
+            half = (c.ci95[1] - c.ci95[0]) / 2.0 if seen else np.nan
+            out[axis, term] = half / getattr(truth, term)
+    return out
+
+
+def rows(records: int) -> Iterator[str]:
+    """Yield the lines of the table."""
+    found = {
+        length: [half_widths(seconds, seed) for seed in range(records)]
+        for length, seconds in LENGTHS.items()
+    }
+    yield f'| sensor | term | {" | ".join(LENGTHS)} |'
+    yield f'|---|---|{"---|" * len(LENGTHS)}'
+    for i, axis in enumerate(AXES):
+        sensor = sensor_of(axis)
+        grade, terms = list(GRADES[sensor].items())[i % 3]
+        for term in 'NBK':
+            cells = [cell([one[axis, term] for one in found[length]]) for length in LENGTHS]
+            yield f'| {grade} {sensor} | {term} = {terms[term]:g} | {" | ".join(cells)} |'
+
+
+def cell(halves: list[float]) -> str:
+    """Return what is said of one term after one length of time."""
+    shown = np.isfinite(halves)
+    if not shown.any():
+        return 'no'
+    if shown.mean() < MOSTLY:
+        return f'{shown.mean():.0%} of records'
+    half = 100.0 * float(np.median(np.array(halves)[shown]))
+    often = '' if shown.all() else f' ({shown.mean():.0%} of records)'
+    return f'± {half:.2g} %{often}'
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--records', type=int, default=20, help='of each length (default 20)')
+    for line in rows(parser.parse_args().records):
+        print(line)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

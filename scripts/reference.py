@@ -1,0 +1,195 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write docs/parameters.md, docs/cli.md and the words quoted in docs/troubleshooting.md.
+
+usage: reference.py
+
+All of it comes from the code; a test holds the pages against what this writes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from allan_ros.cli.main import VERBS
+from allan_ros.core.findings import CATALOGUE
+from allan_ros.core.parameters import ParameterInfo, describe
+from allan_ros.nodes.settings import GROUPS
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / 'docs'
+
+WRITTEN_BY = '<!-- Written by scripts/reference.py (`make docs`): change the code. -->'
+
+PARAMETERS_HEAD = """# Parameters of the nodes
+
+Every parameter with its default, range and unit. `config/allan_ros.yaml` holds the same, to be
+copied from; `ros2 param describe NODE NAME` says it of a running node. A parameter marked ● can be
+set while the node runs; the others are read once, at the start. A value out of range is refused
+with the reason.
+
+Topics, services and diagnostics are in [online.md](online.md).
+"""
+
+LAUNCH_HEAD = """## Launch arguments
+
+    ros2 launch allan_ros allan_ros.launch.py imu:=/camera/imu
+
+| argument | default | |
+|---|---|---|
+"""
+
+CLI_HEAD = """# Options of `allan`
+
+Every option with its default. `allan VERB --help` says the same. Inside a ROS workspace put
+`ros2 run allan_ros` before each command.
+"""
+
+
+def parameters_page() -> str:
+    """Return the page of the nodes' parameters."""
+    nodes = _nodes_of_groups((ROOT / 'config' / 'allan_ros.yaml').read_text())
+    parts = [WRITTEN_BY, PARAMETERS_HEAD]
+    for group, settings in GROUPS.items():
+        what, where = nodes[group]
+        parts.append(
+            f'## `{group}`\n\n{what} Of: {where}.\n\n'
+            '| parameter | | default | range | |\n|---|---|---|---|---|\n'
+            + '\n'.join(
+                _parameter_row(f'{group}.{name}', info, getattr(settings(), name))
+                for name, info in describe(settings).items()
+            )
+            + '\n'
+        )
+    parts.append(LAUNCH_HEAD + '\n'.join(_launch_rows()) + '\n')
+    return '\n'.join(parts)
+
+
+def _nodes_of_groups(config: str) -> dict[str, tuple[str, str]]:
+    """Return group -> what it is for and whose it is, from the comments of the parameter file."""
+    found = re.findall(r'^    # (.+?) \(([^()]+)\)\.\n    (\w+):$', config, re.MULTILINE)
+    return {group: (f'{what}.', where) for what, where, group in found}
+
+
+def _parameter_row(name: str, info: ParameterInfo, default: Any) -> str:
+    words = info.doc.replace('|', '\\|').replace('<', '&lt;')
+    unit = f' {info.unit}' if info.unit else ''
+    mark = '' if info.read_only else '●'
+    return f'| `{name}` | {mark} | `{_shown(default)}`{unit} | {_range(info)} | {words} |'
+
+
+def _range(info: ParameterInfo) -> str:
+    if info.choices:
+        return ', '.join(f'`{c}`' for c in info.choices)
+    if info.low is None and info.high is None:
+        return ''
+    return f'{_bound(info.low)} … {_bound(info.high)}'
+
+
+def _bound(value: float | None) -> str:
+    return '' if value is None else f'{value:g}' if abs(value) < 1e5 else f'{value:,.0f}'
+
+
+def _shown(default: Any) -> str:
+    """Return a default as YAML has it."""
+    if isinstance(default, tuple):
+        return '[' + ', '.join(_shown(value) for value in default) + ']'
+    if isinstance(default, bool):
+        return str(default).lower()
+    return f'"{default}"' if isinstance(default, str) else f'{default}'
+
+
+def _launch_rows() -> Iterator[str]:
+    tree = ast.parse((ROOT / 'launch' / 'allan_ros.launch.py').read_text())
+    (arguments,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'ARGUMENTS'
+    )
+    for name, (default, what) in arguments.items():
+        yield f'| `{name}` | {f"`{default}`" if default else ""} | {what} |'
+    yield "| `config` | the package's `allan_ros.yaml` | parameter file of the nodes |"
+
+
+def cli_page() -> str:
+    """Return the page of the command line's options."""
+    return '\n'.join([WRITTEN_BY, CLI_HEAD, *(_verb_section(verb) for verb in VERBS)])
+
+
+def _verb_section(verb: str) -> str:
+    module = importlib.import_module(f'allan_ros.cli.{verb}')
+    parser = argparse.ArgumentParser(prog=f'allan {verb}', add_help=False)
+    module.add_arguments(parser)
+    rows = '\n'.join(
+        _option_row(action) for action in parser._actions if action.help != argparse.SUPPRESS
+    )
+    what = VERBS[verb][0].upper() + VERBS[verb][1:]
+    return f'## `allan {verb}`\n\n{what}.\n\n| option | |\n|---|---|\n{rows}\n'
+
+
+def _option_row(action: argparse.Action) -> str:
+    words = (action.help or '').replace('%%', '%').replace('|', '\\|').replace('<', '&lt;')
+    metavar = action.metavar or ('' if action.nargs == 0 else (action.dest or '').upper())
+    if not action.option_strings:
+        return f'| `{metavar}` | {words} |'
+    names = ', '.join(f'`{name}`' for name in action.option_strings)
+    shown = f' `{metavar}`'.replace('|', '\\|') if metavar and action.nargs != 0 else ''
+    return f'| {names}{shown} | {words} |'
+
+
+def troubleshooting_page(text: str) -> str:
+    """Return the page with the words of every finding below its heading, as the code has them.
+
+    Raises
+    ------
+    SystemExit
+        Naming the findings without a heading, with two, and the headings without a finding.
+    """
+    head, *entries = re.split(r'^### ', text, flags=re.MULTILINE)
+    ids = [entry.split('\n', 1)[0].strip() for entry in entries]
+    wrong = sorted({id for id in ids if ids.count(id) > 1} | (set(ids) ^ set(CATALOGUE)))
+    if wrong:
+        raise SystemExit(f'docs/troubleshooting.md: each finding once, as ### id: {wrong}')
+    return head + ''.join(f'### {_with_words(entry)}' for entry in entries)
+
+
+def _with_words(entry: str) -> str:
+    """Return an entry with the quotation below its heading renewed."""
+    id, _, rest = entry.partition('\n')
+    rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
+    words = CATALOGUE[id.strip()]
+    message, remedy = (_without_numbers(text) for text in (words.message, words.remedy))
+    return f'{id}\n\n> *{words.severity}:* {message}; **{remedy}**\n\n{rest.lstrip()}'
+
+
+def _without_numbers(template: str) -> str:
+    """Return a template of `str.format` with … for what is filled in."""
+    return re.sub(r'\{[^{}]*\}', '…', template).replace('<', '&lt;')
+
+
+def pages() -> dict[str, str]:
+    """Return file in docs -> what stands in it, or should."""
+    findings = DOCS / 'troubleshooting.md'
+    return {
+        'parameters.md': parameters_page(),
+        'cli.md': cli_page(),
+        findings.name: troubleshooting_page(findings.read_text(encoding='utf-8')),
+    }
+
+
+def main() -> int:
+    """Write the pages."""
+    for name, text in pages().items():
+        (DOCS / name).write_text(text, encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

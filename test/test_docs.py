@@ -1,0 +1,96 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The documents: links lead somewhere, commands are understood, pages say what the code says."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from allan_ros.cli.main import VERBS
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
+LARGEST_PICTURE = 150_000
+"""Bytes: pages must open quickly on a phone."""
+
+
+def named(path: Path) -> str:
+    return path.name
+
+
+def text_of(page: Path) -> str:
+    """Return the page without its code."""
+    fenced = re.sub(r'^```.*?^```', '', page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r'^(?:    ).*$', '', fenced, flags=re.MULTILINE)
+
+
+def anchors_of(page: Path) -> set[str]:
+    """Return the anchors that forges give to the headings of a page."""
+    headings = re.findall(r'^#+ (.+)$', text_of(page), flags=re.MULTILINE)
+    return {
+        re.sub(r'[^\w\- ]', '', heading.strip().lower()).replace(' ', '-') for heading in headings
+    }
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """Return the words of every command line of `allan` that stands in a block by itself."""
+    joined = page.read_text().replace('\\\n', ' ')
+    lines = re.findall(r'^(?:    )?(?:\$ )?(?:ros2 run allan_ros )?(allan [a-z-].*)$', joined, re.M)
+    words = [shlex.split(line, comments=True) for line in lines]
+    return [w[1:] for w in words if w[1] in VERBS and not any(c.endswith(':') for c in w[:2])]
+
+
+@pytest.mark.parametrize('page', PAGES, ids=named)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r'\]\(([^)\s]+)\)', text_of(page)):
+        if '://' in link:
+            continue
+        name, _, anchor = link.partition('#')
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors_of(target), link
+
+
+@pytest.mark.parametrize('page', PAGES, ids=named)
+def test_commands_are_understood(page: Path) -> None:
+    for verb, *words in commands_of(page):
+        parser = argparse.ArgumentParser(prog=f'allan {verb}', exit_on_error=False)
+        importlib.import_module(f'allan_ros.cli.{verb}').add_arguments(parser)
+        known, unknown = parser.parse_known_args([w for w in words if w not in ('>', '|')])
+        assert known is not None and not unknown, (verb, words)
+
+
+def test_there_are_commands_to_try() -> None:
+    assert sum(len(commands_of(page)) for page in PAGES) > 20
+
+
+@pytest.mark.parametrize('page', PAGES, ids=named)
+def test_executables_and_launch_arguments_exist(page: Path) -> None:
+    text, setup = page.read_text().replace('\\\n', ' '), (ROOT / 'setup.py').read_text()
+    launch = (ROOT / 'launch' / 'allan_ros.launch.py').read_text()
+    for name in re.findall(r'ros2 run allan_ros (\w+)', text):
+        assert f"'{name} = " in setup, name
+    for line in re.findall(r'ros2 launch allan_ros allan_ros\.launch\.py (.*)', text):
+        for argument in re.findall(r'(\w+):=', line):
+            assert f"'{argument}'" in launch, argument
+
+
+def test_pages_from_code_say_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / 'scripts'))
+    reference = importlib.import_module('reference')
+    for name, text in reference.pages().items():
+        assert (ROOT / 'docs' / name).read_text() == text, f'{name}: run `make docs`'
+    sys.modules.pop('reference')
+
+
+def test_pictures_are_small() -> None:
+    pictures = sorted((ROOT / 'docs' / 'images').glob('*.png'))
+    assert pictures
+    assert [p.name for p in pictures if p.stat().st_size > LARGEST_PICTURE] == []
