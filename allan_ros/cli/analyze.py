@@ -22,7 +22,7 @@ from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings
 from .console import Console
 from .options import add_settings, settings_of
-from .outcome import OutcomeSettings, add_runs, check_exports, finish
+from .outcome import OutcomeSettings, add_runs, check_outcome, finish
 
 if TYPE_CHECKING:
     from ..core.findings import Finding
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     from ..io.recordings import ReadOptions
     from .parts import Job, add_findings
 
-    check_exports(args)
+    check_outcome(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     console = Console.of(args)

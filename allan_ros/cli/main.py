@@ -24,6 +24,8 @@ from .parser import EXIT_USAGE, AllanParser
 VERBS = {
     'analyze': 'recordings in, coefficients, curves, plots and a report out',
     'merge': 'add the sums of several runs of one IMU and fit them together',
+    'compare': 'runs side by side, or beside a datasheet: which differences are more than chance',
+    'sensors': 'datasheets of IMUs: list them, or show one with its sources',
     'export': 'write what was measured as the file a filter reads',
     'simulate': 'write a recording of an IMU whose noise is known',
 }

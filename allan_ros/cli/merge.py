@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 
 from .options import add_settings
-from .outcome import OutcomeSettings, Run, add_runs, check_exports, finish
+from .outcome import OutcomeSettings, Run, add_runs, check_outcome, finish
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +29,6 @@ def run(args: argparse.Namespace) -> int:
     """Read, add, fit, show and write."""
     from ..io.documents import read_json, sums_file_from_document
 
-    check_exports(args)
+    check_outcome(args)
     runs = [Run(path, *sums_file_from_document(read_json(path), path)) for path in args.inputs]
     return finish(add_runs(runs), args)

@@ -9,10 +9,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..core.compare import MARGIN
 from ..core.errors import AllanError
 from ..core.fit import METHODS
-from ..core.parameters import parameter
+from ..core.parameters import check, parameter
 from .console import Console
+from .options import settings_of
 
 if TYPE_CHECKING:
     from ..core.sums import AllanSums
@@ -38,6 +40,20 @@ class OutcomeSettings:
         'Files for filters to write besides: kalibr, openvins, px4 ... (`allan export --list` '
         'tells all, `allan export` sets more).',
     )
+    sensor: str = parameter(
+        '',
+        'Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml '
+        'file.',
+    )
+    margin: float = parameter(
+        MARGIN,
+        'Fraction by which a whole interval must lie above what the datasheet states.',
+        low=0.0,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -80,16 +96,21 @@ def add_runs(runs: Iterable[Run]) -> Run:
     return Run(first.name, tuple(sums.values()), provenance)
 
 
-def check_exports(args: argparse.Namespace) -> None:
-    """Refuse what ``--export`` cannot do, before hours of recordings are read.
+def check_outcome(args: argparse.Namespace) -> None:
+    """Refuse what cannot be shown or written, before hours of recordings are read.
 
     Raises
     ------
     AllanError
-        When a target is unknown, or there is no folder to write to.
+        When a target of ``--export`` or the datasheet is unknown, there is no folder to write to,
+        or the margin is out of its range.
     """
     from ..io.exporters import target_of
+    from ..io.sensors import load_sensor
 
+    settings_of(OutcomeSettings, args)
+    if args.sensor:
+        load_sensor(args.sensor)
     for name in args.export:
         target_of(name)
     if args.export and not args.output:
@@ -105,10 +126,13 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
         Exit code: 1 where nothing could be computed, else 0.
     """
     from ..io.results import analyse_sums
+    from ..io.sensors import load_sensor
 
     console = Console.of(args)
     with console.timed(f'fitted by {args.method}'):
         results = analyse_sums(run.sums, run.provenance, args.method)
+    if args.sensor:
+        results = results.held_against(load_sensor(args.sensor), args.margin)
     written = ''
     if args.output:
         from ..io.result_files import write_result_files

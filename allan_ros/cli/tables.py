@@ -19,6 +19,7 @@ from ..io.shown import (
     value_text,
 )
 from .console import coloured, finding_lines, width, wrapped
+from .datasheet_table import datasheet_lines
 
 LABEL, GAP = 16, 2
 """Characters of the first column, and between the columns of two axes."""
@@ -42,12 +43,15 @@ def results_lines(
     for sensor, where in SENSORS.items():
         axes = [_column(results, axis, units) for axis in AXES[where] if axis in results.axes]
         if axes:
-            yield from _table_lines(_labels(sensor, units), axes, columns)
+            yield from table_lines(_labels(sensor, units), axes, columns)
     if any(a.regions for a in results.axes.values()):
         yield ''
         yield from _reading_lines(results, columns)
     yield ''
     yield from wrapped(_legend(results), columns)
+    if results.datasheet is not None:
+        yield ''
+        yield from datasheet_lines(results.datasheet, units, columns)
     for finding in results.findings:
         yield ''
         yield from finding_lines(finding, columns, colours)
@@ -85,7 +89,7 @@ def _column(results: Results, axis: str, units: str) -> list[str]:
     return [*cells, f'{fit.misfit:.0%}' if fit.misfit > 0.0 else NOTHING]
 
 
-def _table_lines(
+def table_lines(
     labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
 ) -> Iterator[str]:
     """Yield the columns beside each other, as many at a time as the width holds."""

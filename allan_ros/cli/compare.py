@@ -1,0 +1,208 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs side by side, or beside a datasheet: which differences are more than chance.
+
+An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
+a datasheet. The first run is what the others are compared with.
+
+  allan compare monday tuesday
+  allan compare cold/results.json warm/results.json --label cold --label warm -o compared
+  allan compare results sensor:adis16475-3 --fail-on-difference
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from ..core.compare import MARGIN
+from ..core.errors import AllanError
+from ..core.fit import METHODS
+from .console import Console, width, wrapped
+
+if TYPE_CHECKING:
+    from ..io.results import Results
+    from ..io.run_comparison import RunComparison
+
+SENSOR_PREFIX = 'sensor:'
+
+EXIT_DIFFERENT = 3
+
+EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: something differs by more than chance'}
+
+NOT_THERE = ''
+"""Stands where a run has no such axis."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this verb."""
+    parser.add_argument(
+        'inputs', nargs='+', metavar='INPUT', help='a run, or sensor:NAME for a datasheet'
+    )
+    parser.add_argument(
+        '-o', '--output', metavar='DIR', help='folder for tables and pictures (default: none)'
+    )
+    parser.add_argument(
+        '--label',
+        action='append',
+        default=[],
+        metavar='TEXT',
+        help='name of a run, in the order of the runs: a temperature, a serial number; may be '
+        'given again (default: its folder or file)',
+    )
+    parser.add_argument(
+        '--sensor',
+        action='append',
+        default=[],
+        metavar='NAME',
+        help='a datasheet besides, as sensor:NAME; `allan sensors` lists them',
+    )
+    parser.add_argument(
+        '--margin',
+        type=float,
+        default=MARGIN,
+        metavar='NUMBER',
+        help='fraction by which a whole interval must lie above what a datasheet states '
+        f'(default {MARGIN:g})',
+    )
+    parser.add_argument(
+        '--fail-on-difference',
+        action='store_true',
+        help=f'exit with {EXIT_DIFFERENT} when anything differs by more than chance, or is beyond '
+        'a datasheet',
+    )
+    result = parser.add_argument_group('result')
+    result.add_argument(
+        '--method',
+        choices=tuple(METHODS),
+        default='gls',
+        help='how sums and recordings are fitted (default gls); results are taken as they are',
+    )
+    result.add_argument(
+        '--units',
+        choices=('datasheet', 'si'),
+        default='datasheet',
+        help='units shown (default datasheet)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, compare, show and write."""
+    from ..io.run_comparison import Subject, compare_runs, comparison_document, labels_of
+    from ..io.sensors import load_sensor
+
+    console = Console.of(args)
+    if not args.margin >= 0.0:
+        raise AllanError(f'--margin {args.margin:g}: give 0 or more')
+    given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
+    names = [text[len(SENSOR_PREFIX) :] for text in given] + args.sensor
+    datasheets = [load_sensor(name) for name in names]
+    paths = [text for text in args.inputs if text not in given]
+    if len(args.label) > len(paths):
+        raise AllanError(f'{len(args.label)} --label for {len(paths)} runs: give one a run at most')
+    labels = [*args.label, *labels_of(paths)[len(args.label) :]]
+    if len(set(labels)) < len(labels):
+        raise AllanError(f'two runs are called {_twice(labels)!r}: tell them apart with --label')
+    if len(paths) + len(datasheets) < 2 or not paths:
+        raise AllanError('give two runs, or a run and sensor:NAME: there is nothing to compare')
+    runs = [Subject(label, _read(path, args, console)) for label, path in zip(labels, paths)]
+    comparison = compare_runs(runs, datasheets, args.margin)
+    if console.json:
+        console.document(comparison_document(comparison))
+    elif not (console.quiet and args.output):
+        print('\n'.join(comparison_lines(comparison, args.units, width())))
+    if args.output:
+        from ..io.compare_files import write_comparison
+
+        written = write_comparison(args.output, comparison, args.units)
+        console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
+    return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
+
+
+def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
+    """Yield the verdict, a table for each sensor, then how the runs stand to datasheets."""
+    from ..core.batch import AXES, SENSORS
+    from ..io.compare_words import headline
+    from .datasheet_table import datasheet_lines
+    from .tables import table_lines
+
+    for sentence in headline(comparison):
+        yield from wrapped(sentence, columns, '  ')
+    for sensor, where in SENSORS.items():
+        axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
+        if axes:
+            cells = [_column(comparison, axis, units) for axis in axes]
+            yield from table_lines(_labels(comparison, sensor, units), cells, columns)
+    yield ''
+    if comparison.pairs:
+        yield from wrapped(
+            f'ratios are to {comparison.runs[0].label}, with 95 % intervals; "higher" and "lower" '
+            f'are more than chance: in runs of equal noise any of all that is compared is called '
+            f'so in at most {comparison.family_error:.0%} of comparisons',
+            columns,
+        )
+    for label, beside in comparison.beside:
+        yield ''
+        yield f'{label}'
+        yield from datasheet_lines(beside, units, columns)
+
+
+def _labels(comparison: RunComparison, sensor: str, units: str) -> list[str]:
+    from ..core.fit import TERMS
+    from ..io.shown import shown_unit
+
+    labels = [sensor]
+    for term in TERMS:
+        unit = shown_unit(sensor, term, units).name
+        for i, subject in enumerate(comparison.runs):
+            labels.append(f'{f"{term} {unit}" if i == 0 else "":16}{subject.label}')
+        labels += [f'{"":16}{pair.second} ratio' for pair in comparison.pairs]
+    labels += [f'deviation {pair.second}' for pair in comparison.pairs]
+    return labels
+
+
+def _column(comparison: RunComparison, axis: str, units: str) -> list[str]:
+    """Return the cells of one axis: each term of each run and its ratio, then the deviations."""
+    from ..core.fit import TERMS
+    from ..io.compare_words import ratio_text, verdict_text
+    from ..io.shown import interval_text, shown_unit, value_text
+
+    cells = [axis.rsplit('_', 1)[1]]
+    for term in TERMS:
+        unit = shown_unit(axis, term, units)
+        for subject in comparison.runs:
+            result = subject.results.axes.get(axis)
+            if result is None:
+                cells.append(NOT_THERE)
+                continue
+            c = result.fit.noise[term]
+            cells.append(f'{value_text(c, unit):9} {interval_text(c, unit)}'.rstrip())
+        for pair in comparison.pairs:
+            d = pair.of(axis, term)
+            said = NOT_THERE if d is None else f'{ratio_text(d)} {verdict_text(d)}'.strip()
+            cells.append(said)
+    for pair in comparison.pairs:
+        tried = [d for d in pair.differences if d.axis == axis and d.tau is not None]
+        off = [d for d in tried if d.verdict in ('higher', 'lower')]
+        cells.append(f'{len(off)} of {len(tried)} differ' if tried else NOT_THERE)
+    return cells
+
+
+def _read(path: str, args: argparse.Namespace, console: Console) -> Results:
+    """Return the results of a path; a recording is analysed as `allan analyze` does."""
+    from ..core.settings import SegmenterSettings
+    from ..io.recordings import ReadOptions
+    from ..io.results import analyse_sums
+    from ..io.run_comparison import read_run
+    from .parts import Job, in_turn
+
+    results = read_run(path, args.method)
+    if results is not None:
+        return results
+    [part] = in_turn([Job(path, ReadOptions(), SegmenterSettings(), '')], console)
+    return analyse_sums(part.run.sums, part.run.provenance, args.method)
+
+
+def _twice(labels: Sequence[str]) -> str:
+    return next(label for label in labels if labels.count(label) > 1)
