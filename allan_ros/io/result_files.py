@@ -17,7 +17,7 @@ from .atomic import write_atomic
 from .documents import results_to_document, sums_file_to_document, to_json
 from .envelope import SignalEnvelope
 from .exporters import export, target_of
-from .report import render_report
+from .report import Beside, render_report
 from .results import Results
 
 
@@ -67,7 +67,7 @@ def write_result_files(
         if figure is not None:
             contents[f'allan_{sensor}.png'] = to_png(figure)
             pictures[sensor] = to_svg(figure)
-    contents['report.html'] = render_report(results, pictures, units)
+    contents['report.html'] = render_report(results, Beside(pictures, signals), units)
     contents['results.json'] = to_json(results_to_document(results))
     contents['sums.json'] = to_json(sums_file_to_document(sums, results.provenance))
     for name, content in contents.items():
