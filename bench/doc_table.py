@@ -26,20 +26,15 @@ class DocTable:
         As in its opening comment.
     heading : sequence of str
         Cells of the heading, the first names a row.
-    order : sequence of str
-        First cells of all rows there are; rows of other names are dropped.
     path : Path
         The document.
     """
 
-    def __init__(
-        self, name: str, heading: Sequence[str], order: Sequence[str], path: Path = RELIABILITY
-    ) -> None:
-        self._opening, self._heading, self._order = f'<!-- table: {name} -->', heading, order
-        self._path = path
+    def __init__(self, name: str, heading: Sequence[str], path: Path = RELIABILITY) -> None:
+        self._opening, self._heading, self._path = f'<!-- table: {name} -->', heading, path
 
     def put(self, *rows: Sequence[str]) -> None:
-        """Write these rows in place of those with the same first cell."""
+        """Write these rows in place of those with the same first cell, or at the end."""
         before, opening, rest = self._path.read_text().partition(self._opening)
         if not opening:
             raise SystemExit(f'{self._path} has no {self._opening}')
@@ -48,8 +43,7 @@ class DocTable:
         known = {line[2:].split(' | ')[0]: line for line in lines}
         known |= {row[0]: _line(row) for row in rows}
         table = [_line(self._heading), '|---' * len(self._heading) + '|']
-        table += [known[name] for name in self._order if name in known]
-        text = '\n'.join(table)
+        text = '\n'.join([*table, *known.values()])
         write_atomic(self._path, f'{before}{opening}\n{text}\n<!-- end -->{after}')
 
 

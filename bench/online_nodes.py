@@ -4,20 +4,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 TICKS = os.sysconf('SC_CLK_TCK')
-os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
 
 RELIABLE = (
@@ -28,12 +28,35 @@ RELIABLE = (
 
 
 class Process:
-    """A Python process, with what it costs."""
+    """A Python process, with what it costs.
 
-    def __init__(self, *command: str) -> None:
-        self.popen = subprocess.Popen(
-            [sys.executable, *command], env={**os.environ, 'PYTHONPATH': str(ROOT)}
-        )
+    Parameters
+    ----------
+    *command : str
+        Arguments of Python.
+    prefix : sequence of str
+        What runs it, such as ``('nice', '-n', '19')``.
+    env : mapping of str
+        Added to the environment.
+    log : Path, optional
+        Where its output goes; by default to ours.
+    """
+
+    def __init__(
+        self,
+        *command: str,
+        prefix: Sequence[str] = (),
+        env: Mapping[str, str] | None = None,
+        log: Path | None = None,
+    ) -> None:
+        with contextlib.ExitStack() as stack:
+            out = stack.enter_context(log.open('wb')) if log else None
+            self.popen = subprocess.Popen(
+                [*prefix, sys.executable, *command],
+                env={**os.environ, 'PYTHONPATH': str(ROOT), **(env or {})},
+                stdout=out,
+                stderr=subprocess.STDOUT if out else None,
+            )
 
     def cpu_s(self) -> float:
         """Return the CPU time used so far, in s."""
@@ -52,17 +75,23 @@ class Process:
         return self.popen.wait(60)
 
 
-def start(name: str, *arguments: str, ros: Iterable[str] = ()) -> Process:
-    """Start one of our nodes with parameters ``name:=value``."""
+def start(
+    name: str, *arguments: str, ros: Iterable[str] = (), remap: Iterable[str] = (), **how: Any
+) -> Process:
+    """Start one of our nodes with parameters ``name:=value`` and remappings ``old:=new``.
+
+    ``how`` goes to `Process`.
+    """
     given = [x for parameter in ros for x in ('-p', parameter)]
+    given += [x for names in remap for x in ('-r', names)]
     ros_args = ['--ros-args', '--log-level', 'error', *given]
-    return Process('-m', f'allan_ros.nodes.{name}', *arguments, *ros_args)
+    return Process('-m', f'allan_ros.nodes.{name}', *arguments, *ros_args, **how)
 
 
-@contextmanager
-def node(name: str, *arguments: str, ros: Iterable[str] = ()) -> Iterator[Process]:
+@contextlib.contextmanager
+def node(name: str, *arguments: str, **how: Any) -> Iterator[Process]:
     """Run one of our nodes within the block."""
-    started = start(name, *arguments, ros=ros)
+    started = start(name, *arguments, **how)
     try:
         yield started
     finally:
@@ -102,6 +131,11 @@ class Client:
             if name.endswith(ending):
                 return next((v.value for v in status.values if v.key.startswith(key)), '')
         return ''
+
+    def message(self, ending: str) -> str:
+        """Return the message of the status whose name ends so; '' where there is none."""
+        found = (s.message for name, s in self.statuses.items() if name.endswith(ending))
+        return next(found, '')
 
     def publisher(self) -> Any:
         """Return a publisher of Imu that a subscriber has found."""

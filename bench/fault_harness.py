@@ -1,0 +1,350 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A stream to put faults into, and a trial that notes what they cost and what was said of them."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+from online_nodes import Client, Process, start
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.simulate import LEVEL
+from allan_ros.core.sums_document import sums_from_document, sums_to_document
+from allan_ros.io.imu_cdr import encode_imus
+
+RATE_HZ = 200.0
+PERIOD_NS = round(1e9 / RATE_HZ)
+BLOCK = 20
+"""Samples that a fault is given at a time: a tenth of a second."""
+STD = [7e-4] * 3 + [1.1e-2] * 3
+HEALTHY_S = 12.0
+"""Evidence before a fault, in s: rate and noise floor are learned, and sums are there."""
+AFTER_S = 5.0
+"""How long a trial goes on after the evidence grows again."""
+PATIENCE_S = 90.0
+LEVELS = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR', b'\3': 'STALE'}
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one fault did, as the table shows it."""
+
+    fault: str
+    lost: str
+    said: str
+    delay: str
+    recovered: str
+    exits: str
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The cells, in the order of the heading."""
+        return self.fault, self.lost, self.said, self.delay, self.recovered, self.exits
+
+
+REASONS = {
+    'lost': 'missing by the stamps',
+    'not_finite': 'not finite',
+    'duplicate': 'duplicate',
+    'backward': 'stamped backward',
+    'untimed': 'without a time',
+    'moving': 'moving',
+    'stuck': 'stuck',
+    'bridged': 'interpolated',
+}
+"""Count in the checkpoint -> how the table calls it."""
+
+HEADING = ('fault', 'what was lost', 'what was said', 'said after', 'evidence again after', 'exit')
+
+
+FAULTS: dict[str, tuple[Callable[[Client, Path], Row], str]] = {}
+"""Name on the command line -> what to run, and what it needs: '', 'root' or 'network' (root, and
+network namespaces)."""
+
+
+def fault(
+    needs: str = '',
+) -> Callable[[Callable[[Client, Path], Row]], Callable[[Client, Path], Row]]:
+    """Enter a function into `FAULTS` by its name."""
+
+    def enter(function: Callable[[Client, Path], Row]) -> Callable[[Client, Path], Row]:
+        FAULTS[function.__name__] = function, needs
+        return function
+
+    return enter
+
+
+class Stream:
+    """Publishes a still IMU, each sample when it is due, in a thread and with a ROS context of
+    its own.
+
+    Attributes
+    ----------
+    change : callable
+        What a fault makes of each block before it is sent; set it and put `healthy` back.
+    made, sent : int
+        Samples before and after ``change``.
+    truth : list of ImuBatch
+        What was sent.
+    """
+
+    def __init__(self, topic: str = 'imu/data', frame_id: str = 'imu', seed: int = 1) -> None:
+        self.topic, self.frame_id = topic, frame_id
+        self.change: Callable[[ImuBatch], ImuBatch] = healthy
+        self.made = self.sent = 0
+        self.truth: list[ImuBatch] = []
+        self.silent = False
+        self._rng = np.random.default_rng(seed)
+        self._stop = threading.Event()
+        self.open()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def open(self) -> None:
+        """Make the participant and wait until a subscriber has found it."""
+        import rclpy
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import Imu
+
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node('driver', context=self._context)
+        self._publisher = self._node.create_publisher(Imu, self.topic, QoSProfile(depth=1000))
+        while not self._publisher.get_subscription_count():
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        """Destroy the participant; samples go nowhere until it is opened again."""
+        self._node.destroy_node()
+        self._context.shutdown()
+
+    def begin(self) -> None:
+        """Start to publish."""
+        time.sleep(2.0)  # the subscriber may not have found this one yet
+        self._thread.start()
+
+    def end(self) -> None:
+        """Stop publishing."""
+        self._stop.set()
+        self._thread.join()
+
+    def _work(self) -> None:
+        began, start_ns = time.monotonic(), time.time_ns()
+        while not self._stop.is_set():
+            stamps = start_ns + (self.made + np.arange(BLOCK)) * PERIOD_NS
+            noise = self._rng.standard_normal((BLOCK, 6)) * STD + np.array(LEVEL)
+            due = began + self.made / RATE_HZ
+            self.made += BLOCK
+            block = self.change(ImuBatch(stamps, noise, frame_id=self.frame_id))
+            if self.silent:
+                time.sleep(max(0.0, due + BLOCK / RATE_HZ - time.monotonic()))
+                continue
+            for i, payload in enumerate(encode_imus(block, 'cdr')):
+                wait = due + i * BLOCK / len(block) / RATE_HZ - time.monotonic()
+                if wait > 0:
+                    time.sleep(wait)
+                self._publisher.publish(bytes(payload))
+            self.sent += len(block)
+            self.truth.append(block)
+
+
+def healthy(block: ImuBatch) -> ImuBatch:
+    """Return the block as it is."""
+    return block
+
+
+class Hearing:
+    """What the diagnostics say, and when the evidence grows.
+
+    Parameters
+    ----------
+    client : Client
+    ending : str
+        Of the name of the status of the input whose evidence is followed.
+
+    Attributes
+    ----------
+    said : list of (time in s, level and message)
+        Every new message that is not OK; one that differs only in its numbers is not new.
+    grew : list of float
+        When the evidence had grown.
+    """
+
+    def __init__(self, client: Client, ending: str = 'input') -> None:
+        self.client, self.ending = client, ending
+        self.said: list[tuple[float, str]] = []
+        self.grew: list[float] = []
+        self._evidence = 0.0
+        self._latest: dict[str, str] = {}
+        client.on_status = self._hear
+
+    def _hear(self, status: Any) -> None:
+        now = time.monotonic()
+        values = {v.key: v.value for v in status.values}
+        if status.name.endswith(self.ending):
+            evidence = float(values['evidence [s]'])
+            if evidence > self._evidence and not status.message.startswith('moving'):
+                self.grew.append(now)
+            self._evidence = evidence
+        words = re.sub(r'\(and \d+ more\)|[\d.%]+', '', status.message)
+        if status.level == b'\0' or self._latest.get(status.name) == words:
+            if status.level == b'\0':
+                self._latest.pop(status.name, None)
+            return
+        self._latest[status.name] = words
+        self.said.append((now, f'{LEVELS[status.level]}: {status.message}'))
+        print(f'{now:9.1f} {status.name}: {self.said[-1][1]}', file=sys.stderr, flush=True)
+
+    def first_since(self, time_s: float) -> tuple[float, str]:
+        """Return when the first message since came, and its words; NaN and '' without one."""
+        return next((each for each in self.said if each[0] >= time_s), (math.nan, ''))
+
+    def grew_since(self, time_s: float) -> float:
+        """Return when the evidence first grew since then; NaN if it did not."""
+        return next((at for at in self.grew if at > time_s), math.nan)
+
+    def until(self, holds: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
+        """Let time pass until it holds and return when; NaN if it never does."""
+        end = time.monotonic() + patience_s
+        while not holds():
+            if time.monotonic() > end:
+                return math.nan
+            self.client.spin(0.05)
+        return time.monotonic()
+
+
+class Trial:
+    """A node that watches a stream, with a fault in the middle.
+
+    Parameters
+    ----------
+    client : Client
+    folder : Path
+        Where the checkpoint goes.
+    ros : sequence of str
+        Parameters of the node.
+    name : str
+        Of the node.
+    stream : callable
+        Makes the stream.
+    label : str
+        Of the IMU, where the node watches several.
+    **how
+        To `start`.
+
+    Attributes
+    ----------
+    began, ended : float
+        When the fault began and ended.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        folder: Path,
+        ros: Sequence[str] = (),
+        name: str = 'monitor',
+        stream: Callable[[], Stream] = Stream,
+        label: str = '',
+        **how: Any,
+    ) -> None:
+        self.hearing = Hearing(client, f'{label} input' if label else 'input')
+        self.checkpoint = folder / f'{label or "imu"}.json'
+        self._name, self._how = name, how
+        self._ros = (f'checkpoint.path:={folder if label else self.checkpoint}', *ros)
+        self.watched = self.start()
+        self.stream = stream()
+        self.stream.begin()
+        if math.isnan(self.hearing.until(self._healthy)):
+            raise SystemExit(f'{name} does not get healthy')
+        self.began = self.ended = time.monotonic()
+
+    def start(self) -> Process:
+        """Start the node; also anew, after it was killed."""
+        self.watched = start(self._name, ros=self._ros, **self._how)
+        return self.watched
+
+    def spin(self, seconds: float) -> None:
+        """Let time pass."""
+        self.hearing.client.spin(seconds)
+
+    @contextmanager
+    def fault(self, seconds: float = 0.0) -> Iterator[None]:
+        """Note when the fault, which is put in within the block, begins and ends; it lasts so
+        long beyond the block."""
+        self.began = time.monotonic()
+        yield
+        self.spin(seconds)
+        self.ended = time.monotonic()
+
+    def faulty(self, change: Callable[[ImuBatch], ImuBatch], seconds: float) -> None:
+        """Send what the change makes of the samples, for so long."""
+        with self.fault():
+            self.stream.change = change
+            self.spin(seconds)
+            self.stream.change = healthy
+
+    def row(self, fault: str, note: str = '', same: bool = True) -> Row:
+        """Wait for recovery, end all, and return what happened.
+
+        Parameters
+        ----------
+        fault, note : str
+            What was done, and what to add to what was lost.
+        same : bool
+            Whether the sums can be held against an offline run of what was sent.
+        """
+        self.hearing.until(lambda: not math.isnan(self.hearing.grew_since(self.ended)))
+        grows = self.hearing.grew_since(self.ended)
+        self.spin(AFTER_S)
+        said_s, words = self.hearing.first_since(self.began)
+        self.stream.end()
+        self.spin(1.5)
+        code = self.watched.end(signal.SIGINT)
+        words = words.replace(f'{self.checkpoint.parent}/', '')
+        return Row(
+            fault,
+            '; '.join(x for x in (self._lost(same), note) if x),
+            words or 'nothing',
+            f'{said_s - self.began:.1f} s' if words else '-',
+            'never' if math.isnan(grows) else f'{grows - self.ended:.1f} s',
+            str(code),
+        )
+
+    def _healthy(self) -> bool:
+        evidence = self.hearing.client.value(self.hearing.ending, 'evidence')
+        return evidence not in ('', 'unknown') and float(evidence) >= HEALTHY_S
+
+    def _lost(self, same: bool) -> str:
+        """Return what of the samples is not among the sums, why, and whether these are right."""
+        document = json.loads(self.checkpoint.read_text())
+        counts = document['counts']
+        held = max(sums_from_document(each).samples for each in document['sums'])
+        kept = held - counts['bridged']
+        made = self.stream.made
+        reasons = [f'{counts[key]} {words}' for key, words in REASONS.items() if counts.get(key)]
+        text = f'{made - kept} of {made}' + (f' ({", ".join(reasons)})' if reasons else '')
+        if not same:
+            return text
+        offline = ImuAccumulator()
+        for block in self.stream.truth:
+            offline.update(block)
+        offline.end()
+        expected = json.loads(json.dumps([sums_to_document(s) for s in offline.result().sums]))
+        verdict = 'the same, bit for bit' if document['sums'] == expected else 'NOT THE SAME'
+        return f'{text}; sums against the offline run: {verdict}'

@@ -1,0 +1,167 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that die: SIGKILL, and the same command again some seconds later."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fault_harness import Hearing, Row, Trial, fault
+from online_nodes import Client, Process, node, start
+
+DOWN_S = 8.0
+"""How long a killed node stays away: somebody has to notice."""
+
+QUICK_SUMS = 'publish.sums_period:=2.0'
+"""For trials of a minute; 10 s by default."""
+
+
+class Watch:
+    """`allan_watch` beside the nodes: it tells of a node that says nothing any more."""
+
+    def __init__(self, folder: Path) -> None:
+        self._log = folder / 'watch.log'
+        self._process = Process('-m', 'allan_ros.nodes.watch', '--plain', log=self._log)
+
+    def stale(self, name: str) -> str:
+        """Return the first line that calls a status whose name begins so stale; '' without one."""
+        lines = (line.split(' ', 1)[-1] for line in self._log.read_text().splitlines())
+        found = next((x for x in lines if x.startswith('STALE') and name in x), '')
+        return f'allan_watch: {found}' if found else ''
+
+    def end(self) -> None:
+        """End it."""
+        self._process.end()
+
+
+def _title(name: str) -> str:
+    return f'kill -9 of {name}, started again after {DOWN_S:.0f} s'
+
+
+@fault()
+def kill_monitor(client: Client, folder: Path) -> Row:
+    """The monitor dies between two checkpoints."""
+    watch = Watch(folder)
+    row = _kill_watching(client, folder, 'monitor')
+    said = watch.stale('input')
+    watch.end()
+    return replace(row, said=said or 'nothing', delay='5 s' if said else '-')
+
+
+@fault()
+def kill_accumulator(client: Client, folder: Path) -> Row:
+    """The accumulator dies; an estimator listens to it."""
+    with node('estimator', ros=(QUICK_SUMS,), remap=('sums:=/allan_accumulator/sums',)):
+        return _kill_watching(client, folder, 'accumulator')
+
+
+def _kill_watching(client: Client, folder: Path, name: str) -> Row:
+    trial = Trial(client, folder, ('checkpoint.period:=5.0', QUICK_SUMS), name)
+    with trial.fault():
+        trial.watched.end(signal.SIGKILL)
+        trial.spin(DOWN_S)
+    trial.start()
+    return trial.row(_title(f'allan_{name}'), 'checkpoint.period 5 s', same=False)
+
+
+@fault()
+def kill_estimator(client: Client, folder: Path) -> Row:
+    """The estimator dies; the accumulator goes on."""
+    how: dict[str, Any] = {'ros': (QUICK_SUMS,), 'remap': ('sums:=/allan_accumulator/sums',)}
+    watch, estimator = Watch(folder), start('estimator', **how)
+    trial = Trial(client, folder, (QUICK_SUMS,), 'accumulator')
+    fitted = trial.hearing.until(lambda: ' N ' in f' {client.message("gyro x")}')
+    if math.isnan(fitted):
+        raise SystemExit('the estimator says no N')
+    with trial.fault():
+        estimator.end(signal.SIGKILL)
+        trial.spin(DOWN_S)
+    client.statuses.clear()
+    estimator = start('estimator', **how)
+    again = trial.hearing.until(lambda: ' N ' in f' {client.message("gyro x")}')
+    said = watch.stale('gyro x')
+    watch.end()
+    row = trial.row(_title('allan_estimator'))
+    code = estimator.end(signal.SIGINT)
+    return replace(
+        row,
+        said=said or 'nothing',
+        delay='5 s' if said else '-',
+        recovered=f'coefficients after {again - trial.ended:.1f} s',
+        exits=f'{row.exits}, {code}',
+    )
+
+
+@fault()
+def kill_relay(client: Client, folder: Path) -> Row:
+    """The relay dies; what is behind it gets nothing."""
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import Imu
+
+    filled: list[tuple[float, bool]] = []
+
+    def on_imu(message: Imu) -> None:
+        filled.append((time.monotonic(), message.angular_velocity_covariance[0] > 0.0))
+
+    client.node.create_subscription(Imu, 'imu/data_with_covariance', on_imu, QoSProfile(depth=1000))
+    remap = ('noise_model:=/allan_monitor/noise_model',)
+    watch, relay = Watch(folder), start('relay', remap=remap)
+    trial = Trial(client, folder, (QUICK_SUMS,))
+    trial.hearing.until(lambda: bool(filled) and filled[-1][1])
+    with trial.fault():
+        relay.end(signal.SIGKILL)
+        made = trial.stream.made
+        trial.spin(DOWN_S)
+    relay = start('relay', remap=remap)
+    before = len(filled)
+    trial.hearing.until(lambda: len(filled) > before)
+    lost = trial.stream.made - made
+    again = filled[before][0] - trial.ended
+    trial.hearing.until(lambda: filled[-1][1])
+    known = next(at for at, is_filled in filled[before:] if is_filled) - trial.ended
+    said = watch.stale('relay')
+    watch.end()
+    row = trial.row(_title('allan_imu_relay'), f'{lost} messages were not relayed')
+    code = relay.end(signal.SIGINT)
+    return replace(
+        row,
+        said=said or 'nothing',
+        delay='5 s' if said else '-',
+        recovered=f'messages after {again:.1f} s, filled after {known:.1f} s',
+        exits=f'{row.exits}, {code}',
+    )
+
+
+@fault()
+def kill_player(client: Client, folder: Path) -> Row:
+    """The player dies in the middle of a recording."""
+    hearing = Hearing(client)
+    checkpoint = folder / 'imu.json'
+    monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
+    arguments = ('--simulate', '300')
+    player = start('player', *arguments)
+    hearing.until(lambda: bool(hearing.grew) and float(client.value('input', 'evidence')) > 12.0)
+    began = time.monotonic()
+    player.end(signal.SIGKILL)
+    client.spin(DOWN_S)
+    ended = time.monotonic()
+    player = start('player', *arguments)
+    hearing.until(lambda: not math.isnan(hearing.grew_since(ended)))
+    client.spin(8.0)
+    lost = client.value('input', 'lost on the way')
+    received, used = (int(client.value('input', key)) for key in ('received', 'used'))
+    said_s, words = hearing.first_since(began)
+    codes = player.end(signal.SIGINT), monitor.end(signal.SIGINT)
+    return Row(
+        _title('allan_player'),
+        f'{received - used} of {received} received, {lost} on the way',
+        words or 'nothing',
+        f'{said_s - began:.1f} s',
+        f'{hearing.grew_since(ended) - ended:.1f} s',
+        ', '.join(map(str, codes)),
+    )
