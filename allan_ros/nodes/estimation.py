@@ -23,6 +23,7 @@ from ..core.sums import AllanSums
 from ..io.documents import read_json, results_from_document, results_to_document
 from ..io.results import Results, analyse_sums
 from ..io.sensors import load_sensor
+from .allan_plot import AllanPlot
 from .axis_diagnostics import AxisView, axis_status
 from .checkpointing import Total
 from .diagnostics import status_name
@@ -91,6 +92,7 @@ class ImuEstimate:
         self._changes: dict[str, Change] = {}
         home = f'~/{label}/' if label else '~/'
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
+        self._plot = AllanPlot(node, home, lambda: settings.value.plot_period, worker)
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def take(self, total: Total) -> None:
@@ -104,7 +106,8 @@ class ImuEstimate:
             self._start(total)
 
     def tick(self, now: float) -> None:
-        """Learn what became of a fit."""
+        """Learn what became of a fit, and show it to who looks."""
+        self._plot.tick(now)
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
@@ -125,6 +128,7 @@ class ImuEstimate:
         document = results_to_document(self._results, curves=False)
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
+        self._plot.take(self._results)
         if self._listener is not None:
             self._listener(self._results)
 

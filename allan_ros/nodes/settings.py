@@ -157,6 +157,13 @@ class EstimatorSettings:
         high=604800.0,
         read_only=True,
     )
+    plot_period: float = parameter(
+        10.0,
+        'Least time between two pictures of the curves; none is drawn while nobody subscribes.',
+        unit='s',
+        low=1.0,
+        high=86400.0,
+    )
 
 
 @dataclass(frozen=True)

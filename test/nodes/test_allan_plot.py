@@ -1,0 +1,65 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Allan plot goes to who subscribes, as a PNG; who does not look pays nothing."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+OK = b'\x00'
+QUICK = {
+    'qos_overrides./imu/data.subscription.reliability': 'reliable',
+    'qos_overrides./imu/data.subscription.history': 'keep_all',
+    'publish.sums_period': 0.3,
+    'publish.diagnostics_period': 0.2,
+    'estimator.method': 'relative',
+    'estimator.plot_period': 1.0,
+}
+TOPIC = '/allan_monitor/allan_plot/gyro/compressed'
+
+
+def subscribe(graph, topic: str = TOPIC) -> list:
+    from sensor_msgs.msg import CompressedImage
+
+    pictures: list = []
+    graph.node.create_subscription(CompressedImage, topic, pictures.append, 1)
+    return pictures
+
+
+def test_the_plot_is_drawn_for_who_subscribes_and_not_before(graph, still_imu):
+    image = pytest.importorskip('matplotlib.image')
+    monitor = graph.start('monitor', **QUICK)
+    graph.send(graph.publisher(), still_imu(6000))
+    graph.until(lambda: (s := graph.status('gyro x')) and s.message[0] == 'N')
+    loaded = Path(f'/proc/{monitor.popen.pid}/maps')
+    assert 'matplotlib' not in loaded.read_text()
+    pictures = subscribe(graph)
+    picture = graph.until(lambda: pictures and pictures[-1])
+    assert picture.format == 'png' and picture.header.stamp.sec > 0
+    height, width, _ = image.imread(io.BytesIO(bytes(picture.data)), format='png').shape
+    assert width > 800 and height > 500
+    assert len(picture.data) < 1_000_000
+    assert 'matplotlib' in loaded.read_text()
+    drawn = len(pictures)
+    graph.spin(1.5)
+    assert len(pictures) == drawn  # nothing new to show: nothing is drawn
+
+
+def test_without_matplotlib_it_is_said_once_and_the_rest_goes_on(
+    graph, still_imu, tmp_path, monkeypatch
+):
+    (tmp_path / 'matplotlib.py').write_text('raise ImportError("No module named matplotlib")\n')
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
+    monitor = graph.start('monitor', **QUICK)
+    pictures = subscribe(graph)
+    graph.send(graph.publisher(), still_imu(6000))
+    graph.until(lambda: 'no allan_plot' in monitor.output)
+    graph.spin(1.5)
+    assert monitor.output.count('no allan_plot') == 1
+    assert 'install python3-matplotlib' in monitor.output and 'Traceback' not in monitor.output
+    assert graph.status('gyro x').level == OK and not pictures
