@@ -126,10 +126,10 @@ class _CoarsePhase:
         self.step = 1
         self.points = np.empty((axes, 0))
 
-    def extended(self, theta: Floats, first: int) -> tuple[Floats, int]:
-        """Return points and step with theta added, whose first point has index ``first``."""
+    def extended(self, theta: Floats, base: Floats, first: int) -> tuple[Floats, int]:
+        """Return points and step with base + theta added, whose first point has that index."""
         step = self.step
-        points = np.concatenate([self.points, theta[:, -first % step :: step]], axis=1)
+        points = np.concatenate([self.points, theta[:, -first % step :: step] + base], axis=1)
         while points.shape[1] > PHASE_POINTS:
             points, step = points[:, ::2], 2 * step
         return points, step
@@ -174,7 +174,7 @@ class OpenSegment:
     def _sum_from_bottom(self) -> None:
         bottom = self.levels[0]
         self.coarse.points, self.coarse.step = self.coarse.extended(
-            bottom.waiting() + self.base, bottom.summed
+            bottom.waiting(), self.base, bottom.summed
         )
         upward = bottom.sum_block() + self.base
         last = bottom.points[:, _HISTORY - 1 : _HISTORY].copy()
@@ -215,7 +215,7 @@ class OpenSegment:
             carry = new[:, ::2] + self.base if j == 0 else new[:, ::2]
             j += 1
         bottom = self.levels[0]
-        phase, step = self.coarse.extended(bottom.waiting() + self.base, bottom.summed)
+        phase, step = self.coarse.extended(bottom.waiting(), self.base, bottom.summed)
         cut = (len(m), len(axes))
         record = SegmentRecord(
             self.start_ns,

@@ -14,8 +14,8 @@ import numpy as np
 
 from .bag_storage import Block, Cut, Topic, damaged, normal_type, translated
 
-ROWS = 8192
-"""Most rows fetched at a time: a few MB."""
+ROWS = 2048
+"""Most rows fetched at a time: those of an Imu are less than 1 MB and stay in the cache."""
 FIRST_ROWS = 64
 """Rows of the first batch, when nothing is known of their size."""
 BATCH_BYTES = 1 << 22

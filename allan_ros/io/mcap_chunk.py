@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +138,7 @@ def _gathered(data: bytes, start: NDArray[np.int64], dtype: np.dtype[np.void]) -
     return anywhere[start]
 
 
+@lru_cache(maxsize=64)
 def _message_dtype(length: int) -> np.dtype[np.void] | None:
     """Return the layout of message records of that length, or None when they hold nothing."""
     if length <= MESSAGE_HEAD.size:
