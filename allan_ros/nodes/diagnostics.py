@@ -91,6 +91,7 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('segments', max((s.segment_count for s in view.sums), default=0)),
         ('share of still time', h.still_share),
         ('received [messages]', r.received),
+        ('sent before the first came [messages]', r.sent_before),
         ('lost on the way [messages]', r.lost),
         ('malformed [messages]', r.malformed),
         ('used [samples]', c.used),

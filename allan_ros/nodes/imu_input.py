@@ -32,6 +32,9 @@ from .settings import InputSettings
 DRAIN_LIMIT = 50_000
 """Messages taken in one drain: a publisher that outruns us must not lock the node in it."""
 
+FIRST_NUMBER = 1
+"""Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
+
 
 class DrainedGroup(CallbackGroup):
     """A callback group that never executes: its subscription stays out of the wait set."""
@@ -159,6 +162,8 @@ class ImuInput:
             return
         gid = info.get('publisher_gid')
         who = b'' if gid is None else gid['data']
+        if who not in self._last_number:
+            self._reception.sent_before += number - FIRST_NUMBER
         missing = number - self._last_number.get(who, number - 1) - 1
         self._last_number[who] = number
         # Before Kilted nothing tells the messages of two publishers apart.

@@ -27,6 +27,7 @@ from ..core.errors import AllanError
 from ..core.simulate import NoiseTerms, simulate_imu
 from ..io.imu_cdr import encode_imus
 from ..io.recordings import ReadOptions, Recording, open_recordings
+from .handshake import Handshake
 from .shell import STEADY, run
 
 CLOCK_PERIOD_S = 0.025
@@ -34,9 +35,6 @@ CLOCK_PERIOD_S = 0.025
 
 POLL_S = 0.05
 """How often waiting for subscribers or acknowledgements looks whether it should stop."""
-
-SETTLE_S = 1.0
-"""How long it waits after a subscriber was found: that one may not have found the player yet."""
 
 LINGER_S = 0.5
 """How long the publisher stays after the last acknowledgement, for readers to take their queue."""
@@ -71,7 +69,11 @@ class Player(Node):
         self._stop = stop
         self._error: AllanError | None = None
         self._played = 0
-        self.create_timer(POLL_S, lambda: None, clock=STEADY)  # signals are heeded when it wakes
+        self._handshake = Handshake(self, self._publisher, options.wait)
+        self._heard = threading.Event()
+        self.create_timer(
+            POLL_S, self._tick, clock=STEADY
+        )  # signals, too, are heeded when it wakes
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
 
@@ -81,6 +83,17 @@ class Player(Node):
         self._thread.join()
         if self._error is not None:
             raise self._error
+
+    def _tick(self) -> None:
+        """Wait for the subscribers, in the executor that their answers come to."""
+        if self._heard.is_set() or not self._handshake.update():
+            return
+        for name in self._handshake.silent():
+            self.get_logger().warning(
+                f'{name} subscribes and does not answer: whether it misses the start is not known'
+            )
+        self._handshake.close()
+        self._heard.set()
 
     def _work(self) -> None:
         """Play to the end (in a thread of its own), then end the node."""
@@ -154,10 +167,8 @@ class Player(Node):
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
 
     def _wait_for_subscribers(self) -> None:
-        wanted = self._options.wait
-        while self._publisher.get_subscription_count() < wanted and not self._stop.is_set():
-            self._stop.wait(POLL_S)
-        self._stop.wait(SETTLE_S)
+        while not (self._stop.is_set() or self._heard.wait(POLL_S)):
+            pass
 
     def _wait_for_acknowledgements(self) -> None:
         poll = Duration(seconds=POLL_S)

@@ -31,16 +31,10 @@ PATIENCE_S = 60.0
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give the graphs to one worker, for two at a time starve each other, and a second chance.
-
-    DDS tells a writer of a reader before it tells the reader of the writer. On a loaded machine
-    that can take longer than anyone waits, and what a volatile writer sends between is lost: one
-    or two of the seventy met that in a run. It is told as a rerun, and fails if it happens thrice.
-    """
+    """Give the graphs to one worker, for two at a time starve each other."""
     for item in items:
         if item.path.parent == Path(__file__).parent:
             item.add_marker(pytest.mark.xdist_group('graphs'))
-            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 def _domains_of_processes() -> set[int]:
@@ -176,15 +170,23 @@ class Graph:
             self.node._parameter_overrides[name] = Parameter(name, value=value)
 
     def publisher(self, topic: str = 'imu/data') -> Any:
-        """Return a publisher of Imu that keeps all, once a subscriber has found it."""
+        """Return a publisher of Imu that keeps all, once it and a subscriber know each other."""
         from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
 
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         publisher = self.node.create_publisher(Imu, topic, qos)
-        self.until(publisher.get_subscription_count)
-        self.spin(2.0)  # the subscriber may not have found this one yet
+        self.introduce(publisher)
         return publisher
+
+    def introduce(self, publisher: Any, wanted: int = 1) -> None:
+        """Wait until so many subscribers, or more, and this publisher have found each other."""
+        from allan_ros.nodes.handshake import Handshake
+
+        handshake = Handshake(self.node, publisher, wanted)
+        self.until(handshake.update)
+        assert not handshake.silent()
+        handshake.close()
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:
         """Publish every sample; a full queue of a reliable subscriber makes it wait."""

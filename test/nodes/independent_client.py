@@ -87,6 +87,18 @@ class DiagnosticArray(IdlStruct, typename='diagnostic_msgs::msg::dds_::Diagnosti
     status: sequence[DiagnosticStatus]
 
 
+def listen(reader: DataReader, heard: dict[str, DiagnosticStatus]) -> None:
+    """Take what has come, or wait for a moment."""
+    for message in reader.take(100):
+        heard |= {status.name: status for status in message.status}
+    time.sleep(0.1)
+
+
+def told(heard: dict[str, DiagnosticStatus]) -> dict[str, str]:
+    """Return what is said of the input."""
+    return {v.key: v.value for s in heard.values() if 'input' in s.name for v in s.values}
+
+
 def main(domain: int, samples: int) -> None:
     """Publish, then listen until the statuses tell of all samples and of an axis."""
     participant = DomainParticipant(domain)
@@ -94,9 +106,14 @@ def main(domain: int, samples: int) -> None:
     writer = DataWriter(participant, Topic(participant, 'rt/imu/data', Imu), qos=qos)
     reader = DataReader(participant, Topic(participant, 'rt/diagnostics', DiagnosticArray), qos=qos)
     deadline = time.monotonic() + PATIENCE_S
-    while not writer.get_matched_subscriptions() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    time.sleep(3.0)  # the other side may not have found this one yet
+    heard: dict[str, DiagnosticStatus] = {}
+    # matched on this side, and known on the other
+    while not (
+        writer.get_matched_subscriptions() and told(heard).get('publishers', 'none') != 'none'
+    ):
+        if time.monotonic() > deadline:
+            raise SystemExit('nobody listens')
+        listen(reader, heard)
     rng, unknown, start = np.random.default_rng(0), [0.0] * 9, time.time_ns()
     for i in range(samples):
         sec, nanosec = divmod(start + i * PERIOD_NS, 10**9)
@@ -104,15 +121,11 @@ def main(domain: int, samples: int) -> None:
         header = Header(Time(sec, nanosec), 'independent')
         level = Quaternion(0.0, 0.0, 0.0, 1.0)
         writer.write(Imu(header, level, unknown, Vector3(*gyro), unknown, Vector3(*accel), unknown))
-    heard: dict[str, DiagnosticStatus] = {}
     while time.monotonic() < deadline:
-        for message in reader.take(100):
-            heard |= {status.name: status for status in message.status}
-        told = {v.key: v.value for s in heard.values() if 'input' in s.name for v in s.values}
-        done = told.get('used [samples]') == str(samples)
+        listen(reader, heard)
+        done = told(heard).get('used [samples]') == str(samples)
         if done and any('N ' in s.message for s in heard.values()):
             break
-        time.sleep(0.1)
     print(
         json.dumps(
             {

@@ -147,7 +147,7 @@ def test_a_checkpoint_of_another_imu_is_kept(graph, still_imu, tmp_path: Path):
     graph.statuses.clear()
     graph.until(lambda: publisher.get_subscription_count() == 0)
     node = graph.start('accumulator', **settings)
-    graph.until(publisher.get_subscription_count)
+    graph.introduce(publisher)
     graph.send(publisher, still_imu(2000, frame_id='right'))
     status = graph.until(
         lambda: saved_samples(graph) == 2000 and (s := graph.status('input')).level == b'\x01' and s

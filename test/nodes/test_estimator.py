@@ -71,7 +71,7 @@ def test_sums_that_cannot_be_read_are_survived(graph):
 
     graph.start('estimator', **{'publish.diagnostics_period': 0.2})
     publisher = graph.node.create_publisher(String, 'sums', LATCHED)
-    graph.until(publisher.get_subscription_count)
+    graph.introduce(publisher)
     for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/sums_file/1", "sums": [3]}'):
         graph.statuses.clear()
         publisher.publish(String(data=text))

@@ -13,8 +13,6 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from rclpy.parameter import Parameter
-
 from allan_ros.core.batch import ImuBatch
 from allan_ros.io.writing import write_recording
 from allan_ros.nodes.imu_input import ImuInput
@@ -28,9 +26,6 @@ class Ear:
         self._graph = graph
         start = 'qos_overrides./imu/data.subscription'
         graph.override(**{f'{start}.reliability': 'reliable', f'{start}.history': 'keep_all'})
-        # reliable, so that what is sent before it has found the player's writer is sent again
-        name = 'qos_overrides./imu/data.subscription.reliability'
-        graph.node._parameter_overrides[name] = Parameter(name, value='reliable')
         self._input = ImuInput(graph.node, 'imu/data', InputSettings())
         self._batches: list[ImuBatch] = []
 
@@ -99,6 +94,7 @@ def test_it_says_what_it_cannot_play(graph, tmp_path: Path):
     missing = graph.start('player', str(tmp_path / 'missing'))
     broken = graph.start('player', str(tmp_path / 'no.mcap'))
     for player, reason in ((nothing, 'nothing to play'), (missing, 'missing'), (broken, 'no.mcap')):
+        graph.until(lambda ended=player.popen.poll: ended() is not None)
         assert player.wait() == 1
         assert reason in player.output and 'Traceback' not in player.output
     assert ear is not None
@@ -109,7 +105,7 @@ def test_the_watcher_shows_each_status(graph, still_imu):
 
     watch = graph.start('watch', '--plain', '--seconds', '3')
     publisher = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-    graph.until(lambda: publisher.get_subscription_count() == 2)
+    graph.introduce(publisher, wanted=2)
     values = [KeyValue(key='N [deg/sqrt(h)]', value='0.172')]
     good = DiagnosticStatus(name='allan_monitor: imu gyro x', message='N', values=values)
     bad = DiagnosticStatus(
