@@ -54,6 +54,7 @@ soak: $(VENV)/.ready  ## a month as fast as it goes, half an hour as it comes
 
 docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 	$(VENV)/bin/python scripts/reference.py
+	$(VENV)/bin/python scripts/sensor_table.py
 
 pictures: $(VENV)/.ready  ## draw the pictures of docs/ anew
 	$(VENV)/bin/python scripts/pictures.py docs/images

@@ -76,6 +76,7 @@ UNITS = {
     'mg/sqrt(Hz)': Unit('m/s^2/sqrt(Hz)', 1e3 * MICRO_G),
     'ug/sqrt(Hz)': Unit('m/s^2/sqrt(Hz)', MICRO_G),
     'm/s^2': Unit('m/s^2', 1.0),
+    'um/s^2': Unit('m/s^2', 1e-6),
     'g': Unit('m/s^2', STANDARD_GRAVITY),
     'mg': Unit('m/s^2', 1e3 * MICRO_G),
     'ug': Unit('m/s^2', MICRO_G),

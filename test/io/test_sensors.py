@@ -1,5 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import importlib.util
 import math
 
 import pytest
@@ -7,6 +8,7 @@ import yaml
 
 from allan_ros.core.batch import AXES
 from allan_ros.core.errors import AllanError
+from allan_ros.core.units import UNITS, sensor_of
 from allan_ros.io.sensors import SCHEMA, load_sensor, sensor_names
 
 DEGREE = math.pi / 180
@@ -39,10 +41,42 @@ def test_the_imu_of_the_paper_comes_with_the_package():
     assert imu.reference().limits['gyro_x']['N'] == imu.limits['gyro_x']['N'].value
 
 
-def test_every_datasheet_that_comes_with_the_package_loads():
-    for name in sensor_names():
-        imu = load_sensor(name)
-        assert imu.sources and imu.limits
+PLAUSIBLE = {
+    ('gyro', 'N'): (0.01, 5.0, 'deg/sqrt(h)'),
+    ('gyro', 'B'): (0.1, 500.0, 'deg/h'),
+    ('accel', 'N'): (5.0, 1000.0, 'ug/sqrt(Hz)'),
+    ('accel', 'B'): (0.5, 2000.0, 'ug'),
+}
+"""What a MEMS IMU can have: a slipped unit or digit lies outside."""
+
+
+@pytest.mark.parametrize('name', sensor_names())
+def test_every_datasheet_that_comes_with_the_package(name):
+    imu = load_sensor(name)
+    assert imu.name.lower() == name and imu.maker
+    assert any(imu.limits.values())
+    for axis, terms in imu.limits.items():
+        for term, limit in terms.items():
+            low, high, unit = PLAUSIBLE[sensor_of(axis), term]
+            assert low <= limit.value / UNITS[unit].factor <= high, (axis, term)
+            assert limit.source in imu.sources
+    for source in imu.sources.values():
+        assert source.title and source.seen and source.via
+
+
+def test_the_page_says_what_the_files_say(repository):
+    script = repository / 'scripts' / 'sensor_table.py'
+    spec = importlib.util.spec_from_file_location('sensor_table', script)
+    written = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(written)
+    text = (repository / 'docs' / 'sensors.md').read_text()
+    assert written.page(text) == text, 'run scripts/sensor_table.py'
+
+
+def test_the_example_of_the_page_loads(repository, load):
+    text = (repository / 'docs' / 'sensors.md').read_text()
+    imu = load(text.split('```yaml\n')[1].split('```')[0])
+    assert imu.limits['accel_x']['N'].stated == '65 ug/sqrt(Hz)'
 
 
 @pytest.mark.parametrize(
@@ -140,7 +174,7 @@ def test_a_single_axis_goes_before_its_sensor(load):
 def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
     with pytest.raises(AllanError, match=r"no datasheet 'adis1647-3': did you mean adis16475-3"):
         load_sensor('adis1647-3')
-    with pytest.raises(AllanError, match=r"no datasheet 'xyz': choose one of adis16"):
+    with pytest.raises(AllanError, match=r"no datasheet 'xyz': choose one of 3dm-gx5-25, .* more\)"):
         load_sensor('xyz')
     with pytest.raises(AllanError, match='cannot be read'):
         load_sensor(str(tmp_path / 'none.yaml'))

@@ -1,0 +1,67 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write the table of docs/sensors.md from the files of config/sensors.
+
+usage: sensor_table.py
+
+A test holds the page against what this writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from allan_ros.io.sensors import Datasheet, load_sensor
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / 'docs' / 'sensors.md'
+SENSORS = ROOT / 'config' / 'sensors'
+
+BEGIN = '<!-- Written by scripts/sensor_table.py (`make docs`): change config/sensors. -->'
+END = '<!-- end -->'
+
+COLUMNS = (('gyro', 'N'), ('gyro', 'B'), ('accel', 'N'), ('accel', 'B'))
+
+
+def table() -> str:
+    """Return the table as Markdown: figures as stated, and their sources."""
+    return '\n'.join(_lines()) + '\n'
+
+
+def _lines() -> Iterator[str]:
+    yield '| name | gyro N | gyro B | accel N | accel B | source | read |'
+    yield '|---|---|---|---|---|---|---|'
+    for path in sorted(SENSORS.glob('*.yaml')):
+        sheet = load_sensor(str(path))
+        cells = [_stated(sheet, sensor, term) for sensor, term in COLUMNS]
+        titles = '; '.join(dict.fromkeys(map(str, sheet.sources.values())))
+        how = ', '.join(dict.fromkeys(source.seen for source in sheet.sources.values()))
+        yield f'| `{path.stem}` | {" | ".join(cells)} | {titles} | {how} |'
+
+
+def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
+    """Return what is stated of the axes of a sensor, those that share a figure together."""
+    axes: dict[str, list[str]] = {}
+    for axis, limits in sheet.limits.items():
+        if axis.startswith(sensor) and term in limits:
+            axes.setdefault(limits[term].stated, []).append(axis[-1])
+    return ', '.join(
+        stated if len(of) == 3 else f'{"".join(of)}: {stated}' for stated, of in axes.items()
+    )
+
+
+def page(text: str) -> str:
+    """Return the text of the page with the table anew."""
+    before, rest = text.split(BEGIN)
+    after = rest.split(END)[1]
+    return f'{before}{BEGIN}\n\n{table()}\n{END}{after}'
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(page(PAGE.read_text()))
+
+
+if __name__ == '__main__':
+    main()
