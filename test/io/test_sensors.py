@@ -174,7 +174,9 @@ def test_a_single_axis_goes_before_its_sensor(load):
 def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
     with pytest.raises(AllanError, match=r"no datasheet 'adis1647-3': did you mean adis16475-3"):
         load_sensor('adis1647-3')
-    with pytest.raises(AllanError, match=r"no datasheet 'xyz': choose one of 3dm-gx5-25, .* more\)"):
+    with pytest.raises(
+        AllanError, match=r"no datasheet 'xyz': choose one of 3dm-gx5-25, .* more\)"
+    ):
         load_sensor('xyz')
     with pytest.raises(AllanError, match='cannot be read'):
         load_sensor(str(tmp_path / 'none.yaml'))
