@@ -46,6 +46,7 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
         (f'share/{PACKAGE}/config/filters', glob('config/filters/*.yaml')),
         (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
+        (f'share/{PACKAGE}/config/viewers', glob('config/viewers/*')),
     ],
     python_requires='>=3.10',
     install_requires=[

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..core.sums import AllanSums
 from ..io.datasheet_comparison import beyond_limit
 from ..io.results import AxisResult
 from ..io.shown import (
+    LIMIT_DIGITS,
     ShownUnit,
     duration_text,
     interval_text,
@@ -61,6 +63,9 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
             for term in TERMS:
                 unit = shown_unit(view.axis, term, units)
                 pairs += _term_pairs(term, view.result.fit.noise[term], unit, units == 'si')
+        for term in TERMS:
+            unit = shown_unit(view.axis, term, 'datasheet')
+            pairs += _limit_pairs(term, view.result.fit.noise[term], unit)
         pairs += [
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
@@ -97,6 +102,17 @@ def _term_pairs(
     if with_verdict:
         pairs.append((f'{term} verdict', c.status.replace('_', ' ')))
     return pairs
+
+
+def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, object]]:
+    """Return the ends of what is known as bare numbers: plotters draw no ``low..high``."""
+    low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
+    ends = {'low': low, 'high': high}
+    return [
+        (f'{term} {end} [{unit.name}]', significant(value * unit.factor, LIMIT_DIGITS))
+        for end, value in ends.items()
+        if value is not None and math.isfinite(value)
+    ]
 
 
 def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
