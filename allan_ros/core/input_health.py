@@ -103,6 +103,8 @@ class InputWatch:
         self._tallies: deque[_Tally] = deque()
         self._missing = 0  # by the stamps, in this run; so the next two
         self._leapt = 0  # those for which there was no time
+        self._elsewhere = 0  # those in whose place came samples of another frame
+        self._frame_changes = 0
         self._absent = 0  # those that were never sent
         self._seen_absent = 0  # the same, the last time
         self._lost_before = 0  # on the way, before this run
@@ -172,7 +174,8 @@ class InputWatch:
         }
         if self._tallies and c.received < self._tallies[-1].samples:
             # a new run: its counts begin at zero, those of the middleware go on
-            self._missing = self._leapt = self._absent = self._seen_absent = 0
+            self._missing = self._leapt = self._elsewhere = 0
+            self._absent = self._seen_absent = 0
             self._lost_before = reception.lost
             self._tallies = deque([_Tally(time_s, reception.received, reception.lost, 0, 0, 0, {})])
         self._follow_stamps(time_there_was, reception, health)
@@ -192,14 +195,17 @@ class InputWatch:
         """
         c = health.counts
         missing, self._missing = c.lost - self._missing, c.lost
-        if health.rate_hz and missing > (time_there_was + LEAP_S) * health.rate_hz:
+        if health.frame_changes != self._frame_changes:
+            self._elsewhere += max(0, missing)  # it was another IMU's turn
+            self._frame_changes = health.frame_changes
+        elif health.rate_hz and missing > (time_there_was + LEAP_S) * health.rate_hz:
             self._leapt += missing
         # What is dropped, or lost on the way, is missing by the stamps too; the latter from both
         # lanes, where the sensors tick apart. It is dropped before it is known to be missing,
         # so what counts is the most there ever was; and the latest samples are not judged for
         # good yet, so it counts once it was seen twice.
         explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
-        absent = c.lost - self._leapt - explained
+        absent = c.lost - self._leapt - self._elsewhere - explained
         self._absent = max(self._absent, min(absent, self._seen_absent))
         self._seen_absent = absent
 

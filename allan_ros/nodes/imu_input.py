@@ -67,7 +67,8 @@ class ImuInput:
         self._node = node
         self._payloads: list[bytes] = []
         self._received_ns: list[int] = []
-        self._last_number: dict[bytes, int] = {}
+        self._last_number: dict[bytes, int | None] = {}
+        self._publisher_count, self._alone = 1, True
         # Best effort connects to every publisher; reliable publishers still deliver in order.
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
@@ -98,6 +99,13 @@ class ImuInput:
         """Empty the queue of the subscription."""
         if not self.lean:
             return
+        # What the queue holds may still be of a publisher that has gone, so a change counts until
+        # the next time.
+        count = self._node.count_publishers(self.topic)
+        self._alone = max(count, self._publisher_count) <= 1
+        self._publisher_count = count
+        if not self._alone and b'' in self._last_number:
+            self._last_number[b''] = None
         handle = self._subscription.handle
         with handle:
             for _ in range(DRAIN_LIMIT):
@@ -164,11 +172,11 @@ class ImuInput:
         who = b'' if gid is None else gid['data']
         if who not in self._last_number:
             self._reception.sent_before += number - FIRST_NUMBER
-        missing = number - self._last_number.get(who, number - 1) - 1
+        before = self._last_number.get(who)
         self._last_number[who] = number
         # Before Kilted nothing tells the messages of two publishers apart.
-        if missing > 0 and (gid is not None or self._node.count_publishers(self.topic) == 1):
-            self._reception.skipped_numbers += missing
+        if before is not None and (gid is not None or self._alone):
+            self._reception.skipped_numbers += max(0, number - before - 1)
 
     def _split(self, decoded: DecodedImus, received: NDArray[np.int64]) -> Iterator[ImuBatch]:
         """Yield the decoded messages in runs of one frame_id."""

@@ -150,6 +150,8 @@ def test_another_frame_is_said_until_its_evidence_is_shown():
     assert source.second() == ['frame_waits']
     source.frames = ['other', 'other', 1]
     assert source.second() == []
+    source.frames = ['imu', 'imu', 2]  # its samples of that minute are no gap of the driver
+    assert source.second(lost=12_000) == source.second() == ['frame_changed_lately']
 
 
 def test_a_malformed_message_before_a_silence_hides_nothing():
