@@ -1,0 +1,78 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run the targets one after the other, each in a process of its own, and print one table."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict
+
+from .harness import CURRENT, Tally, Watch, run_target
+from .targets import TARGETS
+
+EXIT_CRASHES = 1
+
+GRACE_S = 60.0
+"""How much longer than it was given a target may take: to warm up, and to shrink what it found."""
+
+
+def main() -> int:
+    """Return 1 where a target crashed."""
+    parser = argparse.ArgumentParser(prog='python -m fuzz', description=__doc__)
+    parser.add_argument('targets', nargs='*', metavar='TARGET', help=f'of {", ".join(TARGETS)}')
+    parser.add_argument('--seconds', type=float, default=60.0, help='in all (default 60)')
+    parser.add_argument('--seed', type=int, default=0, help='where to begin; other, other inputs')
+    parser.add_argument('--shrink', action='store_true', help='make what crashes small: slow')
+    parser.add_argument('--here', action='store_true', help='run in this process, print JSON')
+    options = parser.parse_args()
+    names = options.targets or list(TARGETS)
+    if unknown := set(names) - set(TARGETS):
+        parser.error(f'no target {", ".join(unknown)}: choose of {", ".join(TARGETS)}')
+    share = options.seconds / len(names)
+    if options.here:
+        watch = Watch()
+        for name in names:
+            print(json.dumps(asdict(run_target(TARGETS[name](), share, options.seed, watch, options.shrink))))
+        return 0
+    tallies = [_in_a_process(name, share, options.seed, options.shrink) for name in names]
+    print(_table(tallies))
+    return EXIT_CRASHES if any(tally.crashes for tally in tallies) else 0
+
+
+def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally:
+    """Run one target apart, so that its limits and its end are its own."""
+    command = [sys.executable, '-m', 'fuzz', '--here', name]
+    command += ['--seconds', str(seconds), '--seed', str(number)] + ['--shrink'] * shrink
+    with tempfile.NamedTemporaryFile('r', errors='replace') as current:
+        environment = {**os.environ, CURRENT: current.name}
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+        )
+        try:
+            out, said = process.communicate(timeout=seconds + GRACE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            out, said = '', f'hung in code that heeds no signal\n{process.communicate()[1]}'
+        if process.returncode or not out.strip():
+            said = f'ended with {process.returncode}: {said[-2000:]}\n  {current.read()[:2000]}'
+            return Tally(name, crashes={'process': said})
+    return Tally(**json.loads(out.strip().splitlines()[-1]))
+
+
+def _table(tallies: list[Tally]) -> str:
+    rows = [f'{"target":12} {"inputs":>9} {"crashes":>8} {"slowest s":>10} {"memory MB":>10}']
+    rows += [
+        f'{t.name:12} {t.inputs:9,} {len(t.crashes):8} {t.slowest_s:10.2f} {t.memory_bytes / 1e6:10.0f}'
+        for t in tallies
+    ]
+    rows += [f'\n{t.name}: {said}' for t in tallies for said in t.crashes.values()]
+    return '\n'.join(rows)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

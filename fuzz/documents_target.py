@@ -1,0 +1,137 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""results.json, sums.json and checkpoints, by the ways of the command line and the nodes."""
+
+from __future__ import annotations
+
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hypothesis import strategies as st
+
+from allan_ros.cli.main import main
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.recent import RecentView
+from allan_ros.io.checkpoint import Checkpoint
+from allan_ros.io.documents import (
+    results_from_document,
+    results_to_document,
+    sums_file_from_document,
+    sums_file_to_document,
+)
+from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
+from allan_ros.io.json_text import parse_json, read_json, to_json
+from allan_ros.io.recordings import SourceInfo
+from allan_ros.io.results import Provenance, analyse_sums
+
+from .damage import any_bytes, as_utf8, damaged_json
+from .harness import BrokenRule, Target, check_document, check_line, refused_or_valid
+from .reading import small_batch
+
+SAMPLES = 3000
+FITTED = 8
+"""One of so many sums is fitted, which takes a hundred times the reading."""
+
+
+@lru_cache(maxsize=1)
+def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a sums file and a results file that are whole."""
+    accumulator = ImuAccumulator()
+    batch = small_batch(SAMPLES)
+    for start in (0, SAMPLES // 3):
+        moved = batch.stamps_ns[start:] + start * 10**9
+        accumulator.update(ImuBatch(moved, batch.samples[start:], None, 'imu'))
+    accumulator.end()
+    known = accumulator.result()
+    source = SourceInfo('a.mcap', '/imu', 'sensor_msgs/msg/Imu', 'mcap')
+    provenance = Provenance(
+        (source,), known.spans, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
+    )
+    results = analyse_sums(known.sums, provenance)
+    return sums_file_to_document(known.sums, provenance), results_to_document(results)
+
+
+@st.composite
+def _texts(draw: Any) -> tuple[str, bytes, int]:
+    """Draw what the file is taken for, its bytes, and a number that decides what is done."""
+    sums, results = seeds()
+    kind = draw(st.sampled_from(['sums', 'results', 'checkpoint']))
+    seed = results if kind == 'results' else sums
+    if not draw(st.integers(0, 5)):
+        data = draw(any_bytes([as_utf8(json.dumps(seed))]))
+    else:
+        data = as_utf8(draw(damaged_json([seed])))
+    return kind, data, draw(st.integers(0, 10**6))
+
+
+def check(made: tuple[str, bytes, int], folder: Path) -> None:
+    """Read it as what it is taken for, and do with it what is done with such."""
+    kind, data, choice = made
+    path = folder / f'{kind}.json'
+    path.write_bytes(data)
+    if kind == 'checkpoint':
+        _restart(path, data)
+        return
+    with refused_or_valid():
+        document = read_json(path)
+        if kind == 'results':
+            _use_results(document, choice)
+        else:
+            _use_sums(document, choice)
+    if kind == 'sums' and not choice % FITTED:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
+            code = main(['merge', str(path)])
+        if code not in (0, 1) or 'Traceback' in said.getvalue():
+            raise BrokenRule(f'exit {code}: {said.getvalue()}')
+    if list(folder.iterdir()) != [path]:
+        raise BrokenRule('reading left a file behind')
+
+
+def _use_results(document: object, choice: int) -> None:
+    results = results_from_document(document, 'results')
+    text = to_json(results_to_document(results))
+    check_document(text)
+    results_from_document(parse_json(text, 'again'))
+    for found in results.findings:
+        check_line(str(found))
+    name = sorted(TARGETS)[choice % len(TARGETS)]
+    made = make_export(results, name, ExportOptions())
+    made.text.encode()
+
+
+def _use_sums(document: object, choice: int) -> None:
+    sums, provenance = sums_file_from_document(document, 'sums')
+    text = to_json(sums_file_to_document(sums, provenance))
+    check_document(text)
+    sums_file_from_document(parse_json(text, 'again'))
+    view = RecentView(100.0)
+    for i, s in enumerate(sums[:4]):
+        view.update(s, 10.0 * i)
+        view.update(s + s, 10.0 * i + 5.0)
+        view.curve(), view.changes()
+    if choice % FITTED:
+        return
+    results = analyse_sums(sums, provenance)
+    check_document(to_json(results_to_document(results, curves=bool(choice % 2))))
+
+
+def _restart(path: Path, data: bytes) -> None:
+    """Begin with the file as a node does; the one thing it may do is rename it, never lose it."""
+    checkpoint = Checkpoint(path)
+    if checkpoint.loaded is not None:
+        check_line(str(checkpoint.loaded))
+    kept = [p for p in path.parent.iterdir() if p.read_bytes() == data]
+    if not kept:
+        raise BrokenRule('the checkpoint is gone')
+    if checkpoint.sums:
+        checkpoint.save(checkpoint.sums, checkpoint.provenance)
+        if Checkpoint(path).loaded is not None:
+            raise BrokenRule('it cannot read what it wrote')
+
+
+TARGET = Target('documents', _texts(), check)

@@ -1,0 +1,85 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bag folders: a damaged metadata.yaml beside whole or damaged files."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hypothesis import strategies as st
+
+from .damage import any_bytes, damaged_json
+from .harness import Target
+from .mcap_target import IMU_TYPE, Plan, build
+from .reading import MESSAGES, read_and_check
+
+METADATA: dict[str, Any] = {
+    'rosbag2_bagfile_information': {
+        'version': 8,
+        'storage_identifier': 'mcap',
+        'relative_file_paths': ['a_0.mcap', 'a_1.mcap'],
+        'duration': {'nanoseconds': 1},
+        'message_count': MESSAGES,
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': '/imu',
+                    'type': IMU_TYPE,
+                    'serialization_format': 'cdr',
+                    'offered_qos_profiles': '',
+                },
+                'message_count': MESSAGES,
+            }
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+    }
+}
+YAML_TRICKS = (
+    'rosbag2_bagfile_information: !!python/object/apply:os.system ["touch pwned"]\n',
+    'a: &a [x,x,x,x,x,x,x,x,x]\n'
+    + ''.join(
+        f'{b}: &{b} [{",".join([f"*{a}"] * 9)}]\n' for a, b in zip('abcdefgh', 'bcdefghi')
+    )
+    + 'rosbag2_bagfile_information: *i\n',
+    '[' * 3000,
+    'rosbag2_bagfile_information: {relative_file_paths: ' + '[' * 900 + ']' * 900 + '}',
+    'rosbag2_bagfile_information: &r {topics_with_message_count: [*r]}\n',
+    'rosbag2_bagfile_information: {message_count: 1' + '0' * 6000 + '}',
+    '? {a: b}\n: c\n',
+    '\ufeff%YAML 9.9\n---\n- 2001-99-99\n',
+)
+
+
+@lru_cache(maxsize=2)
+def _splits(which: int) -> bytes:
+    return build(Plan(chunks=1 + which))
+
+
+@st.composite
+def _folders(draw: Any) -> tuple[bytes, bytes | None]:
+    """Draw metadata, and the second split (None: missing)."""
+    metadata = (
+        damaged_json([METADATA], 4).map(lambda text: text.encode('utf-8', 'surrogatepass'))
+        | damaged_json([METADATA], 4).map(lambda text: text.encode('utf-8', 'surrogatepass'))
+        | st.sampled_from(YAML_TRICKS).map(str.encode)
+        | any_bytes([b'rosbag2_bagfile_information:\n  relative_file_paths:\n    - a_0.mcap\n'])
+    )
+    return draw(metadata), draw(st.none() | st.just(_splits(1)) | any_bytes([_splits(1)]))
+
+
+def check(made: tuple[bytes, bytes | None], folder: Path) -> None:
+    """Read the folder."""
+    metadata, second = made
+    bag = folder / 'a'
+    bag.mkdir()
+    (bag / 'metadata.yaml').write_bytes(metadata)
+    (bag / 'a_0.mcap').write_bytes(_splits(0))
+    if second is not None:
+        (bag / 'a_1.mcap').write_bytes(second)
+    read_and_check(bag)
+
+
+TARGET = Target('folder', _folders(), check)

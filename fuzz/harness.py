@@ -1,0 +1,239 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every target is held to, and the process in which it runs.
+
+The rule: whatever goes in, out comes a valid result or an `AllanError` of one printable line,
+within `INPUT_SECONDS` and `MEMORY_BYTES`, and nothing is written but where the target says so.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis.strategies import SearchStrategy
+
+from allan_ros.core.errors import AllanError
+
+INPUT_SECONDS = 10.0
+"""No input of some kilobytes may take longer, on a loaded machine."""
+
+MEMORY_BYTES = 1 << 30
+"""Address space a target may take beyond what it has once it is warm."""
+
+ROUND = 100
+"""Inputs drawn from one seed; after each round the clock is looked at."""
+
+LONGEST_LINE = 4000
+"""Characters of an error beyond which nobody reads it."""
+
+CURRENT = 'ALLAN_FUZZ_CURRENT'
+"""Environment variable: file in which the input of the moment stands, for when the process dies."""
+
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_FORBIDDEN = ('os.system', 'os.exec', 'os.posix_spawn', 'os.symlink', 'os.link', 'os.chmod')
+_FORBIDDEN += ('subprocess.Popen', 'socket.connect', 'socket.bind', 'pickle.find_class')
+_CHANGES = ('os.rename', 'os.remove', 'os.mkdir', 'os.rmdir', 'os.truncate', 'shutil.rmtree')
+
+
+@dataclass(frozen=True)
+class Target:
+    """One way into the program.
+
+    Attributes
+    ----------
+    name : str
+    inputs : strategy
+        Draws what goes in.
+    check : callable
+        Takes an input and an empty folder to work in, and raises where the rule is broken.
+    forks : bool
+        Whether it starts processes of its own, as the nodes' target does: then files, processes
+        and memory are theirs to watch.
+    """
+
+    name: str
+    inputs: SearchStrategy[Any]
+    check: Callable[[Any, Path], None]
+    forks: bool = False
+
+
+@dataclass
+class Tally:
+    """What became of one target."""
+
+    name: str
+    inputs: int = 0
+    slowest_s: float = 0.0
+    memory_bytes: int = 0
+    crashes: dict[str, str] = field(default_factory=dict)
+
+
+class BrokenRule(AssertionError):
+    """An input got through that should have been refused, or was refused badly."""
+
+
+@contextmanager
+def refused_or_valid() -> Iterator[None]:
+    """Let an `AllanError` pass that a user can read; anything else is a crash."""
+    try:
+        yield
+    except AllanError as error:
+        check_line(str(error))
+
+
+def check_line(said: str) -> None:
+    """Raise unless this is one printable line of bearable length."""
+    if not said or not said.isprintable() or len(said) > LONGEST_LINE:
+        raise BrokenRule(f'no line to read: {said[:200]!r}')
+
+
+def check_document(text: str) -> None:
+    """Raise unless the text is strict JSON: no NaN, no infinity, whole as UTF-8."""
+    json.loads(text, parse_constant=_no_constant)
+    text.encode()
+
+
+def _no_constant(name: str) -> float:
+    raise BrokenRule(f'{name} in a document')
+
+
+class Watch:
+    """Sees what the interpreter opens for writing, changes, starts or connects (PEP 578)."""
+
+    def __init__(self) -> None:
+        self.folder: str | None = None
+        self.seen: list[str] = []
+        sys.addaudithook(self._hook)
+
+    def _hook(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.folder is None:
+            return
+        if event in _FORBIDDEN:
+            self._refuse(f'{event} {arguments!r:.200}')
+        if event == 'open' and arguments[0] is not None and not isinstance(arguments[0], int):
+            path, mode, flags = arguments
+            writes = set(mode) & set('wax+') if isinstance(mode, str) else (flags or 0) & _WRITES
+            if writes and not self._is_ours(path):
+                self._refuse(f'open {path!r} to write')
+        if event in _CHANGES and not all(map(self._is_ours, arguments[: 1 + ('rename' in event)])):
+            self._refuse(f'{event} {arguments!r:.200}')
+
+    def _is_ours(self, path: object) -> bool:
+        if not isinstance(path, (str, bytes, os.PathLike)):
+            return True  # a descriptor that was opened before
+        assert self.folder is not None
+        place = os.path.realpath(os.fsdecode(path))
+        return place == os.devnull or place.startswith(self.folder)
+
+    def _refuse(self, what: str) -> None:
+        self.seen.append(what)
+        raise BrokenRule(what)
+
+
+def run_target(
+    target: Target, seconds: float, first_seed: int, watch: Watch | None, shrink: bool = False
+) -> Tally:
+    """Feed a target until the time is over; crashes are told apart by their place."""
+    tally = Tally(target.name)
+    scratch = Path(os.path.realpath(tempfile.mkdtemp(prefix='allan_fuzz.')))
+    tempfile.tempdir = str(scratch)
+    os.environ['HYPOTHESIS_STORAGE_DIRECTORY'] = str(scratch / 'hypothesis')
+    warnings.filterwarnings('error', category=RuntimeWarning, module='allan_ros')
+    signal.signal(signal.SIGALRM, _too_slow)
+    ends = time.monotonic() + seconds
+    current = Path(os.environ.get(CURRENT, scratch / 'current'))
+
+    def one(value: Any) -> None:
+        current.write_text(repr(value), errors='surrogatepass')
+        with tempfile.TemporaryDirectory(dir=scratch) as folder:
+            began = time.monotonic()
+            signal.setitimer(signal.ITIMER_REAL, 10 * INPUT_SECONDS if target.forks else INPUT_SECONDS)
+            try:
+                if watch is not None and not target.forks:
+                    watch.folder, watch.seen[:] = str(scratch), []
+                target.check(value, Path(folder))
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+                if watch is not None:
+                    watch.folder = None
+            if watch is not None and watch.seen:
+                raise BrokenRule(watch.seen[0])
+            tally.inputs += 1
+            tally.slowest_s = max(tally.slowest_s, time.monotonic() - began)
+
+    warm: int | None = None
+    while warm is None or time.monotonic() < ends:
+        _round(target, one, first_seed, 5 if warm is None else ROUND, tally, shrink)
+        first_seed += 1
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        if warm is None:
+            warm = peak
+            if not target.forks:
+                limit = _address_space() + MEMORY_BYTES
+                resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        tally.memory_bytes = peak - warm
+    return tally
+
+
+def _round(
+    target: Target,
+    one: Callable[[Any], None],
+    number: int,
+    inputs: int,
+    tally: Tally,
+    shrink: bool,
+) -> None:
+    """Draw some inputs from one seed, and note what breaks."""
+    drawn: list[Any] = []
+
+    @seed(number)
+    @settings(
+        max_examples=inputs,
+        deadline=None,
+        database=None,
+        phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+        report_multiple_bugs=False,
+        print_blob=False,
+    )
+    @given(target.inputs)
+    def test(value: Any) -> None:
+        drawn[:] = [value]
+        one(value)
+
+    try:
+        test()
+    except Exception as error:
+        where = f'{_place(error)}: {type(error).__name__}: {error!s:.200}'
+        key = where.partition(':')[0] + type(error).__name__
+        tally.crashes.setdefault(key, f'{where}\n  seed {number}, input {drawn!r:.2000}')
+
+
+def _place(error: BaseException) -> str:
+    """Return the last line of ours that the error went through."""
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [f for f in frames if '/allan_ros/' in f.filename.replace('\\', '/')] or list(frames)
+    return f'{Path(ours[-1].filename).name} line {ours[-1].lineno}'
+
+
+def _too_slow(*_: object) -> None:
+    raise BrokenRule(f'takes longer than {INPUT_SECONDS:g} s')
+
+
+def _address_space() -> int:
+    pages = int(Path('/proc/self/statm').read_text().split()[0])
+    return pages * resource.getpagesize()

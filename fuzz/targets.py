@@ -1,0 +1,22 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All targets by name; a target's module is imported when it is run."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from functools import partial
+
+from .harness import Target
+
+NAMES = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'imu', 'documents')
+
+
+def _load(name: str) -> Target:
+    target: Target = importlib.import_module(f'.{name}_target', __package__).TARGET
+    return target
+
+
+TARGETS: dict[str, Callable[[], Target]] = {name: partial(_load, name) for name in NAMES}
+"""Name -> what makes it."""
