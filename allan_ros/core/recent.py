@@ -43,7 +43,9 @@ with one degree of freedom exceeds it once in 2e7, which leaves room for every s
 
 @dataclass(frozen=True)
 class Change:
-    """A step in the noise of one axis at one averaging time.
+    """A change in the noise of one axis at one averaging time: what was, and what is now.
+
+    Noise that rose and fell back is a change too, of a ratio about 1: it is over.
 
     Attributes
     ----------
@@ -53,13 +55,13 @@ class Change:
     tau : float
         Averaging time in s.
     before, after : float
-        Allan deviation before and since the step, in the unit of the samples.
+        Allan deviation before the first step and since the last, in the unit of the samples.
     ratio_ci95 : (low, high)
         95 % interval of after / before.
     since_s : float
-        How long ago it began, in s.
+        How long ago the last step was, in s.
     evidence : float
-        Twice the log likelihood ratio of two levels against one.
+        Twice the log likelihood ratio of two levels against one, at the first step.
     """
 
     axis: str
@@ -159,36 +161,39 @@ class RecentView:
         return RecentCurve(self._sums.axes, m, tau, np.sqrt(after), ratio, low, high)
 
     def changes(self) -> list[Change]:
-        """Return the likeliest step at each axis and averaging time, where there surely is one."""
+        """Return the change at each axis and averaging time, where there surely was a step.
+
+        The likeliest step is looked for first, and then the likeliest of the time since, until
+        there is none: what holds since the last is held against what was before the first.
+        """
         if self._latest is None or self._sums is None or len(self._ring) < 2:
             return []
         m, tau, dof = self._scale()
-        counts, squares = (np.stack(a) for a in zip(*map(self._padded, self._ring)))
-        all_count, all_sq = self._padded(self._latest)
-        nu = counts * dof, (all_count - counts) * dof, all_count * dof
+        snapshots = [*self._ring, self._latest]
+        counts, squares = (np.stack(a) for a in zip(*map(self._padded, snapshots)))
+        nu = counts * dof
         scale = 2.0 * m[:, None].astype(float) ** 2
-        with np.errstate(invalid='ignore', divide='ignore'):
-            before = squares / (scale * counts)
-            after = (all_sq - squares) / (scale * (all_count - counts))
-            whole = all_sq / (scale * all_count)
-            evidence = nu[2] * np.log(whole) - nu[0] * np.log(before) - nu[1] * np.log(after)
-        enough = (nu[0] >= MIN_EDF) & (nu[1] >= MIN_EDF) & (before > 0.0) & (after > 0.0)
-        evidence = np.where(enough, evidence, -np.inf)
+        evidence = _two_levels(nu, squares)
         best = evidence.argmax(axis=0)
         found = []
         for f, a in np.argwhere(evidence.max(axis=0) > LIKELIHOOD_RATIO):
-            at = best[f, a], f, a
-            low, high = _ratio_limits(after[at], nu[1][at], before[at], nu[0][at])
+            first = int(best[f, a])
+            last = first + _last_step(nu[first:, f, a], squares[first:, f, a])
+            degrees = nu[-1, f, a] - nu[last, f, a], nu[first, f, a]
+            before = squares[first, f, a] / (scale[f, 0] * counts[first, f, 0])
+            gained = counts[-1, f, 0] - counts[last, f, 0]
+            after = (squares[-1, f, a] - squares[last, f, a]) / (scale[f, 0] * gained)
+            low, high = _ratio_limits(after, degrees[0], before, degrees[1])
             found.append(
                 Change(
                     self._sums.axes[a],
                     int(m[f]),
                     float(tau[f]),
-                    math.sqrt(before[at]),
-                    math.sqrt(after[at]),
+                    math.sqrt(before),
+                    math.sqrt(after),
                     (float(low), float(high)),
-                    self._latest.time_s - self._ring[at[0]].time_s,
-                    float(evidence[at]),
+                    self._latest.time_s - snapshots[last].time_s,
+                    float(evidence[first, f, a]),
                 )
             )
         return found
@@ -224,6 +229,34 @@ class RecentView:
         missing = len(self._latest.count) - len(snapshot.count)
         count = np.pad(snapshot.count, (0, missing))[:, None]
         return count, np.pad(snapshot.sum_sq, ((0, missing), (0, 0)))
+
+
+def _two_levels(degrees: Floats, energy: Floats) -> Floats:
+    """Return twice the log likelihood ratio of a step at each snapshot against none.
+
+    Chi-squared variances on both sides; -inf where either has too few degrees of freedom.
+
+    Parameters
+    ----------
+    degrees, energy : (snapshots, ...) float64 arrays
+        Degrees of freedom and sums of squares, both running.
+    """
+    nu = degrees, degrees[-1] - degrees, degrees[-1]
+    power = energy, energy[-1] - energy, energy[-1]
+    with np.errstate(invalid='ignore', divide='ignore'):
+        before, after, whole = (n * np.log(p / n) for n, p in zip(nu, power))
+    enough = (nu[0] >= MIN_EDF) & (nu[1] >= MIN_EDF) & (power[0] > 0.0) & (power[1] > 0.0)
+    return np.where(enough, whole - before - after, -np.inf)
+
+
+def _last_step(degrees: Floats, energy: Floats) -> int:
+    """Return the snapshot since which the level did not change again; 0 if it never did."""
+    last = 0
+    while True:
+        evidence = _two_levels(degrees[last:] - degrees[last], energy[last:] - energy[last])
+        if evidence.max() <= LIKELIHOOD_RATIO:
+            return last
+        last += int(evidence.argmax())
 
 
 def _ratio_limits(

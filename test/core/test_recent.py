@@ -58,6 +58,32 @@ def test_a_fall_is_beyond_the_margin_too():
     assert all(c.beyond(0.5) for c in view.changes() if c.m == 1)
 
 
+def test_a_disturbance_that_passed_is_no_change_any_more():
+    """One look at 6 axes: a 95 % interval has a margin of 20 % to go, so never in practice."""
+    view = RecentView(600.0)
+    running = play(lambda t: 1.5 if 900.0 <= t < 1000.0 else 1.0, view, 100)
+    assert {c.axis for c in view.changes() if c.m == 1 and c.beyond(0.2)} == set(AXES)
+    play(lambda t: 1.0, view, 2, seed=1, running=running, start=100)
+    certain = {}
+    for change in view.changes():
+        if change.axis not in certain or change.evidence > certain[change.axis].evidence:
+            certain[change.axis] = change
+    assert set(certain) == set(AXES)
+    for change in certain.values():
+        assert not change.beyond(0.2)
+        assert change.after == pytest.approx(1.0 / np.sqrt(change.m), rel=0.1)
+        assert change.since_s == pytest.approx(20.0, abs=STEP_S)
+
+
+def test_a_second_rise_is_told_from_the_level_before_the_first():
+    view = RecentView(600.0)
+    play(lambda t: 1.0 + 0.5 * (t >= 900.0) + 1.0 * (t >= 1100.0), view, 120)
+    for change in (c for c in view.changes() if c.m == 1):
+        assert change.before == pytest.approx(1.0, rel=0.02)
+        assert change.after == pytest.approx(2.5, rel=0.02)
+        assert change.since_s == pytest.approx(100.0, abs=STEP_S)
+
+
 def test_steady_noise_has_no_change():
     """60 looks at 6 axes and 60 splits: at 2e-7 a look, and of 20 %, never in practice."""
     view = RecentView(600.0)
