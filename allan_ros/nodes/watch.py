@@ -1,148 +1,237 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan_watch`: `/diagnostics` of the allan_ros nodes as a live table in the terminal."""
+"""`allan_watch`: `/diagnostics` of the allan_ros nodes as a live table in the terminal.
+
+The gravest comes first, each with what to do. Where the output is no terminal, a line is printed
+whenever a status changes.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
+from typing import Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from .shell import STEADY, run
-
-LEVEL_WORDS = {
-    DiagnosticStatus.OK: ('ok', 'green'),
-    DiagnosticStatus.WARN: ('WARN', 'yellow'),
-    DiagnosticStatus.ERROR: ('ERROR', 'bold red'),
-    DiagnosticStatus.STALE: ('STALE', 'magenta'),
-}
-"""Level -> how it is written, and its colour."""
-
-SHOWN_TERMS = ('N', 'B', 'K')
-"""Terms with a column of their own; all five are among the values of the status."""
-
-DATASHEET_UNITS = ('deg/sqrt(h)', 'm/s/sqrt(h)', 'deg/h', 'ug', 'deg/h^1.5', 'ug/sqrt(h)')
+from .watch_rows import Row, document, gravest_first, headline, picture, plain_line, row
 
 REFRESH_S = 0.5
-STALE_S = 5.0
-"""A status that has not been repeated for so long is shown as stale."""
+TOPIC = '/diagnostics'
 
-Row = tuple[str, str, str, str, str, str]
+SETTLE_S = 1.5
+"""Every status is repeated once a second by default: so long after the first, all have come."""
+
+PATIENCE_S = 10.0
+"""How long ``--once`` waits for a first status."""
+
+LONELY_S = 3.0
+"""Silence after which it says what to check."""
+
+EXIT_NOTHING = 1
+"""Nothing was heard of any node."""
+
+DISCOVERY = (
+    'ROS_DOMAIN_ID',
+    'ROS_AUTOMATIC_DISCOVERY_RANGE',
+    'ROS_LOCALHOST_ONLY',
+    'RMW_IMPLEMENTATION',
+)
+"""Variables that decide whom a node finds."""
+
+
+class Display(Protocol):
+    """Where the rows go."""
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Show how things are; the hint says what to check where there are no rows."""
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Leave the last state."""
 
 
 class Watch(Node):
-    """Keeps the latest status of each name and redraws the table."""
+    """Keeps the latest status of each name and shows it."""
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
         super().__init__('allan_watch')
         self._options, self._stop = options, stop
         self._latest: dict[str, tuple[float, DiagnosticStatus]] = {}
-        self._draw, self._end = _display(options.plain)
+        self._display = make_display(options)
         self._began = time.monotonic()
-        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
+        self._first: float | None = None
+        self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, 100)
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY)
 
+    @property
+    def heard(self) -> bool:
+        """Whether any status came."""
+        return bool(self._latest)
+
     def close(self) -> None:
-        """Leave the last table on the screen."""
-        self._draw(self._rows())
-        self._end()
+        """Leave the last state on the screen."""
+        self._display.end(self._rows(), self._hint())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
             if 'allan' in status.name or self._options.all:
                 self._latest[status.name] = now, status
+                self._first = self._first or now
 
     def _refresh(self) -> None:
-        self._draw(self._rows())
-        limit = self._options.seconds
-        if limit and time.monotonic() - self._began >= limit:
+        now = time.monotonic()
+        if self._options.once:
+            settled = self._first is not None and now - self._first >= SETTLE_S
+            done = settled or now - self._began >= (self._options.seconds or PATIENCE_S)
+        else:
+            lonely = not self.heard and now - self._began >= LONELY_S
+            self._display.show(self._rows(), self._hint() if lonely else 'listening ...')
+            done = 0.0 < self._options.seconds <= now - self._began
+        if done:
             self._stop.set()
 
     def _rows(self) -> list[Row]:
         now = time.monotonic()
-        return [row(status, now - at) for _, (at, status) in sorted(self._latest.items())]
+        return gravest_first(row(status, now - at) for at, status in self._latest.values())
+
+    def _hint(self) -> str:
+        """Return what to check when nothing comes."""
+        speakers = self.get_publishers_info_by_topic(TOPIC)
+        others = f', though {len(speakers)} publish there' if speakers else ''
+        given = [f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)]
+        return (
+            f'no allan_ros node speaks on {TOPIC}{others}. Start one: ros2 launch allan_ros '
+            'allan_ros.launch.py imu:=/your/imu; or, if one runs, see whether it has the same '
+            f'discovery: here {" ".join(given) or "all variables are at their defaults"}.'
+        )
 
 
-def row(status: DiagnosticStatus, age_s: float) -> Row:
-    """Return level, name, the shown terms in the datasheets' units, and the message."""
-    level = DiagnosticStatus.STALE if age_s > STALE_S else status.level
-    values = {v.key: v.value for v in status.values}
-    terms = []
-    for term in SHOWN_TERMS:
-        keys = [k for k in values if k in {f'{term} [{unit}]' for unit in DATASHEET_UNITS}]
-        unit = keys[0].split(' ', 1)[1].strip('[]') if keys else ''
-        terms.append(f'{values[keys[0]]} {unit}' if keys and values[keys[0]] != '-' else '')
-    name, message = status.name.split(': ', 1)[-1], status.message
-    if level == DiagnosticStatus.OK and any(terms):
-        message = message.partition(' from ')[2]  # what comes before stands in the columns
-    if age_s > STALE_S:
-        message = f'no word for {age_s:.0f} s: start the node again, or look why it hangs'
-    return LEVEL_WORDS[level][0], name, terms[0], terms[1], terms[2], message
+class Lines:
+    """A line for every status that comes or changes its level."""
+
+    def __init__(self) -> None:
+        self._levels: dict[tuple[str, str], str] = {}
+        self._hinted = False
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Print what is new; ages and amounts, which change all the time, are not."""
+        for each in rows:
+            if self._levels.get((each.node, each.name)) != each.level:
+                self._levels[each.node, each.name] = each.level
+                print(f'{time.strftime("%H:%M:%S")} {plain_line(each)}', flush=True)
+        if not rows and not self._hinted and hint.startswith('no '):
+            self._hinted = True
+            print(hint, file=sys.stderr, flush=True)
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Print all once more, or what to check."""
+        for line in [headline(rows), *map(plain_line, rows)] if rows else []:
+            print(line)
+        if not rows and not self._hinted:
+            print(hint, file=sys.stderr)
 
 
-def _display(plain: bool) -> tuple[Callable[[list[Row]], None], Callable[[], None]]:
-    """Return how to draw the rows, and how to end."""
-    if not plain and sys.stdout.isatty():
+class Document:
+    """One JSON document at the end, and nothing before."""
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Wait."""
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Print the document; the hint goes to stderr."""
+        print(json.dumps(document(rows), indent=1))
+        if not rows:
+            print(hint, file=sys.stderr)
+
+
+class Screen:
+    """A table that rich draws anew; it honours NO_COLOR and the width and charset of the terminal.
+
+    Parameters
+    ----------
+    live : bool
+        Whether to draw before the end.
+    """
+
+    def __init__(self, live: bool) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._console = Console()
+        self._live = Live(console=self._console, auto_refresh=False) if live else None
+        if self._live:
+            self._live.start()
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Draw the table, or the hint."""
+        if self._live:
+            drawn = picture(rows, self._console.width) if rows else hint
+            self._live.update(drawn, refresh=True)
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Leave the last table on the screen."""
+        if self._live:
+            self.show(rows, hint)
+            self._live.stop()
+        else:
+            self._console.print(picture(rows, self._console.width) if rows else hint)
+
+
+def make_display(options: argparse.Namespace) -> Display:
+    """Return where the rows go: what the options say, else what the output can show."""
+    if options.json:
+        return Document()
+    if not options.plain and sys.stdout.isatty() and os.environ.get('TERM') != 'dumb':
         try:
-            return _rich_display()
+            return Screen(live=not options.once)
         except ImportError:
             pass
-    return _plain_display()
-
-
-def _rich_display() -> tuple[Callable[[list[Row]], None], Callable[[], None]]:
-    from rich.live import Live
-    from rich.table import Table
-
-    colours = dict(LEVEL_WORDS.values())
-    live = Live(auto_refresh=False)
-    live.start()
-
-    def draw(rows: list[Row]) -> None:
-        table = Table(title='allan_ros')
-        for heading in ('', 'status', *SHOWN_TERMS, 'message'):
-            table.add_column(heading, overflow='fold')
-        for level, *cells in rows:
-            table.add_row(f'[{colours[level]}]{level}[/]', *cells)
-        live.update(table, refresh=True)
-
-    return draw, live.stop
-
-
-def _plain_display() -> tuple[Callable[[list[Row]], None], Callable[[], None]]:
-    shown: dict[str, Row] = {}
-
-    def draw(rows: list[Row]) -> None:
-        for each in rows:
-            # only what is new, without the ages and amounts that change all the time
-            if shown.get(each[1], ('',))[0] != each[0]:
-                level, name, *_, message = each
-                print(f'{time.strftime("%H:%M:%S")} {level:5} {name}: {message}', flush=True)
-            shown[each[1]] = each
-
-    def end() -> None:
-        for level, name, *terms, message in shown.values():
-            print(f'{level:5} {name:32} {" ".join(f"{t:24}" for t in terms)} {message}')
-
-    return draw, end
+    return Lines()
 
 
 def main(args: list[str] | None = None) -> int:
     """Run `allan_watch`."""
     argv = sys.argv if args is None else ['allan_watch', *args]
-    parser = argparse.ArgumentParser(prog='allan_watch', description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog='allan_watch',
+        description=__doc__,
+        epilog='exit codes: 0 done; 1 nothing was heard; 2 wrong words on the command line. '
+        'NO_COLOR turns colours off, COLUMNS sets the width.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('--once', action='store_true', help='show how things are, and end')
+    parser.add_argument(
+        '--json', action='store_true', help='the same as one JSON document on stdout, and end'
+    )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument('--plain', action='store_true', help='lines of text instead of a table')
-    parser.add_argument('--seconds', type=float, default=0.0, help='end after that time')
+    parser.add_argument(
+        '--seconds', type=float, default=0.0, metavar='S', help='end after that time'
+    )
     options = parser.parse_args(remove_ros_args(argv)[1:])
-    return run('allan_watch', lambda stop: Watch(options, stop), argv)
+    options.once = options.once or options.json
+    made: list[Watch] = []
+
+    def make(stop: threading.Event) -> Watch:
+        made.append(Watch(options, stop))
+        return made[0]
+
+    try:
+        code = run('allan_watch', make, argv)
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader (head, less) has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code or (0 if made[0].heard else EXIT_NOTHING)
 
 
 if __name__ == '__main__':

@@ -1,0 +1,97 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `allan_watch` shows, on every width, to eyes and to scripts; and when nobody speaks."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from allan_ros.nodes.watch_rows import Row, gravest_first, headline, picture, plain_line, row
+
+ADVICE = 'no message on /imu for 3.2 s; look at the driver [and its cable]'
+
+
+def status(name: str, level: bytes = DiagnosticStatus.OK, message: str = '', **values: str):
+    pairs = [KeyValue(key=k.replace('_', ' ', 1), value=v) for k, v in values.items()]
+    return DiagnosticStatus(name=name, level=level, message=message, values=pairs)
+
+
+def gyro(age_s: float = 0.2) -> Row:
+    message = 'N 0.1720 deg/sqrt(h), B < 3.10 deg/h from 20.0 min of evidence; B shows soon'
+    told = {
+        'N_[rad/s/sqrt(Hz)]': '5e-05',
+        'N_[deg/sqrt(h)]': '0.1720',
+        'N_95 % [deg/sqrt(h)]': '0.165..0.179',
+        'N_low [deg/sqrt(h)]': '0.165',
+        'B_[deg/h]': '< 3.10',
+        'K_[deg/h^1.5]': '-',
+    }
+    return row(status('allan_monitor: imu gyro x', message=message, **told), age_s)
+
+
+def rows() -> list[Row]:
+    silent = status('allan_monitor: imu input', DiagnosticStatus.ERROR, ADVICE)
+    louder = status('robot/allan_estimator: imu gyro y', DiagnosticStatus.WARN, 'N rose')
+    late = status('allan_monitor: imu accel z', message='N 0.01')
+    return gravest_first([gyro(), row(louder, 0.4), row(late, 12.3), row(silent, 0.1)])
+
+
+def drawn(shown: list[Row], columns: int, encoding: str = 'utf-8') -> list[str]:
+    console = pytest.importorskip('rich.console')
+    file = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    console.Console(width=columns, file=file).print(picture(shown, columns))
+    file.seek(0)
+    return file.read().splitlines()
+
+
+def test_the_terms_are_those_in_datasheet_units():
+    assert gyro().terms == {'N': '0.1720 deg/sqrt(h)', 'B': '< 3.10 deg/h'}
+    assert gyro().remark == '20.0 min of evidence; B shows soon'
+
+
+def test_the_gravest_comes_first_and_what_is_silent_is_stale():
+    assert [r.level for r in rows()] == ['ERROR', 'STALE', 'WARN', 'ok']
+    assert headline(rows()) == 'allan_ros: 1 ERROR, 1 STALE, 1 WARN, 1 ok; last message 0.1 s ago'
+    assert plain_line(rows()[1]) == 'STALE imu accel z: N 0.01 (12 s old)'
+    assert plain_line(rows()[2]) == 'WARN  robot/allan_estimator: imu gyro y: N rose'
+
+
+@pytest.mark.parametrize('columns', [40, 60, 80, 120, 160])
+@pytest.mark.parametrize('encoding', ['utf-8', 'ascii'])
+def test_every_width_shows_everything(columns: int, encoding: str):
+    lines = drawn(rows(), columns, encoding)
+    assert max(map(len, lines)) <= columns
+    words = ' '.join(' '.join(lines).split())
+    for each in rows():
+        assert each.level in words
+    # brackets are text, not markup; nothing is cut off
+    for word in (*ADVICE.split(), '12', '0.1720', '3.10'):
+        assert word in words
+
+
+def test_scripts_get_one_document(graph):
+    watch = graph.start('watch', '--json')
+    publisher = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    graph.introduce(publisher, wanted=2)
+    bad = status('allan_monitor: imu input', DiagnosticStatus.ERROR, ADVICE, rate_Hz='200')
+    publisher.publish(DiagnosticArray(status=[bad, status('battery: charge')]))
+    assert watch.wait() == 0
+    (told,) = json.loads(watch.output)['statuses']
+    assert (told['level'], told['node'], told['name']) == ('ERROR', 'allan_monitor', 'imu input')
+    assert told['message'] == ADVICE and told['values'] == {'rate Hz': '200'}
+    assert 0.0 <= told['age_s'] < 60.0
+
+
+def test_when_nobody_speaks_it_says_what_to_check(graph):
+    watch = graph.start('watch', '--once', '--seconds', '1')
+    assert watch.wait() == 1
+    said = ' '.join(watch.output.split())
+    assert 'no allan_ros node speaks on /diagnostics. Start one: ros2 launch' in said
+    assert 'ROS_DOMAIN_ID=' in said
