@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings
+from ..io.plot_style import PictureSettings
 from .console import Console
 from .options import add_settings, settings_of
 from .outcome import OutcomeSettings, add_runs, check_outcome, finish
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'its workers must see the same paths',
     )
     add_settings(parser, 'result', OutcomeSettings)
+    add_settings(parser, 'pictures', PictureSettings)
     add_settings(parser, 'evidence', SegmenterSettings, without=['declared_rate'])
     add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])
 
@@ -69,14 +71,15 @@ def run(args: argparse.Namespace) -> int:
     """Read, accumulate, fit, show and write."""
     from ..core.findings import Finding
     from ..io.recordings import ReadOptions
-    from .parts import Job, add_findings
+    from .parts import Job, add_findings, add_spectra
 
     check_outcome(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     console = Console.of(args)
     console.detail(f'settings: {_settings_text(reading, evidence)}')
-    jobs = [Job(path, reading, evidence, args.hardware_id) for path in args.inputs]
+    drawn = bool(args.output)
+    jobs = [Job(path, reading, evidence, args.hardware_id, drawn) for path in args.inputs]
     outcomes = list(_spread(jobs, args, console))
     lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     parts = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
@@ -85,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
     for part in parts:
         console.detail(_read_text(part))
     parts[0] = add_findings(parts[0], lost)
-    return finish(add_runs(part.run for part in parts), args, [part.signal for part in parts])
+    run = add_runs(part.run for part in parts)
+    return finish(run, args, [part.signal for part in parts], add_spectra(parts))
 
 
 def _spread(

@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import importlib
 import os
+import shlex
 import signal
 import sys
 import traceback
@@ -122,6 +123,7 @@ def _run(words: Sequence[str]) -> int:
     except SystemExit:
         sys.stdout.flush()  # a reader of --help may have left: told where that is caught
         raise
+    args.command_line = shlex.join(['allan', *words])
     code: int = importlib.import_module(f'.{args.verb}', __package__).run(args)
     return code
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 
+from ..io.plot_style import PictureSettings
 from .options import add_settings
 from .outcome import OutcomeSettings, Run, add_runs, check_outcome, finish
 
@@ -23,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
     )
     add_settings(parser, 'result', OutcomeSettings)
+    add_settings(parser, 'pictures', PictureSettings)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,9 +17,10 @@ from .console import Console
 from .options import settings_of
 
 if TYPE_CHECKING:
+    from ..core.spectrum import SpectrumSums
     from ..core.sums import AllanSums
     from ..io.envelope import SignalEnvelope
-    from ..io.results import Provenance
+    from ..io.results import Provenance, Results
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,13 @@ class OutcomeSettings:
         'Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml '
         'file.',
     )
+    baseline: str = parameter(
+        '', 'results.json of an earlier run of this IMU, to hold this one against in the report.'
+    )
     margin: float = parameter(
         MARGIN,
-        'Fraction by which a whole interval must lie above what the datasheet states.',
+        'Fraction by which a whole interval must lie above what the datasheet states, or the '
+        'earlier run allowed.',
         low=0.0,
         high=100.0,
     )
@@ -102,22 +107,31 @@ def check_outcome(args: argparse.Namespace) -> None:
     Raises
     ------
     AllanError
-        When a target of ``--export`` or the datasheet is unknown, there is no folder to write to,
-        or the margin is out of its range.
+        When a target of ``--export``, the datasheet, the earlier run or the style of the pictures
+        is unknown, there is no folder to write to, or a number is out of its range.
     """
     from ..io.exporters import target_of
+    from ..io.plot_style import PictureSettings, load_style
     from ..io.sensors import load_sensor
 
     settings_of(OutcomeSettings, args)
     if args.sensor:
         load_sensor(args.sensor)
+    _former(args)
+    load_style(settings_of(PictureSettings, args).plot_style)
     for name in args.export:
         target_of(name)
-    if args.export and not args.output:
-        raise AllanError('--export writes into the folder of -o: give one')
+    for option, given in (('--export', args.export), ('--baseline', args.baseline)):
+        if given and not args.output:
+            raise AllanError(f'{option} writes into the folder of -o: give one')
 
 
-def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope] = ()) -> int:
+def finish(
+    run: Run,
+    args: argparse.Namespace,
+    signals: Sequence[SignalEnvelope] = (),
+    spectra: Sequence[SpectrumSums] = (),
+) -> int:
     """Fit the run, write its files where ``--output`` says, and show what was found.
 
     Returns
@@ -125,6 +139,7 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
     int
         Exit code: 1 where nothing could be computed, else 0.
     """
+    from ..io.plot_style import PictureSettings
     from ..io.results import analyse_sums
     from ..io.sensors import load_sensor
 
@@ -139,7 +154,17 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
 
         with console.timed('drawn and written'):
             results, paths = write_result_files(
-                args.output, results, run.sums, signals, args.units, args.export
+                args.output,
+                results,
+                run.sums,
+                signals,
+                spectra,
+                _former(args),
+                args.margin,
+                args.command_line,
+                args.units,
+                args.export,
+                settings_of(PictureSettings, args),
             )
         written = f'written to {args.output}: {", ".join(sorted(path.name for path in paths))}'
     if console.json:
@@ -157,6 +182,21 @@ def finish(run: Run, args: argparse.Namespace, signals: Sequence[SignalEnvelope]
             print(f'\n{written}')
     known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
     return 0 if any(c.value is not None for c in known) else 1
+
+
+def _former(args: argparse.Namespace) -> dict[str, Results]:
+    """Return the earlier run by its name, where one was given.
+
+    Raises
+    ------
+    AllanError
+        When it cannot be read, or is no results.json.
+    """
+    if not args.baseline:
+        return {}
+    from ..io.documents import read_json, results_from_document
+
+    return {args.baseline: results_from_document(read_json(args.baseline), args.baseline)}
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from ..core.accumulator import ImuAccumulator
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.settings import SegmenterSettings
+from ..core.spectrum import SpectrumSums
 from ..io.envelope import SignalEnvelope
 from ..io.recordings import ReadOptions, Recording, open_recordings
 from ..io.results import Provenance
@@ -32,14 +33,16 @@ class Job:
     reading: ReadOptions
     evidence: SegmenterSettings
     hardware_id: str
+    drawn: bool = False
 
 
 @dataclass(frozen=True)
 class Part:
-    """What came of one recording: its sums, and its signal for the plots."""
+    """What came of one recording: its sums, and if it is to be drawn, its signal and spectra."""
 
     run: Run
     signal: SignalEnvelope
+    spectra: tuple[SpectrumSums, ...] = ()
 
 
 def accumulate(job: Job) -> Part:
@@ -110,18 +113,28 @@ def _deaf_to_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def add_spectra(parts: Sequence[Part]) -> tuple[SpectrumSums, ...]:
+    """Return the spectra of all parts as one for each sensor, or none where some part has none."""
+    first, *others = parts
+    if any(len(part.spectra) != len(first.spectra) for part in others):
+        return ()
+    return tuple(sum(more, start) for start, *more in zip(*(part.spectra for part in parts)))
+
+
 def add_findings(part: Part, lost: Iterable[Finding]) -> Part:
     """Return the part with more to say of it."""
     run = part.run
     more = Provenance(findings=tuple(lost))
-    return Part(Run(run.name, run.sums, run.provenance + more), part.signal)
+    return replace(part, run=Run(run.name, run.sums, run.provenance + more))
 
 
 def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) -> Part:
-    accumulator, signal = ImuAccumulator(job.evidence, job.hardware_id), SignalEnvelope()
+    accumulator = ImuAccumulator(job.evidence, job.hardware_id, job.drawn)
+    signal = SignalEnvelope()
     for batch in recording.batches():
         accumulator.update(batch)
-        signal.update(batch)
+        if job.drawn:
+            signal.update(batch)
         advance(len(batch))
     accumulator.end()
     known = accumulator.result()
@@ -132,4 +145,4 @@ def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) 
         raise AllanError(f'{job.path}: no evidence among {counts.received} samples: {why}')
     settings = {**asdict(job.evidence), **asdict(job.reading), 'hardware_id': job.hardware_id}
     origin = Provenance((recording.info,), known.spans, findings, counts, settings)
-    return Part(Run(job.path, known.sums, origin), signal)
+    return Part(Run(job.path, known.sums, origin), signal, known.spectra)

@@ -9,23 +9,29 @@ apart; every part has its own dashes besides, so that the picture is as legible 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rcParams
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from ..core.batch import AXES, SENSORS
 from ..core.fit import TERMS, Coefficient
-from .envelope import SignalEnvelope
-from .results import AxisResult, Results
+from .outline import Outline
+from .plot_style import STYLES
+from .results import AxisCurve, AxisResult, Results
 from .shown import (
     NOTHING_KNOWN,
     ShownUnit,
     interval_text,
+    pretty_unit,
     shown_signal_unit,
     shown_unit,
     value_text,
@@ -42,20 +48,54 @@ TERM_STYLES: dict[str, tuple[str, Any]] = {
 }
 """Term -> colour and dashes of its part."""
 
-WIDTH_IN, ROW_IN, HEAD_IN, FOOT_IN = 11.0, 2.9, 0.55, 0.5
-"""Size of the picture in inches: its width, the height of an axis, what is above and below."""
+NARROW_IN = 5.0
+"""A picture narrower than this has no room for the signal beside the curves."""
 
-PNG_DPI = 150
-"""Dots per inch of the PNG."""
+HEAD_IN, FOOT_IN = 0.62, 0.45
+"""Inches above and below the panels."""
+
+LEFT_IN, LEGEND_IN, MARGIN_IN, SIGNAL_LEFT_IN = 0.62, 1.34, 0.12, 0.42
+"""Inches left of the curves, of the legend beside them, at the right edge, left of the signal."""
+
+TALLER_LEGEND_IN = 0.44
+"""Inches of the legend above each panel of a narrow picture."""
+
+PNG_DPI = 200
+"""Dots per inch of the PNG: sharp on a page of print and on a screen."""
 
 BELOW_CURVE = 0.2
 """A part is drawn where it is above this share of the lowest point of the curve."""
 
-RC = {'font.size': 9.0, 'svg.fonttype': 'none', 'svg.hashsalt': 'allan_ros', 'axes.grid': False}
+ABOVE_SIGNAL = 1.15
+"""Room about the evidence, over its largest value; a knock that was left out may leave it."""
+
+SMALL = 7.0
+"""Points of the legend: the least that a journal prints."""
+
+STEPS = (1, 2, 5, 10)
+"""Of ticks: numbers that are easy to count in."""
+
+RC: dict[str, Any] = {
+    'font.size': 8.0,
+    'axes.linewidth': 0.6,
+    'xtick.major.width': 0.6,
+    'ytick.major.width': 0.6,
+    'grid.color': '0.86',
+    'hatch.linewidth': 0.5,
+    'pdf.fonttype': 42,
+    'svg.fonttype': 'none',
+    'svg.hashsalt': 'allan_ros',
+    'axes.grid': False,
+}
+"""What all pictures start from; fonts are embedded whole in a PDF (type 42), as journals ask."""
 
 
 def sensor_figure(
-    results: Results, sensor: str, signals: Sequence[SignalEnvelope] = (), units: str = 'datasheet'
+    results: Results,
+    sensor: str,
+    outline: Outline | None = None,
+    units: str = 'datasheet',
+    style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
     """Return the figure of one sensor: a row for each of its axes, or None when it is absent.
 
@@ -63,134 +103,270 @@ def sensor_figure(
     ----------
     results : Results
     sensor : 'gyro' or 'accel'
-    signals : sequence of SignalEnvelope
-        One a recording, drawn one after the other; without any the curves stand alone.
+    outline : Outline or None
+        The raw signal; without it, or on a narrow picture, the curves stand alone.
     units : 'datasheet' or 'si'
+    style : mapping
+        Settings of matplotlib; its ``figure.figsize`` is that of a picture of three axes.
     """
     axes = [a for a in AXES[SENSORS[sensor]] if a in results.axes and results.axes[a].curve]
     if not axes:
         return None
-    with rc_context(RC):
-        height = ROW_IN * len(axes) + HEAD_IN + FOOT_IN
-        figure = Figure(figsize=(WIDTH_IN, height))
-        columns = 2 if signals else 1
-        panels = figure.subplots(
-            len(axes),
-            columns,
-            squeeze=False,
-            sharex='col',
-            gridspec_kw={
-                'width_ratios': [4, 3][:columns],
-                'left': 0.075,
-                'right': 0.985 if signals else 0.8,
-                'bottom': FOOT_IN / height,
-                'top': 1.0 - HEAD_IN / height,
-                'wspace': 0.62,
-                'hspace': 0.18,
-            },
-        )
-        for row, axis in zip(panels, axes):
-            _draw_curve(row[0], axis, results.axes[axis], units)
-            if signals:
-                _draw_signal(row[1], axis, signals, units)
+    with rc_context({**RC, **style}):
+        width, height = rcParams['figure.figsize']
+        row = (height - HEAD_IN - FOOT_IN) / len(AXES[SENSORS[sensor]])
+        height = HEAD_IN + FOOT_IN + row * len(axes)
+        figure = Figure(figsize=(width, height))
+        wide = width >= NARROW_IN
+        panels = _panels(figure, len(axes), wide, wide and outline is not None)
+        for of_axis, axis in zip(panels, axes):
+            _draw_curve(of_axis[0], axis, results.axes[axis], units, wide)
+            if len(of_axis) > 1 and outline is not None:
+                _draw_signal(of_axis[1], axis, outline, units)
         for panel, label in zip(panels[-1], ('averaging time τ [s]', 'time [h]')):
             panel.set_xlabel(label)
-        figure.suptitle(_title(results, sensor), fontsize=11, y=1.0 - 0.1 / height, va='top')
+        _head(figure, results, sensor, wide)
     return figure
 
 
 def to_png(figure: Figure) -> bytes:
     """Return the figure as a PNG file."""
-    return _saved(figure, 'png', dpi=PNG_DPI, metadata={'Software': 'allan_ros'})
+    return to_form(figure, 'png')
 
 
-def to_svg(figure: Figure) -> str:
-    """Return the figure as an ``<svg>`` element to stand inside a page."""
-    text = _saved(figure, 'svg', metadata={'Date': None}).decode()
-    return text[text.index('<svg') :]
-
-
-def _saved(figure: Figure, form: str, **how: Any) -> bytes:
+def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']) -> bytes:
+    """Return the figure as a file of a form of `plot_style.FORMATS`."""
+    metadata = {
+        'png': {'Software': 'allan_ros'},
+        'svg': {'Date': None},
+        'pdf': {'CreationDate': None, 'Producer': None, 'Creator': 'allan_ros'},
+    }
     file = io.BytesIO()
-    with rc_context(RC):
-        figure.savefig(file, format=form, **how)
+    with rc_context({**RC, **style}):
+        dpi = rcParams['savefig.dpi'] if 'savefig.dpi' in style else PNG_DPI
+        figure.savefig(file, format=form, dpi=dpi, metadata=metadata[form])
     return file.getvalue()
 
 
-def _title(results: Results, sensor: str) -> str:
+def as_element(svg: bytes) -> str:
+    """Return an SVG file as an ``<svg>`` element to stand inside a page."""
+    text = svg.decode()
+    return text[text.index('<svg') :]
+
+
+def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray[Any]:
+    """Return the panels, (rows, 1 or 2), laid out so that no legend covers a curve."""
+    width, height = figure.get_size_inches()
+    right = width - MARGIN_IN - (LEGEND_IN if wide and not with_signal else 0.0)
+    room = right - LEFT_IN
+    between = LEGEND_IN + SIGNAL_LEFT_IN
+    columns = 2 if with_signal else 1
+    ratios = [2.0, 1.0][:columns]
+    across = (room - between) / 2.0 if with_signal else room  # mean width, as wspace counts
+    gap = 0.15 if wide else TALLER_LEGEND_IN
+    top = height - HEAD_IN - (0.0 if wide else TALLER_LEGEND_IN - 0.15)
+    down = (top - FOOT_IN - gap * (rows - 1)) / rows
+    made: NDArray[Any] = figure.subplots(
+        rows,
+        columns,
+        squeeze=False,
+        sharex='col',
+        gridspec_kw={
+            'width_ratios': ratios,
+            'left': LEFT_IN / width,
+            'right': right / width,
+            'bottom': FOOT_IN / height,
+            'top': top / height,
+            'wspace': between / across if with_signal else 0.0,
+            'hspace': gap / down,
+        },
+    )
+    return made
+
+
+def _head(figure: Figure, results: Results, sensor: str, wide: bool) -> None:
+    """Write what is shown, and the legend that all panels share."""
+    width, height = figure.get_size_inches()
     name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
     of = results.identity.hardware_id or results.identity.frame_id
-    return (
-        f'{name}{f" of {of}" if of else ""}: {results.samples:,} samples at '
-        f'{results.rate_hz:.4g} Hz, {results.duration_s / 3600.0:.3g} h'
+    facts = (
+        f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
+        f'{results.duration_s / 3600.0:.3g} h'
+    )
+    left, top = LEFT_IN / width, 1.0 - 0.09 / height
+    bold = figure.text(
+        left, top, f'{name}{f" of {of}" if of else ""}', va='top', weight='bold', size='large'
+    )
+    bold.set_parse_math(False)
+    figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL)
+    ink = rcParams['text.color']
+    figure.legend(
+        handles=[
+            Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
+            Patch(color=ink, alpha=0.2, lw=0, label='68 % limits'),
+            Line2D([], [], color=ink, lw=0.9, label='fit'),
+        ],
+        loc='upper right' if wide else 'upper left',
+        bbox_to_anchor=(1.0, 1.0 - 0.02 / height) if wide else (left, 1.0 - 0.4 / height),
+        borderaxespad=0.3 if wide else 0.0,
+        borderpad=0.4 if wide else 0.0,
+        ncol=3,
+        fontsize=SMALL,
+        frameon=False,
+        columnspacing=1.0,
+        handlelength=1.6,
     )
 
 
-def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
+def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bool) -> None:
     """Draw the deviation with its limits, the fit and the parts it is made of."""
     curve, unit = result.curve, shown_unit(axis, 'B', units)
     assert curve is not None
-    adev, low, high = (unit.factor * a for a in (curve.adev, curve.ci_low, curve.ci_high))
-    panel.set_ylabel(f'{axis.replace("_", " ")}\nAllan deviation [{unit.name}]')
-    if not np.any(adev > 0.0):
+    panel.set_ylabel(f'{axis.replace("_", " ")}  [{pretty_unit(unit.name)}]')
+    positive = curve.adev[curve.adev > 0.0]
+    if not len(positive):
         panel.text(0.5, 0.5, 'no noise to show', ha='center', transform=panel.transAxes)
+        panel.set_yticks([])
         return
-    panel.set_xscale('log')
-    panel.set_yscale('log', nonpositive='mask')
-    panel.fill_between(curve.tau, low, high, color='0.8', lw=0, label='68 % limits')
-    panel.plot(curve.tau, adev, 'o', ms=3, mfc='white', mec='0.15', mew=0.8, label='measured')
+    ink = rcParams['text.color']
+    adev, low, high = (unit.factor * a for a in (curve.adev, curve.ci_low, curve.ci_high))
+    _log_axes(panel, curve, unit)
+    panel.fill_between(curve.tau, low, high, color=ink, alpha=0.2, lw=0)
+    panel.plot(
+        *(curve.tau, adev, 'o'), ms=2.6, mfc=rcParams['axes.facecolor'], mec=ink, mew=0.6,
+        label='measured',
+    )  # fmt: skip
+    lines = _draw_parts(panel, axis, result, curve, units)
+    if not wide:  # room for the values of what is drawn, no more
+        lines = [line for line in lines if line.get_linestyle() != 'None']
+        for line in lines:
+            line.set_label(str(line.get_label()).partition('\n')[0])
+    total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
+    panel.plot(curve.tau, unit.factor * total, color=ink, lw=0.9, zorder=1.9)
+    beside = {'loc': 'upper left', 'bbox_to_anchor': (1.0, 1.03), 'ncol': 1}
+    above = {'loc': 'lower left', 'bbox_to_anchor': (-0.02, 0.99), 'ncol': 2}
+    panel.legend(
+        handles=lines,
+        fontsize=SMALL,
+        frameon=False,
+        handlelength=2.2,
+        labelspacing=0.35,
+        borderaxespad=0.3,
+        **(beside if wide else above),
+    )
+
+
+def _draw_parts(
+    panel: Axes, axis: str, result: AxisResult, curve: AxisCurve, units: str
+) -> list[Line2D]:
+    """Draw the part of each term that is known, and return what stands in the legend."""
+    unit = shown_unit(axis, 'B', units)
     parts = result.part_adev(curve.m) * unit.factor
-    floor = BELOW_CURVE * adev[adev > 0.0].min()
+    floor = BELOW_CURVE * unit.factor * float(curve.adev[curve.adev > 0.0].min())
+    lines, hidden = [], []
     for i, term in enumerate(TERMS):
-        colour, dashes = TERM_STYLES[term]
         coefficient, its_unit = result.fit.noise[term], shown_unit(axis, term, units)
-        known = coefficient.status == 'estimated'
-        panel.plot(
+        if coefficient.status != 'estimated' or coefficient.value is None:
+            hidden.append(_legend_text(term, coefficient, its_unit))
+            continue
+        colour, dashes = TERM_STYLES[term]
+        (line,) = panel.plot(
             curve.tau,
-            np.where((parts[:, i] > floor) & known, parts[:, i], np.nan),
-            color=colour if known else 'none',
+            np.where(parts[:, i] > floor, parts[:, i], np.nan),
+            color=colour,
             ls=dashes,
-            lw=1.4,
+            lw=1.1,
             label=_legend_text(term, coefficient, its_unit),
         )
+        lines.append(line)
     for name, adev_of_extra in result.extra_adev(curve.m).items():
         shown = unit.factor * adev_of_extra
-        panel.plot(
-            curve.tau, np.where(shown > floor, shown, np.nan), color='0.45', lw=0.9, label=name
+        above = np.where(shown > floor, shown, np.nan)
+        lines += panel.plot(curve.tau, above, color='0.5', lw=0.9, label=name)
+    return [*lines, *(Line2D([], [], ls='', label=text) for text in hidden)]
+
+
+def _log_axes(panel: Axes, curve: AxisCurve, unit: ShownUnit) -> None:
+    """Make both axes logarithmic, with a fine grid drawn as one piece: ticks of it would cost
+    more time than all the rest of the picture."""
+    adev = curve.adev[curve.adev > 0.0] * unit.factor
+    reach = (curve.tau[0] / 1.3, curve.tau[-1] * 1.3), (0.45 * adev.min(), 1.8 * adev.max())
+    panel.set_xscale('log')
+    panel.set_yscale('log', nonpositive='mask')
+    panel.set_xlim(*reach[0])
+    panel.set_ylim(*reach[1])
+    for direction, limits in zip((panel.xaxis, panel.yaxis), reach):
+        direction.set_major_locator(LogLocator(numticks=9))
+        direction.set_minor_locator(NullLocator())
+        decades = np.arange(np.floor(np.log10(limits[0])), np.ceil(np.log10(limits[1])))
+        fine = np.outer(10.0**decades, np.arange(1, 10)).ravel()
+        fine = fine[(fine > limits[0]) & (fine < limits[1])]
+        labelled = np.isin(fine, 10.0**decades)
+        if labelled.sum() < 2:  # less than two decades: the twos and fives help
+            direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+        direction.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
+        across = direction is panel.xaxis
+        ends = [0.0, 1.0]
+        panel.add_collection(
+            LineCollection(
+                [[(v, e) if across else (e, v) for e in ends] for v in fine],
+                transform=panel.get_xaxis_transform() if across else panel.get_yaxis_transform(),
+                colors=rcParams['grid.color'],
+                linewidths=np.where(labelled, 0.6, 0.25),
+                zorder=0.5,
+            ),
+            autolim=False,
         )
-    total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
-    panel.plot(curve.tau, unit.factor * total, color='black', lw=1.0, label='fit', zorder=1.9)
-    panel.grid(which='major', color='0.88', lw=0.6)
-    panel.legend(fontsize=7, loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def _tick(value: float) -> str:
+    """Return the label of a tick: plain where that is short, else as a power of ten."""
+    if 1e-3 <= value < 1e5:
+        return f'{value:g}'
+    exponent = int(np.floor(np.log10(value) + 1e-9))
+    digit = round(value / 10.0**exponent)
+    return rf'$10^{{{exponent}}}$' if digit == 1 else rf'${digit}\cdot10^{{{exponent}}}$'
 
 
 def _legend_text(term: str, coefficient: Coefficient, unit: ShownUnit) -> str:
     value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
     if value == NOTHING_KNOWN:
         return f'{term} not observable'
-    return f'{term} {value} {unit.name}\n    {interval}'.rstrip()
+    return f'{term} {value} {pretty_unit(unit.name)}' + (f'\n   {interval}' if interval else '')
 
 
-def _draw_signal(panel: Axes, axis: str, signals: Sequence[SignalEnvelope], units: str) -> None:
-    """Draw the outline of the signal about its mean, one recording after the other."""
-    unit = shown_signal_unit(axis, units)
-    column = AXES.index(axis)
-    outlines = [(s.time_s, s.low[:, column], s.high[:, column]) for s in signals if s.bins]
-    middle = float(np.nanmedian(np.concatenate([low + high for _, low, high in outlines]))) / 2.0
-    start_s = 0.0
-    for i, (time_s, low, high) in enumerate(outlines):
-        hours = (start_s + time_s) / 3600.0
-        panel.fill_between(
-            hours,
-            (low - middle) * unit.factor,
-            (high - middle) * unit.factor,
-            color=('#56B4E9', '#0072B2')[i % 2],
-            ec='none',
-            step='post',
-        )
-        start_s += float(time_s[-1])
-    panel.set_title(f'signal about {middle * unit.factor:.4g} {unit.name}', fontsize=8, loc='left')
-    panel.set_ylabel(f'[{unit.name}]')
+def _draw_signal(panel: Axes, axis: str, outline: Outline, units: str) -> None:
+    """Draw the outline of the signal about its middle, and mark what is no evidence."""
+    unit, column = shown_signal_unit(axis, units), AXES.index(axis)
+    middle = outline.middle[column]
+    low, high = ((a[:, column] - middle) * unit.factor for a in (outline.low, outline.high))
+    hours = outline.time_s / 3600.0
+    panel.fill_between(hours, low, high, color=TERM_STYLES['N'][0], ec='none', step='post')
+    for start, end in outline.gaps:
+        panel.axvspan(start / 3600.0, end / 3600.0, fc='0.88', lw=0)
+    for start, end in outline.left_out:
+        panel.axvspan(start / 3600.0, end / 3600.0, fc='none', ec='0.45', hatch='/////', lw=0)
+    for start in outline.starts[1:]:
+        panel.axvline(start / 3600.0, color=rcParams['text.color'], lw=0.6)
+    reach = ABOVE_SIGNAL * _largest(outline, low, high)
+    panel.set_ylim(-reach, reach)
+    said = ', hatched: left out' if outline.left_out else ''
+    panel.set_title(
+        f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}{said}', size=SMALL, loc='left',
+        pad=2.0,
+    )  # fmt: skip
+    panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
+    panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
     panel.set_axisbelow(True)
-    panel.grid(color='0.9', lw=0.6)
+    panel.grid(color=rcParams['grid.color'], lw=0.5)
     panel.margins(x=0.01)
+
+
+def _largest(outline: Outline, low: Floats, high: Floats) -> float:
+    """Return the largest distance of the evidence from its middle."""
+    counted = np.ones(len(low), bool)
+    for start, end in outline.left_out:
+        counted &= (outline.time_s < start) | (outline.time_s > end)
+    sizes = np.fmax(np.abs(low), np.abs(high))
+    largest = np.nanmax(sizes[counted], initial=0.0) or np.nanmax(sizes, initial=0.0)
+    return float(largest) or 1.0

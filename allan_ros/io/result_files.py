@@ -4,21 +4,31 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from ..core.batch import SENSORS
 from ..core.errors import AllanError
 from ..core.findings import finding
+from ..core.spectrum import SpectrumSums, spectrum_of
 from ..core.sums import AllanSums
 from .atomic import write_atomic
 from .documents import results_to_document, sums_file_to_document, to_json
 from .envelope import SignalEnvelope
 from .exporters import export, target_of
+from .outline import outline_of
+from .plot_style import PictureSettings, load_style
 from .report import Beside, render_report
 from .results import Results
+
+OUTLINE_BINS = 1000
+"""Spans of the raw signal in pictures and page: as many as a plot has pixels across."""
+
+FINGERPRINT_DIGITS = 16
+"""Of the hash that tells one evidence from another: 64 bits."""
 
 
 def write_result_files(
@@ -26,13 +36,28 @@ def write_result_files(
     results: Results,
     sums: Sequence[AllanSums],
     signals: Sequence[SignalEnvelope] = (),
+    spectra: Sequence[SpectrumSums] = (),
+    former: Mapping[str, Results] | None = None,
+    margin: float = 0.0,
+    command: str = '',
     units: str = 'datasheet',
     targets: Sequence[str] = (),
+    pictures: PictureSettings = PictureSettings(),
 ) -> tuple[Results, list[Path]]:
     """Write results.json, sums.json, imu.yaml, the pictures and the report.
 
     Parameters
     ----------
+    signals : sequence of SignalEnvelope
+        One a recording.
+    spectra : sequence of SpectrumSums
+        Of ``sums``, in the same order; empty where none were kept.
+    former : mapping of name to Results
+        Earlier runs that the report holds these results against.
+    margin : float
+        Fraction by which an interval must lie above an earlier run to be beyond it.
+    command : str
+        The words to do it again.
     targets : sequence of str
         Names of `exporters.TARGETS` to write files for, besides Kalibr.
 
@@ -47,11 +72,12 @@ def write_result_files(
     Raises
     ------
     AllanError
-        When the folder cannot be made or written.
+        When the folder cannot be made or written, or the style of the pictures is unknown.
     """
     # Heavy to import (0.3 s), and merging sums on a robot needs no pictures until here.
-    from .plots import sensor_figure, to_png, to_svg
+    from .plots import as_element, sensor_figure, to_form
 
+    style = load_style(pictures.plot_style)
     folder = made_folder(Path(folder))
     paths = []
     for target in dict.fromkeys(('kalibr', *targets)):
@@ -60,20 +86,41 @@ def write_result_files(
         except AllanError as error:
             left_out = finding('file_left_out', file=target_of(target).file_name, why=str(error))
             results = replace(results, findings=(*results.findings, left_out))
-    pictures = {}
+    outline = outline_of(signals, results.provenance.spans, OUTLINE_BINS)
+    elements = {}
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:
-        figure = sensor_figure(results, sensor, signals, units)
-        if figure is not None:
-            contents[f'allan_{sensor}.png'] = to_png(figure)
-            pictures[sensor] = to_svg(figure)
-    contents['report.html'] = render_report(results, Beside(pictures, signals), units)
+        figure = sensor_figure(results, sensor, outline, units, style)
+        if figure is None:
+            continue
+        drawn = {form: to_form(figure, form, style) for form in {'svg', *pictures.plot_format}}
+        elements[sensor] = as_element(drawn['svg'])
+        for form in pictures.plot_format:
+            contents[f'allan_{sensor}.{form}'] = drawn[form]
+    sums_document = sums_file_to_document(sums, results.provenance)
+    densities = (spectrum_of(of, s.tau0) for of, s in zip(spectra, sums) if s.tau0 is not None)
+    beside = Beside(
+        elements,
+        outline,
+        [density for density in densities if density is not None],
+        former or {},
+        margin,
+        _repeat(command, to_json({'sums': sums_document['sums']})),
+    )
+    contents['report.html'] = render_report(results, beside, units)
     contents['results.json'] = to_json(results_to_document(results))
-    contents['sums.json'] = to_json(sums_file_to_document(sums, results.provenance))
+    contents['sums.json'] = to_json(sums_document)
     for name, content in contents.items():
         write_atomic(folder / name, content)
         paths.append(folder / name)
     return results, paths
+
+
+def _repeat(command: str, evidence: str) -> dict[str, str]:
+    """Return what one needs to do an analysis again, and to know that it was of the same data."""
+    digest = hashlib.sha256(evidence.encode()).hexdigest()[:FINGERPRINT_DIGITS]
+    said = {'fingerprint of the evidence': f'{digest} (the same samples give the same)'}
+    return {'command': command, **said} if command else said
 
 
 def made_folder(folder: Path) -> Path:

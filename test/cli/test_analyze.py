@@ -51,6 +51,30 @@ def test_all_files_are_written(analysed: Path) -> None:
     assert {path.name for path in analysed.iterdir()} == FILES
 
 
+def test_pictures_come_in_the_forms_asked_for_and_a_former_run_beside(
+    recording: Path, analysed: Path, tmp_path: Path
+) -> None:
+    former = str(analysed / 'results.json')
+    how = ['--plot-format', 'svg,pdf', '--plot-style', 'column', '--baseline', former]
+    assert main(['analyze', str(recording), '-o', str(tmp_path), *how]) == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {'allan_gyro.svg', 'allan_gyro.pdf'} <= names
+    assert 'allan_gyro.png' not in names
+    page = (tmp_path / 'report.html').read_text()
+    assert f'Beside {former}' in page
+    assert 'Yes: all' in page  # it is the same run
+    assert 'allan analyze' in page and '--plot-style column' in page
+    assert '"spectrum":{"frequency"' in page
+
+
+def test_what_cannot_be_drawn_is_refused_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for how in (['--plot-format', 'gif'], ['--plot-style', 'odd'], ['--baseline', 'none.json']):
+        assert main(['analyze', 'no_such_bag', '-o', str(tmp_path), *how]) == 1
+        assert how[1] in capsys.readouterr().err
+
+
 def test_results_hold_the_truth(analysed: Path, recording: Path) -> None:
     # N of a gyro at 6 min, 50 Hz has a 95 % interval of 3 %: six standard deviations are 10 %.
     axes = read(analysed / 'results.json')['axes']

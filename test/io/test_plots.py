@@ -8,27 +8,32 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from allan_ros.core.batch import ImuBatch
+from allan_ros.core.errors import AllanError
+from allan_ros.core.health import Span
 from allan_ros.io.envelope import SignalEnvelope
-from allan_ros.io.plots import sensor_figure, to_png
+from allan_ros.io.outline import Outline, outline_of
+from allan_ros.io.plot_style import PictureSettings, load_style
+from allan_ros.io.plots import sensor_figure, to_form, to_png
 from allan_ros.io.results import Results
 
 DEG_PER_HOUR = math.pi / 180.0 / 3600.0
 
 
-def a_signal() -> SignalEnvelope:
+def an_outline(recordings: int = 1) -> Outline | None:
     envelope = SignalEnvelope()
     samples = np.random.default_rng(1).normal(size=(500, 6))
     envelope.update(ImuBatch(np.arange(500, dtype=np.int64) * 20_000_000, samples))
-    return envelope
+    return outline_of([envelope] * recordings, [Span(0, 400, 8.0)], 1000)
 
 
 def test_a_row_an_axis_and_the_signal_beside_it(small_results: Results) -> None:
-    figure = sensor_figure(small_results, 'gyro', [a_signal(), a_signal()])
+    figure = sensor_figure(small_results, 'gyro', an_outline(2))
     assert len(figure.axes) == 6
     assert to_png(figure).startswith(b'\x89PNG')
     assert len(sensor_figure(small_results, 'accel').axes) == 3
@@ -39,7 +44,7 @@ def test_the_curve_is_drawn_in_the_unit_it_says(small_results: Results) -> None:
     (measured,) = [line for line in panel.lines if line.get_label() == 'measured']
     adev = small_results.axes['gyro_x'].curve.adev
     assert np.allclose(measured.get_ydata(), adev / DEG_PER_HOUR, rtol=1e-12)
-    assert 'deg/h' in panel.get_ylabel()
+    assert '°/h' in panel.get_ylabel()
     si = sensor_figure(small_results, 'gyro', units='si').axes[0]
     assert 'rad/s' in si.get_ylabel()
 
@@ -61,10 +66,52 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
     axis = small_results.axes['gyro_x']
     zero = np.zeros(len(axis.curve.m))
     flat = replace(axis, curve=replace(axis.curve, adev=zero, ci_low=zero, ci_high=zero))
-    figure = sensor_figure(replace(small_results, axes={'gyro_x': flat}), 'gyro', [a_signal()])
+    figure = sensor_figure(replace(small_results, axes={'gyro_x': flat}), 'gyro', an_outline())
     assert to_png(figure)
 
 
 def test_plots_do_without_pyplot() -> None:
     program = 'import sys, allan_ros.io.plots; sys.exit("matplotlib.pyplot" in sys.modules)'
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0
+
+
+def test_every_form_is_written_and_a_pdf_has_its_fonts_whole(small_results: Results) -> None:
+    figure = sensor_figure(small_results, 'accel', an_outline())
+    assert to_form(figure, 'svg').startswith(b'<?xml')
+    pdf = to_form(figure, 'pdf')
+    assert pdf.startswith(b'%PDF')
+    assert b'/FontFile2' in pdf  # TrueType, type 42
+    assert b'/Type3' not in pdf
+
+
+def test_a_column_is_as_wide_as_a_column_and_shows_the_curves_alone(small_results: Results) -> None:
+    figure = sensor_figure(small_results, 'gyro', an_outline(), style=load_style('column'))
+    assert figure.get_size_inches()[0] == 3.5
+    assert len(figure.axes) == 3
+
+
+def test_a_style_sheet_of_the_user_is_kept(small_results: Results, tmp_path: Path) -> None:
+    sheet = tmp_path / 'mine.mplstyle'
+    sheet.write_text('font.size: 11\naxes.facecolor: ffeecc\n')
+    panel = sensor_figure(small_results, 'gyro', style=load_style(str(sheet))).axes[0]
+    assert panel.yaxis.label.get_size() == 11
+    assert panel.get_facecolor() == pytest.approx((1.0, 0.933, 0.8, 1.0), abs=1e-3)
+    assert 'image.cmap' in load_style('grayscale')
+
+
+@pytest.mark.parametrize(
+    'text', ['font.sise: 9\n', 'no colon here\n', 'font.size: large-ish\n', '\0']
+)
+def test_a_sheet_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    sheet = tmp_path / 'bad.mplstyle'
+    sheet.write_text(text)
+    with pytest.raises(AllanError, match=r'bad\.mplstyle: is no style sheet') as caught:
+        load_style(str(sheet))
+    assert '\n' not in str(caught.value)
+
+
+def test_unknown_styles_and_forms_are_refused() -> None:
+    with pytest.raises(AllanError, match="no plot style 'http"):
+        load_style('http://example.org/my.mplstyle')
+    with pytest.raises(AllanError, match="no plot format 'gif'"):
+        PictureSettings(plot_format=('png', 'gif'))

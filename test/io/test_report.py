@@ -23,7 +23,7 @@ from allan_ros.core.spectrum import RunningSpectrum, spectrum_of
 from allan_ros.core.sums import ImuIdentity
 from allan_ros.io.envelope import SignalEnvelope
 from allan_ros.io.outline import outline_of
-from allan_ros.io.plots import sensor_figure, to_svg
+from allan_ros.io.plots import as_element, sensor_figure, to_form
 from allan_ros.io.recordings import SourceInfo
 from allan_ros.io.report import Beside, render_report
 from allan_ros.io.report.chart_data import sensor_charts, to_script
@@ -87,8 +87,8 @@ def everything(results: Results) -> Beside:
     assert spectrum is not None
     figure = sensor_figure(results, 'gyro')
     return Beside(
-        {'gyro': to_svg(figure)} if figure else {},
-        [a_signal()],
+        {'gyro': as_element(to_form(figure, 'svg'))} if figure else {},
+        outline_of([a_signal()], (), 1000),
         [spectrum],
         {'last month': results},
         0.1,

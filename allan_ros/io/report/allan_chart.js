@@ -137,6 +137,7 @@ const AllanChart = (() => {
       const top = u.bbox.top - (axes.length - row) * STRIP * ratio - 4 * ratio;
       const left = u.bbox.left;
       const right = left + u.bbox.width;
+      ctx.save();
       text(u, a.label, left - 10 * ratio, top + STRIP * ratio / 2, colour(a.label), 'right');
       (a.regions || []).forEach(([low, high, term], i) => {
         const from = Math.max(left, u.valToPos(low, 'x', true));
@@ -151,6 +152,7 @@ const AllanChart = (() => {
         ctx.textBaseline = 'middle';
         ctx.fillText(term, (from + to) / 2, top + (STRIP - 1) * ratio / 2);
       });
+      ctx.restore();
     }
 
     // The axis whose curve is nearest to the cursor is the one whose parts are drawn.

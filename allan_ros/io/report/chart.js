@@ -112,7 +112,14 @@ const Chart = (() => {
       const room = chart.over.clientWidth;
       const left = x + 14 + wide > room ? x - 14 - wide : x + 14;
       tip.style.left = `${Math.max(-40, Math.min(left, room - wide))}px`;
-      tip.style.top = `${Math.max(0, Math.min(chart.cursor.top - tip.offsetHeight / 2, chart.over.clientHeight - tip.offsetHeight))}px`;
+      tip.style.top = `${higher(chart, at) ? 4 : chart.over.clientHeight - tip.offsetHeight - 4}px`;
+    }
+
+    // Whether there is more room above the curves at the cursor than below them.
+    function higher(chart, at) {
+      const there = chart.data.slice(1).map((values) => values[at]).filter((v) => v !== null && v !== undefined);
+      const places = there.map((v) => chart.valToPos(v, 'y'));
+      return !places.length || Math.min(...places) > chart.over.clientHeight - Math.max(...places);
     }
 
     function move(to) {

@@ -20,8 +20,7 @@ from ...core.batch import AXES, SENSORS
 from ...core.compare import Comparison, Reference, compare, reference_of_run
 from ...core.findings import Finding
 from ...core.spectrum import Spectrum
-from ..envelope import SignalEnvelope
-from ..outline import outline_of
+from ..outline import Outline
 from ..results import AxisResult, Results
 from ..shown import duration_text, significant
 from .background import background, recorded_on
@@ -39,9 +38,6 @@ SCRIPTS = (
     'page.js',
 )
 """Files beside this one, in the order in which they stand in the page."""
-
-OUTLINE_BINS = 1000
-"""Spans of the raw signal: as many as a plot has pixels across."""
 
 ICONS = {
     'good': '<path d="M7 12.5l3.5 3.5L17 9"/>',
@@ -62,8 +58,8 @@ class Beside:
     ----------
     pictures : mapping of sensor to str
         ``<svg>`` elements: for print, and where there is no script.
-    signals : sequence of SignalEnvelope
-        One a recording.
+    outline : Outline or None
+        The raw signal.
     spectra : sequence of Spectrum
     former : mapping of name to Results
         Earlier runs.
@@ -74,7 +70,7 @@ class Beside:
     """
 
     pictures: Mapping[str, str] = field(default_factory=dict)
-    signals: Sequence[SignalEnvelope] = ()
+    outline: Outline | None = None
     spectra: Sequence[Spectrum] = ()
     former: Mapping[str, Results] = field(default_factory=dict)
     margin: float = 0.0
@@ -147,11 +143,9 @@ def _digest(script: str) -> str:
 
 
 def _data(results: Results, beside: Beside, sensors: Sequence[str], units: str) -> str:
-    spans = results.provenance.spans
-    outline = outline_of(beside.signals, spans, OUTLINE_BINS)
     references = [] if results.datasheet is None else [results.datasheet.datasheet.reference()]
     charts = [
-        sensor_charts(results, sensor, references, beside.former, beside.spectra, outline)
+        sensor_charts(results, sensor, references, beside.former, beside.spectra, beside.outline)
         for sensor in sensors
     ]
     return to_script({'units': units, 'sensors': charts})
@@ -187,7 +181,7 @@ def _header(
     ]
     said = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
     yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{said}</ul></header>'
-    links = ''.join(f'<a href="#{s}">{SENSOR_NAMES[s]}</a>' for s in sensors)
+    links = ''.join(f'<a href="#{s}">{s.capitalize()}</a>' for s in sensors)
     switch = ''.join(
         f'<label><input type="radio" name="units" id="units-{system}" value="{system}"'
         f'{" checked" if system == units else ""}>{label}</label>'

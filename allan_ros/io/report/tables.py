@@ -17,7 +17,6 @@ from ..shown import (
     pretty_unit,
     region_text,
     shown_unit,
-    significant,
     value_text,
 )
 from .words import TERM_NAMES, VERDICT_WORDS, in_units
@@ -52,30 +51,27 @@ def datasheet_table(
     sensor: str, axes: Mapping[str, AxisResult], comparison: DatasheetComparison
 ) -> Iterator[str]:
     """Yield the table of what a datasheet states of a sensor; nothing where it states nothing."""
-    rows = []
+    rows, notes = [], []
     for term in TERMS:
-        held = {axis: comparison.of(axis, term) for axis in axes}
-        limits = [h.limit for h in held.values() if h is not None]
-        if not limits:
+        held = {axis: h for axis in axes if (h := comparison.of(axis, term)) is not None}
+        if not held:
             continue
-        stated = ' / '.join(dict.fromkeys(limit.stated for limit in limits))
-        notes = [note for limit in limits for note in (limit.note, limit.condition) if note]
-        said = ''.join(f'<small>{escape(note)}</small>' for note in dict.fromkeys(notes))
+        limits = [h.limit for h in held.values()]
+        stated = ' / '.join(dict.fromkeys(pretty_unit(limit.stated) for limit in limits))
+        said = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
+        notes += [f'{term}: {note}' for note in said]
         cells = ''.join(
-            '<td></td>'
-            if h is None
-            else _verdict_cell(axis, term, axes[axis].fit.noise[term], h.limit.value, h.verdict)
-            for axis, h in held.items()
+            _verdict_cell(axis, term, axes[axis].fit.noise[term], h.limit.value, h.verdict)
+            if (h := held.get(axis)) is not None
+            else '<td></td>'
+            for axis in axes
         )
-        rows.append(
-            f'<tr>{_term_heading(sensor, term)}<td>{escape(pretty_unit(stated))}{said}</td>'
-            f'{cells}</tr>'
-        )
+        rows.append(f'<tr>{_term_heading(sensor, term, f"stated {stated}")}{cells}</tr>')
     if rows:
         name = comparison.datasheet.name
-        yield from _comparison_table(f'Beside the datasheet of {name}', 'stated', axes, rows)
+        yield from _comparison_table(f'Beside the datasheet of {name}', axes, rows)
         sources = '; '.join(str(source) for source in comparison.datasheet.sources.values())
-        yield f'<p class="note">{escape(sources)}</p>'
+        yield from (f'<p class="note">{escape(said)}</p>' for said in (*notes, sources))
 
 
 def former_table(
@@ -91,16 +87,22 @@ def former_table(
         held = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
         if not held:
             continue
-        then = ''.join(_then(axis, term, former) for axis in held)
         cells = ''.join(
-            _verdict_cell(axis, term, axes[axis].fit.noise[term], c.limit, c.verdict)
+            _verdict_cell(
+                axis,
+                term,
+                axes[axis].fit.noise[term],
+                c.limit,
+                c.verdict,
+                _then(axis, term, former),
+            )
             if (c := held.get(axis)) is not None
             else '<td></td>'
             for axis in axes
         )
-        rows.append(f'<tr>{_term_heading(sensor, term)}<td class="then">{then}</td>{cells}</tr>')
+        rows.append(f'<tr>{_term_heading(sensor, term)}{cells}</tr>')
     if rows:
-        yield from _comparison_table(f'Beside {name}', 'then', axes, rows)
+        yield from _comparison_table(f'Beside {name}', axes, rows)
         yield (
             '<p class="note">"Within" is not above the upper end of what the earlier run allowed; '
             '"beyond" is a whole interval above it.</p>'
@@ -108,32 +110,33 @@ def former_table(
 
 
 def _then(axis: str, term: str, former: Results) -> str:
+    """Return what a coefficient was in an earlier run."""
     coefficient = former.axes[axis].fit.noise[term]
     value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
-    return f'<small>{_letter(axis)}</small> {value}<br>'
+    return f'<small>then {value}</small>'
 
 
 def _comparison_table(
-    caption: str, second: str, axes: Mapping[str, AxisResult], rows: Sequence[str]
+    caption: str, axes: Mapping[str, AxisResult], rows: Sequence[str]
 ) -> Iterator[str]:
     yield f'<h3>{escape(caption)}</h3><div class="scroll"><table class="comparison"><thead><tr>'
-    yield f'<th scope="col">term</th><th scope="col">{second}</th>'
+    yield '<th scope="col">term</th>'
     yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
     yield from rows
     yield '</tbody></table></div>'
 
 
 def _verdict_cell(
-    axis: str, term: str, coefficient: Coefficient, limit: float, verdict: str
+    axis: str, term: str, coefficient: Coefficient, limit: float, verdict: str, then: str = ''
 ) -> str:
     """Return the value, its share of the limit, and the verdict in sign and word."""
     value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
     size = coefficient.value if coefficient.status == 'estimated' else coefficient.upper95
     least = '' if coefficient.status == 'estimated' else '&lt; '
-    share = f'<small>{least}{significant(100.0 * size / limit, 3)} % of it</small>' if size else ''
+    share = f'<small>{least}{100.0 * size / limit:.0f}&nbsp;% of it</small>' if size else ''
     return (
-        f'<td><b class="mark {verdict}"><i aria-hidden="true">{MARKS[verdict]}</i> '
-        f'{VERDICT_WORDS[verdict]}</b>{value}{share}</td>'
+        f'<td>{value}{then or share}<b class="mark {verdict}">'
+        f'<i aria-hidden="true">{MARKS[verdict]}</i> {VERDICT_WORDS[verdict]}</b></td>'
     )
 
 
@@ -150,9 +153,10 @@ def _coefficient_cell(axis: str, term: str, coefficient: Coefficient) -> str:
     return f'<td class="{coefficient.status}">{in_units(shown)}</td>'
 
 
-def _term_heading(sensor: str, term: str) -> str:
+def _term_heading(sensor: str, term: str, said: str = '') -> str:
     units = in_units(lambda system: escape(pretty_unit(shown_unit(sensor, term, system).name)))
-    return f'<th scope="row">{term} <em>{units}</em><small>{TERM_NAMES[sensor][term]}</small></th>'
+    what = escape(said or TERM_NAMES[sensor][term])
+    return f'<th scope="row">{term} <em>{units}</em><small>{what}</small></th>'
 
 
 def _letter(axis: str) -> str:

@@ -163,7 +163,7 @@ def _axes_alike(results: Results) -> Iterator[str]:
             )
         else:
             share = math.ceil(100.0 * (ratio - 1.0))
-            yield f'The {sensor} axes agree in white noise within {max(share, 1)} %.'
+            yield f'The {sensor} axes agree in white noise within {max(share, 1)}\u00a0%.'
 
 
 def _long_enough(results: Results) -> Iterator[str]:

@@ -1,0 +1,103 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How pictures look: sizes of a paper's page and column, or a style sheet of the user's own."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import AllanError
+from ..core.parameters import check, parameter
+
+FORMATS = ('png', 'svg', 'pdf')
+"""What a picture may be written as."""
+
+PAGE_IN, COLUMN_IN = 7.16, 3.5
+"""Widths in inches of a page and a column of the IEEE's journals."""
+
+STYLES: dict[str, dict[str, Any]] = {
+    'page': {'figure.figsize': (PAGE_IN, 6.3)},
+    'column': {'figure.figsize': (COLUMN_IN, 7.6)},
+}
+"""Styles of our own: as wide as a page, with the signal beside the curves, or as a column."""
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """What pictures are written, and how they look."""
+
+    plot_format: tuple[str, ...] = parameter(
+        ('png',), 'Forms in which each picture is written: png, svg, pdf.'
+    )
+    plot_style: str = parameter(
+        'page',
+        "Look of the pictures: page or column (as wide as a paper's), a style of matplotlib's, or "
+        'the path of a style sheet.',
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        for form in self.plot_format:
+            if form not in FORMATS:
+                raise AllanError(f'no plot format {form!r}: choose of {", ".join(FORMATS)}')
+        if not self.plot_format:
+            raise AllanError(f'no plot format given: choose of {", ".join(FORMATS)}')
+
+
+def load_style(name: str) -> Mapping[str, Any]:
+    """Return the matplotlib settings of a style, by its name or by the path of its sheet.
+
+    Raises
+    ------
+    AllanError
+        When there is none of that name, or the sheet is not as matplotlib reads it.
+    """
+    if name in STYLES:
+        return STYLES[name]
+    path = Path(name)
+    if path.is_file():
+        return {**STYLES['page'], **_sheet(path)}
+    from matplotlib import style  # heavy, and not needed for our own
+
+    if name in style.library:
+        return {**STYLES['page'], **style.library[name]}
+    raise AllanError(
+        f'no plot style {name!r}: give {", ".join(STYLES)}, a style of matplotlib (ggplot, '
+        'grayscale ...) or the path of a style sheet'
+    )
+
+
+class _Complaints(logging.Handler):
+    """Collects what matplotlib only logs: that a line is no setting."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.said.append(' '.join(record.getMessage().split()))
+
+
+def _sheet(path: Path) -> Mapping[str, Any]:
+    from matplotlib import rc_params_from_file
+
+    log, complaints = logging.getLogger('matplotlib'), _Complaints()
+    passes_on, log.propagate = log.propagate, False
+    log.addHandler(complaints)
+    try:
+        sheet: Mapping[str, Any] = rc_params_from_file(
+            str(path), fail_on_error=True, use_default_template=False
+        )
+    except (OSError, ValueError, KeyError) as error:
+        complaints.said.append(' '.join(str(error).split()))
+        sheet = {}
+    finally:
+        log.removeHandler(complaints)
+        log.propagate = passes_on
+    if complaints.said:
+        raise AllanError(f'{path}: is no style sheet of matplotlib ({complaints.said[0][:160]})')
+    return sheet
