@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
+from ..errors import AllanError
 from .active_set import nonnegative_least_squares
 from .evidence import EMPTY_ROW, Table
 from .model import RANDOM_TERMS, Floats
@@ -22,6 +23,9 @@ from .model import RANDOM_TERMS, Floats
 JITTER = 1e-4
 """Added to the correlation matrix of the table before it is factored: neighbouring factors are
 almost one and the same number, and the covariance is only known to about this."""
+
+MAX_JITTER = 1e3
+"""With so much added any correlations can be factored; what still cannot are none."""
 
 TOLERANCE = 1e-3
 """Relative change of the powers at which the iteration stops: far below their errors."""
@@ -54,11 +58,17 @@ class Whitening:
 
     @classmethod
     def of(cls, covariance: Floats) -> Whitening:
-        """Return the whitening of a covariance, its correlation with `JITTER` on the diagonal."""
+        """Return the whitening of a covariance, its correlation with `JITTER` on the diagonal.
+
+        Raises
+        ------
+        AllanError
+            When it is no covariance at all, whatever is added: it holds NaN.
+        """
         deviation = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(deviation, deviation)
         jitter = JITTER
-        while True:
+        while jitter < MAX_JITTER:
             correlation[np.diag_indices_from(correlation)] = 1.0 + jitter
             try:
                 lower = cholesky(correlation, lower=True, check_finite=False)
@@ -66,6 +76,10 @@ class Whitening:
                 jitter *= 10.0
             else:
                 return cls(lower, deviation)
+        raise AllanError(
+            'these sums follow no noise that can be computed: their numbers span too much, or '
+            'are damaged; accumulate anew'
+        )
 
     def apply(self, columns: Floats) -> Floats:
         """Return columns of table values in units of unit covariance."""
