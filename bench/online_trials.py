@@ -4,7 +4,6 @@
 
 python bench/online_trials.py identity   a bag played at 1x, 50x and full speed: bit for bit, seen
 python bench/online_trials.py kills      20 kills (SIGKILL) at random moments of one run
-python bench/online_trials.py faults     what the diagnostics say of faults, and how soon
 """
 
 from __future__ import annotations
@@ -14,9 +13,7 @@ import random
 import signal
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -29,7 +26,6 @@ from allan_ros.core.batch import AXES, ImuBatch
 from allan_ros.core.engine import RunningAllan
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.core.sums_document import sums_from_document, sums_to_document
-from allan_ros.io.imu_cdr import encode_imus
 from allan_ros.io.recordings import open_recordings
 from allan_ros.io.writing import write_recording
 
@@ -37,9 +33,6 @@ GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
 START_NS = 10**18
 BEST_EFFORT = 10
 """How often the bag is played to a subscription that asks for nothing again."""
-
-SCRIPT_S = 350.0
-"""Length of the fault script in s."""
 
 
 def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
@@ -139,78 +132,8 @@ def _samples(checkpoint: Path) -> int:
     return int(sums_from_document(json.loads(checkpoint.read_text())['sums'][0]).samples)
 
 
-def faults() -> None:
-    """Print every change of a status while faults are put in, with the delay to the last fault."""
-    client = Client()
-    began = time.monotonic()
-    latest = ['start', began]
-    seen: dict[str, tuple[bytes, str]] = {}
-
-    def on_status(status) -> None:  # type: ignore[no-untyped-def]
-        words = status.message.split(' (')[0]
-        key = (
-            status.level,
-            ''.join(c for c in words if not c.isdigit()) if status.level != b'\0' else '',
-        )
-        if seen.get(status.name) != key:
-            seen[status.name] = key
-            now = time.monotonic()
-            level = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR'}[status.level]
-            print(
-                f'{now - began:6.1f} s {now - latest[1]:+5.1f} s after {latest[0]:<22} {level:5} '
-                f'{status.name.split(": ")[1]}: {status.message}',
-                flush=True,
-            )
-
-    client.on_status = on_status
-    with node('monitor', ros=('segmenter.declared_rate:=200.0',)):
-        publisher = client.publisher()
-        thread = threading.Thread(target=_play_faults, args=(publisher, latest), daemon=True)
-        thread.start()
-        while thread.is_alive():
-            client.spin(0.5)
-        client.spin(5.0)
-
-
-def _play_faults(publisher, latest: list) -> None:  # type: ignore[no-untyped-def,type-arg]
-    """Publish each sample when it is due, and note when each part of the script begins."""
-    batches = list(simulate_imu(SCRIPT_S, 200.0, GYRO, ACCEL, start_ns=time.time_ns()))
-    batch = ImuBatch(
-        np.concatenate([b.stamps_ns for b in batches]), np.concatenate([b.samples for b in batches])
-    )
-    began, origin = time.monotonic(), int(batch.stamps_ns[0])
-    for name, samples in _fault_script(batch):
-        latest[:] = [name, time.monotonic()]
-        for payload, stamp in zip(encode_imus(samples, 'cdr'), samples.stamps_ns.tolist()):
-            wait = began + (stamp - origin) * 1e-9 - time.monotonic()
-            if wait > 0:
-                time.sleep(wait)
-            publisher.publish(bytes(payload))
-
-
-def _fault_script(batch: ImuBatch) -> Iterator[tuple[str, ImuBatch]]:
-    """Yield the parts of one recording at 200 Hz, with a fault in each but the first and last."""
-
-    def part(start_s: float, stop_s: float, step: int = 1) -> ImuBatch:
-        return batch[round(start_s * 200) : round(stop_s * 200) : step]
-
-    yield 'a healthy start', part(0, 120)
-    louder = part(120, 180)
-    mean = louder.samples[:, 2].mean()
-    louder.samples[:, 2] = mean + 1.5 * (louder.samples[:, 2] - mean)
-    yield 'gyro z noise x 1.5', louder
-    yield 'unplugged for 10 s', part(180, 180)
-    time.sleep(10.0)
-    yield 'plugged in again', part(190, 230)
-    yield 'rate halved', part(230, 290, 2)
-    stuck = part(290, 320, 2)
-    stuck.samples[:, 4] = stuck.samples[0, 4]
-    yield 'accel y stuck', stuck
-    yield 'healthy again', part(320, SCRIPT_S, 2)
-
-
 if __name__ == '__main__':
-    trials = {'identity': identity, 'kills': kills, 'faults': faults}
+    trials = {'identity': identity, 'kills': kills}
     if sys.argv[1:2] and sys.argv[1] in trials:
         trials[sys.argv[1]]()
     else:
