@@ -37,7 +37,8 @@ def _lines() -> Iterator[str]:
         cells = [_stated(sheet, sensor, term) for sensor, term in COLUMNS]
         titles = '; '.join(dict.fromkeys(map(str, sheet.sources.values())))
         how = ', '.join(dict.fromkeys(source.seen for source in sheet.sources.values()))
-        yield f'| `{path.stem}` | {" | ".join(cells)} | {titles} | {how} |'
+        name = f'`{path.stem}`' + (f' (carries {sheet.carries})' if sheet.carries else '')
+        yield f'| {name} | {" | ".join(cells)} | {titles} | {how} |'
 
 
 def _stated(sheet: Datasheet, sensor: str, term: str) -> str:

@@ -71,6 +71,9 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
         cells = (f'{cell:{w}}' for cell, w in zip(row[:shown], widths))
         yield ''.join(cells).rstrip()
     yield ''
+    for name, sheet in sheets.items():
+        if sheet.carries:
+            yield from wrapped(f'{name} carries {sheet.carries}.', columns)
     yield from wrapped(
         'Upper limits by what the datasheets state; "-": they do not say. `allan sensors NAME` '
         'shows one with its conditions and sources.',
@@ -81,6 +84,8 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
     """Yield what one datasheet states, what that means for N and B, and where it stands."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
+    if sheet.carries:
+        yield f'carries {sheet.carries}, whose figures these are'
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
     for axes, term, limit in _grouped(sheet):
@@ -105,6 +110,7 @@ def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
         'id': name,
         'name': sheet.name,
         'maker': sheet.maker,
+        'carries': sheet.carries,
         'remark': sheet.remark,
         'sources': {key: asdict(source) for key, source in sheet.sources.items()},
         'limits': {

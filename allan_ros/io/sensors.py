@@ -8,13 +8,14 @@ what is known (``sided``, ``stated_as``); where that is ``unknown`` the limit is
 two meanings and carries a note, so that no good sensor is blamed for an ambiguous datasheet.
 
 ``gyro`` or ``accel`` stands for its three axes, a single axis such as ``accel_z`` goes before it.
+A product that carries a known sensor names it (``carries``) and has no figures of its own.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..core.batch import AXES
 from ..core.compare import Reference
@@ -100,6 +101,8 @@ class Datasheet:
         Full scale and step of the values in rad/s and m/s^2, where stated.
     remark : str
         What else a reader should know; '' for nothing.
+    carries : str
+        Name of the sensor in it, whose figures these are; '' for a sensor itself.
     """
 
     name: str
@@ -109,6 +112,7 @@ class Datasheet:
     range: Mapping[str, float]
     lsb: Mapping[str, float]
     remark: str = ''
+    carries: str = ''
 
     def reference(self) -> Reference:
         """Return it as what coefficients are held against."""
@@ -135,16 +139,45 @@ def load_sensor(name: str) -> Datasheet:
         When there is none of that name, or the file is not as it must be.
     """
     path = config_file('sensors', name, 'datasheet')
-    return _datasheet(Fields(read_yaml(path), str(path)))
+    fields = Fields(read_yaml(path), str(path))
+    return _product(fields) if 'carries' in fields else _datasheet(fields)
+
+
+def _product(fields: Fields) -> Datasheet:
+    """Return the figures of the sensor that a product carries, with the sources of both."""
+    fields.schema(SCHEMA)
+    _refuse_others(fields, ('schema', 'name', 'maker', 'remark', 'sources', 'carries'))
+    name = fields.text('carries')
+    try:
+        path = config_file('sensors', name, 'datasheet')
+    except AllanError as error:
+        raise AllanError(f'{fields.where}.carries: {error}') from error
+    carried = Fields(read_yaml(path), str(path))
+    # This refuses a file that names itself, too.
+    if 'carries' in carried:
+        raise AllanError(
+            f'{fields.where}.carries: {name!r} is no sensor but carries one: name that one'
+        )
+    sensor, own = _datasheet(carried), _sources(fields)
+    for key in own:
+        if key in sensor.sources:
+            raise AllanError(
+                f'{fields.where}.sources: {key!r} is a source of {name!r} too: call it otherwise'
+            )
+    return replace(
+        sensor,
+        name=fields.text('name'),
+        maker=fields.text('maker', ''),
+        sources={**own, **sensor.sources},
+        remark=fields.text('remark', ''),
+        carries=sensor.name,
+    )
 
 
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
     _refuse_others(fields, ('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES))
-    stated = fields.fields('sources')
-    sources = {key: _source(stated.fields(key)) for key in stated}
-    if not sources:
-        raise AllanError(f'{fields.where}.sources is empty: name the document of the numbers')
+    sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
     ranges: dict[str, float] = {}
     steps: dict[str, float] = {}
@@ -166,6 +199,14 @@ def _datasheet(fields: Fields) -> Datasheet:
         steps,
         fields.text('remark', ''),
     )
+
+
+def _sources(fields: Fields) -> dict[str, Source]:
+    stated = fields.fields('sources')
+    sources = {key: _source(stated.fields(key)) for key in stated}
+    if not sources:
+        raise AllanError(f'{fields.where}.sources is empty: name the document it is from')
+    return sources
 
 
 def _source(fields: Fields) -> Source:

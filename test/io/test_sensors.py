@@ -73,10 +73,11 @@ def test_the_page_says_what_the_files_say(repository):
     assert written.page(text) == text, 'run scripts/sensor_table.py'
 
 
-def test_the_example_of_the_page_loads(repository, load):
+def test_the_examples_of_the_page_load(repository, load):
     text = (repository / 'docs' / 'sensors.md').read_text()
     imu = load(text.split('```yaml\n')[1].split('```')[0])
     assert imu.limits['accel_x']['N'].stated == '65 ug/sqrt(Hz)'
+    assert load(text.split('```yaml\n')[2].split('```')[0]).carries == 'BMI055'
 
 
 @pytest.mark.parametrize(
@@ -169,6 +170,39 @@ def test_a_single_axis_goes_before_its_sensor(load):
     assert imu.limits['accel_z']['N'].source == 'sheet'
     assert imu.range['accel_z'] == pytest.approx(24 * 9.80665)
     assert 'gyro_x' not in imu.limits
+
+
+PRODUCT = {
+    'schema': SCHEMA, 'name': 'Camera', 'carries': 'bmi055', 'sources': {'manual': {'title': 'M'}},
+}  # fmt: skip
+
+
+def test_a_product_has_the_figures_of_the_sensor_it_carries(load):
+    product, sensor = load(PRODUCT), load_sensor('bmi055')
+    assert (product.name, product.carries, sensor.carries) == ('Camera', 'BMI055', '')
+    assert product.limits == sensor.limits and product.remark == ''
+    assert list(product.sources) == ['manual', 'datasheet']
+
+
+@pytest.mark.parametrize(
+    'change, said',
+    [
+        ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is no sensor but carries"),
+        ({'carries': 'bmi05'}, r"x.yaml.carries: no datasheet 'bmi05': did you mean .*bmi055"),
+        ({'gyro': {}}, r"'gyro' is unknown, use schema, name, .*carries"),
+        ({'sources': {'datasheet': {'title': 'M'}}}, r"sources: 'datasheet' is a source of 'bmi"),
+        ({'sources': {}}, 'sources is empty'),
+    ],
+)
+def test_a_bad_product_is_refused_with_its_place(load, change, said):
+    with pytest.raises(AllanError, match=said) as refused:
+        load(PRODUCT | change)
+    assert '\n' not in str(refused.value)
+
+
+def test_a_product_that_carries_itself_is_refused(load, tmp_path):
+    with pytest.raises(AllanError, match='is no sensor but carries one'):
+        load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
