@@ -76,6 +76,7 @@ setup(
             'allantools==2024.6',
             'hypothesis>=6.100',
             'pytest>=7',
+            'pytest-rerunfailures>=14',
             'pytest-xdist>=3',
             DASK,
         ],
