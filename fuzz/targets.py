@@ -10,7 +10,7 @@ from functools import partial
 
 from .harness import Target
 
-NAMES = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'imu', 'documents')
+NAMES = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'imu', 'documents', 'nodes')
 
 
 def _load(name: str) -> Target:

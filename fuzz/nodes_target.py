@@ -1,0 +1,205 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Running nodes over DDS: Imu messages of any bytes, documents of strangers, odd parameters.
+
+One monitor with a relay and one estimator run all the time; whatever comes, both must answer
+afterwards, on `/diagnostics` and on their services, and a good message must be told from the bad.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hypothesis import strategies as st
+
+from .damage import ODD_TEXTS, any_bytes, as_utf8, damaged_json, floats
+from .documents_target import seeds
+from .harness import BrokenRule, Target
+from .imu_target import any_message
+
+PATIENCE_S = 60.0
+"""How long a node may stay silent on a loaded machine before it counts as dead."""
+
+NODE_BYTES = 6 << 30
+"""Address space of a node: DDS maps a lot of it and uses little."""
+
+GROWTH_BYTES = 300 << 20
+"""What a node may hold more than when it was fresh, after all that was thrown at it."""
+
+NODES = ('allan_monitor', 'allan_estimator')
+TEXT_TOPICS = ('/sums', '/allan_monitor/noise_model')
+PARAMETERS = ('estimator.growth', 'estimator.margin', 'estimator.method', 'publish.sums_period')
+PARAMETERS += ('input.stale_after', 'segmenter.max_bridge', 'segmenter.motion_ratio', 'relay.rate')
+PARAMETERS += ('checkpoint.path', 'checkpoint.period', 'input.topics', 'no.such', 'relay.inflate')
+
+_values = (
+    st.booleans()
+    | st.integers(-(2**63), 2**63 - 1)
+    | floats
+    | st.sampled_from([t for t in ODD_TEXTS if t.isprintable()])
+    | st.lists(st.integers(-5, 5), max_size=3)
+    | st.lists(floats, max_size=3)
+)
+
+
+class Graph:
+    """The nodes under fire, and a client."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from sensor_msgs.msg import Imu
+        from std_msgs.msg import String
+
+        self.folder = tempfile.TemporaryDirectory(prefix='allan_fuzz_nodes.')
+        self.processes = {
+            'allan_monitor': self._start('monitor', 'relay.enabled:=true', 'publish.sums_period:=1.0'),
+            'allan_estimator': self._start('estimator'),
+        }
+        rclpy.init()
+        self.node = rclpy.create_node('fuzz')
+        self.heard: dict[str, float] = {}
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 100)
+        self.imu = self.node.create_publisher(Imu, 'imu/data', 1000)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.texts = {t: self.node.create_publisher(String, t, latched) for t in TEXT_TOPICS}
+        self.clients = {name: self._client(name) for name in NODES}
+        self.check_alive()
+        self.memory = {name: self._resident(name) for name in NODES}
+        atexit.register(self.close)
+
+    def _start(self, module: str, *parameters: str) -> subprocess.Popen[bytes]:
+        given = [a for p in parameters for a in ('-p', p)]
+        return subprocess.Popen(
+            [sys.executable, '-m', f'allan_ros.nodes.{module}', '--ros-args', *given],
+            cwd=self.folder.name,
+            env={**os.environ, 'ROS_LOG_DIR': self.folder.name,
+                 'PYTHONPATH': str(Path(__file__).resolve().parents[1])},  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (NODE_BYTES, NODE_BYTES)),
+        )
+
+    def _client(self, name: str) -> Any:
+        from rcl_interfaces.srv import SetParameters
+
+        return self.node.create_client(SetParameters, f'/{name}/set_parameters')
+
+    def set_parameter(self, name: str, parameter: str, value: Any) -> None:
+        """Ask a node to change a parameter; it must answer, whatever it says."""
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        try:
+            message = Parameter(parameter, value=value).to_parameter_msg()
+        except (TypeError, ValueError, AssertionError):
+            return  # a list of nothing has no type
+        future = self.clients[name].call_async(SetParameters.Request(parameters=[message]))
+        self._until(future.done, f'{name} does not answer about {parameter}')
+        for answer in future.result().results:
+            if not answer.successful and not answer.reason:
+                raise BrokenRule(f'{parameter} was refused without a reason')
+
+    def check_alive(self) -> None:
+        """Raise unless both nodes speak from now on, hold little memory, and wrote nothing."""
+        began = time.monotonic()
+        for name in NODES:
+            self._until(lambda n=name: self.heard.get(n, 0.0) > began, f'{name} is silent')
+            grown = self._resident(name) - getattr(self, 'memory', {}).get(name, 1 << 40)
+            if grown > GROWTH_BYTES:
+                raise BrokenRule(f'{name} has grown by {grown >> 20} MB')
+        for path in Path(self.folder.name).rglob('*'):
+            if path.suffix != '.log':
+                raise BrokenRule(f'a node wrote {path.name}')
+
+    def _until(self, holds: Callable[[], Any], otherwise: str) -> None:
+        import rclpy
+
+        ends = time.monotonic() + PATIENCE_S
+        while not holds():
+            for name, process in self.processes.items():
+                if process.poll() is not None:
+                    raise BrokenRule(f'{name} ended with {process.returncode}')
+            if time.monotonic() > ends:
+                raise BrokenRule(otherwise)
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            self.heard[status.name.partition(':')[0]] = time.monotonic()
+            for pair in status.values:
+                if pair.value in ('nan', 'inf', '-inf'):
+                    raise BrokenRule(f'{status.name}: {pair.key} is {pair.value}')
+
+    def _resident(self, name: str) -> int:
+        pages = Path(f'/proc/{self.processes[name].pid}/statm').read_text().split()[1]
+        return int(pages) * resource.getpagesize()
+
+    def close(self) -> None:
+        """End the nodes."""
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+        self.folder.cleanup()
+
+
+@lru_cache(maxsize=1)
+def graph() -> Graph:
+    """Return the one graph of this process."""
+    return Graph()
+
+
+@st.composite
+def _attacks(draw: Any) -> tuple[str, Any]:
+    """Draw what is sent: a burst of messages, a text on a topic, or a parameter."""
+    sums, results = seeds()
+    match draw(st.sampled_from('imu imu text text parameter'.split())):
+        case 'imu':
+            messages = draw(st.lists(any_message, min_size=1, max_size=6))
+            return 'imu', (messages, draw(st.sampled_from([1, 1, 50, 500])))
+        case 'text':
+            topic = draw(st.sampled_from(TEXT_TOPICS))
+            seed = sums if topic == '/sums' else results
+            text = draw(damaged_json([seed]) | any_bytes([as_utf8(json.dumps(seed))]).map(
+                lambda data: data.decode(errors='replace')))  # fmt: skip
+            return 'text', (topic, text)
+    values = (st.sampled_from(NODES), st.sampled_from(PARAMETERS), _values)
+    return 'parameter', draw(st.tuples(*values))
+
+
+def check(attack: tuple[str, Any], folder: Path) -> None:
+    """Send it, and see that the nodes live."""
+    from std_msgs.msg import String
+
+    del folder
+    here = graph()
+    kind, what = attack
+    if kind == 'imu':
+        messages, times = what
+        for message in messages * times:
+            here.imu.publish(message)
+    elif kind == 'text':
+        topic, text = what
+        try:
+            message = String(data=text)
+            here.texts[topic].publish(message)
+        except UnicodeEncodeError:
+            return  # half a pair cannot be sent
+    else:
+        here.set_parameter(*what)
+    here.check_alive()
+
+
+TARGET = Target('nodes', _attacks(), check, forks=True)
