@@ -149,6 +149,15 @@ def decode_imus(
     return decoded
 
 
+def is_imu(payload: bytes, encoding: Encoding) -> bool:
+    """Tell whether one payload can be decoded."""
+    try:
+        decode_imus([payload], encoding)
+    except MalformedMessage:
+        return False
+    return True
+
+
 def _too_few(index: int, length: int) -> MalformedMessage:
     return MalformedMessage(index, f'{length} bytes are too few for an Imu')
 

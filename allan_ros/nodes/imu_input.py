@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from sensor_msgs.msg import Imu
 
 from ..core.batch import ImuBatch
 from ..core.input_health import Reception
-from ..io.imu_cdr import DecodedImus, MalformedMessage, decode_imus
+from ..io.imu_cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
 from .qos_events import NO_CALLBACKS, QosEvents
 from .settings import InputSettings
 
@@ -118,14 +119,15 @@ class ImuInput:
         """Yield what has been drained, decoded, in order; each batch has one frame_id."""
         payloads, received = self._payloads, np.array(self._received_ns, np.int64)
         self._payloads, self._received_ns = [], []
-        while payloads:
-            try:
-                yield from self._split(decode_imus(payloads, 'cdr'), received)
-                return
-            except MalformedMessage as error:
-                self._reception.malformed += 1
-                del payloads[error.index]
-                received = np.delete(received, error.index)
+        try:
+            decoded = decode_imus(payloads, 'cdr')
+        except MalformedMessage:
+            well = [is_imu(payload, 'cdr') for payload in payloads]
+            self._reception.malformed += well.count(False)
+            decoded = decode_imus(list(compress(payloads, well)), 'cdr')
+            received = received[np.array(well, bool)]
+        if len(decoded.frames):
+            yield from self._split(decoded, received)
 
     def publishers(self) -> tuple[str, ...]:
         """Return the full names of the nodes that publish on the topic, one per publisher."""
