@@ -18,7 +18,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from allan_ros.cli.main import VERBS
+from allan_ros.cli.console import add_console_options
+from allan_ros.cli.main import EXITS, VERBS
 from allan_ros.core.findings import CATALOGUE
 from allan_ros.core.parameters import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
@@ -50,6 +51,30 @@ CLI_HEAD = """# Options of `allan`
 
 Every option with its default. `allan VERB --help` says the same. Inside a ROS workspace put
 `ros2 run allan_ros` before each command.
+"""
+
+EVERY_VERB = """## Of every verb
+
+| option | |
+|---|---|
+{options}
+
+Results go to stdout, all else to stderr. `--json` of `analyze` and `merge` is what `results.json`
+holds, so that `allan analyze my_bag --json | jq .axes.gyro_x.noise.N` needs no file. Progress is
+drawn on a terminal only.
+
+| exit code | |
+|---|---|
+{exits}
+
+`NO_COLOR` and `FORCE_COLOR` turn colours off and on ([no-color.org](https://no-color.org)),
+`COLUMNS` sets the width; both follow the terminal else.
+
+**Completion** of verbs, options, datasheets, targets and topics of a bag, by
+[argcomplete](https://kislyuk.github.io/argcomplete/), where `allan` is on the PATH:
+
+    eval "$(allan --completion bash)"      # in ~/.bashrc; for zsh in ~/.zshrc, after compinit
+    allan --completion fish | source       # in ~/.config/fish/config.fish
 """
 
 
@@ -120,7 +145,13 @@ def _launch_rows() -> Iterator[str]:
 
 def cli_page() -> str:
     """Return the page of the command line's options."""
-    return '\n'.join([WRITTEN_BY, CLI_HEAD, *(_verb_section(verb) for verb in VERBS)])
+    common = argparse.ArgumentParser(add_help=False)
+    add_console_options(common)
+    every = EVERY_VERB.format(
+        options='\n'.join(_option_row(action) for action in common._actions),
+        exits='\n'.join(f'| {code} | {what} |' for code, what in EXITS.items()),
+    )
+    return '\n'.join([WRITTEN_BY, CLI_HEAD, every, *(_verb_section(verb) for verb in VERBS)])
 
 
 def _verb_section(verb: str) -> str:

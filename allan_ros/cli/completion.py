@@ -18,6 +18,9 @@ RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy')
 DOCUMENTS = ('.json',)
 """Suffix of what `merge` and `export` read."""
 
+INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
+"""Verb -> suffixes of its inputs, where they are not recordings."""
+
 
 def registration(shell: str) -> str:
     """Return the code that a shell evaluates to complete ``allan``.
@@ -59,9 +62,11 @@ def _attach(parser: argparse.ArgumentParser) -> None:
     from argcomplete.completers import FilesCompleter
 
     completers: dict[str, Any] = {
-        'inputs': FilesCompleter(DOCUMENTS if 'merge' in parser.prog else RECORDINGS),
+        'inputs': FilesCompleter(INPUTS.get(parser.prog, RECORDINGS)),
         'results': FilesCompleter(DOCUMENTS),
+        'baseline': FilesCompleter(DOCUMENTS),
         'sensor': _quiet(_sensors),
+        'name': _quiet(_sensors),
         'to': _quiet(_targets),
         'export': _quiet(_target_lists),
         'topic': _quiet(_topics),

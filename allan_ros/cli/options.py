@@ -77,6 +77,8 @@ def _words(text: str) -> tuple[str, ...]:
 
 
 def _shown(default: object) -> str:
+    if isinstance(default, tuple):
+        return ','.join(map(str, default))
     return f'{default:g}' if isinstance(default, float) else str(default)
 
 
