@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Damaged inputs of every kind, and the one rule they are held to: see `harness`.
 
-    make fuzz                                        all targets, 60 s
-    python -m fuzz --seconds 600 mcap documents      two of them, ten minutes
+make fuzz                                        all targets, 60 s
+python -m fuzz --seconds 600 mcap documents      two of them, ten minutes
 """

@@ -37,7 +37,11 @@ def main() -> int:
     if options.here:
         watch = Watch()
         for name in names:
-            print(json.dumps(asdict(run_target(TARGETS[name](), share, options.seed, watch, options.shrink))))
+            print(
+                json.dumps(
+                    asdict(run_target(TARGETS[name](), share, options.seed, watch, options.shrink))
+                )
+            )
         return 0
     tallies = [_in_a_process(name, share, options.seed, options.shrink) for name in names]
     print(_table(tallies))
@@ -67,7 +71,8 @@ def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally
 def _table(tallies: list[Tally]) -> str:
     rows = [f'{"target":12} {"inputs":>9} {"crashes":>8} {"slowest s":>10} {"memory MB":>10}']
     rows += [
-        f'{t.name:12} {t.inputs:9,} {len(t.crashes):8} {t.slowest_s:10.2f} {t.memory_bytes / 1e6:10.0f}'
+        f'{t.name:12} {t.inputs:9,} {len(t.crashes):8} {t.slowest_s:10.2f} '
+        f'{t.memory_bytes / 1e6:10.0f}'
         for t in tallies
     ]
     rows += [f'\n{t.name}: {said}' for t in tallies for said in t.crashes.values()]

@@ -40,7 +40,7 @@ def damaged(draw: Any, seeds: Sequence[bytes], most: int = 4) -> bytes:
         if not data:
             break
         at = draw(st.integers(0, len(data) - 1))
-        match draw(st.sampled_from('number byte cut delete double insert'.split())):
+        match draw(st.sampled_from(['number', 'byte', 'cut', 'delete', 'double', 'insert'])):
             case 'number':
                 width = draw(st.sampled_from(list(WIDTHS)))
                 value = draw(integers) % (1 << (8 * width))
@@ -63,7 +63,12 @@ HUGE = 'HUGE'
 """Stands for a number that JSON can spell and a float cannot hold."""
 
 scalars = (
-    st.none() | st.booleans() | signed | floats | texts | st.sampled_from([10**400, -(10**30), HUGE])
+    st.none()
+    | st.booleans()
+    | signed
+    | floats
+    | texts
+    | st.sampled_from([10**400, -(10**30), HUGE])
 )
 
 
@@ -92,7 +97,9 @@ def damaged_json(draw: Any, seeds: Sequence[Any], most: int = 3) -> str:
         if parent is None:
             document = draw(json_values)
             continue
-        match draw(st.sampled_from('replace replace replace remove rename grow double'.split())):
+        match draw(
+            st.sampled_from(['replace', 'replace', 'replace', 'remove', 'rename', 'grow', 'double'])
+        ):
             case 'replace':
                 parent[key] = draw(json_values)
             case 'remove':
@@ -117,8 +124,10 @@ def _somewhere(draw: Any, document: Any) -> tuple[Any, Any]:
         if parent is not None and draw(st.integers(0, 5)) == 0:
             break
         parent = here
-        key = draw(st.sampled_from(list(here))) if isinstance(here, dict) else draw(
-            st.integers(0, len(here) - 1)
+        key = (
+            draw(st.sampled_from(list(here)))
+            if isinstance(here, dict)
+            else draw(st.integers(0, len(here) - 1))
         )
         here = here[key]
     return parent, key

@@ -40,9 +40,7 @@ METADATA: dict[str, Any] = {
 YAML_TRICKS = (
     'rosbag2_bagfile_information: !!python/object/apply:os.system ["touch pwned"]\n',
     'a: &a [x,x,x,x,x,x,x,x,x]\n'
-    + ''.join(
-        f'{b}: &{b} [{",".join([f"*{a}"] * 9)}]\n' for a, b in zip('abcdefgh', 'bcdefghi')
-    )
+    + ''.join(f'{b}: &{b} [{",".join([f"*{a}"] * 9)}]\n' for a, b in zip('abcdefgh', 'bcdefghi'))
     + 'rosbag2_bagfile_information: *i\n',
     '[' * 3000,
     'rosbag2_bagfile_information: {relative_file_paths: ' + '[' * 900 + ']' * 900 + '}',

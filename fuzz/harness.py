@@ -161,7 +161,9 @@ def run_target(
         current.write_text(repr(value), errors='surrogatepass')
         with tempfile.TemporaryDirectory(dir=scratch) as folder:
             began = time.monotonic()
-            signal.setitimer(signal.ITIMER_REAL, 10 * INPUT_SECONDS if target.forks else INPUT_SECONDS)
+            signal.setitimer(
+                signal.ITIMER_REAL, 10 * INPUT_SECONDS if target.forks else INPUT_SECONDS
+            )
             try:
                 if watch is not None and not target.forks:
                     watch.folder, watch.seen[:] = str(scratch), []

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import struct
 from pathlib import Path
@@ -90,7 +91,7 @@ def check(stream: list[bytes], folder: Path) -> None:
             check_line(str(error))
     decoded = decode_imus(good, 'cdr')
     edges = [0, *(np.flatnonzero(np.diff(decoded.frames)) + 1).tolist(), len(good)]
-    for start, stop in zip(edges, edges[1:]):
+    for start, stop in itertools.pairwise(edges):
         if stop > start:
             frame = decoded.frame_ids[decoded.frames[start]]
             rows = slice(start, stop)

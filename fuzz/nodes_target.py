@@ -65,7 +65,9 @@ class Graph:
 
         self.folder = tempfile.TemporaryDirectory(prefix='allan_fuzz_nodes.')
         self.processes = {
-            'allan_monitor': self._start('monitor', 'relay.enabled:=true', 'publish.sums_period:=1.0'),
+            'allan_monitor': self._start(
+                'monitor', 'relay.enabled:=true', 'publish.sums_period:=1.0'
+            ),
             'allan_estimator': self._start('estimator'),
         }
         rclpy.init()
@@ -85,8 +87,11 @@ class Graph:
         return subprocess.Popen(
             [sys.executable, '-m', f'allan_ros.nodes.{module}', '--ros-args', *given],
             cwd=self.folder.name,
-            env={**os.environ, 'ROS_LOG_DIR': self.folder.name,
-                 'PYTHONPATH': str(Path(__file__).resolve().parents[1])},  # fmt: skip
+            env={
+                **os.environ,
+                'ROS_LOG_DIR': self.folder.name,
+                'PYTHONPATH': str(Path(__file__).resolve().parents[1]),
+            },
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (NODE_BYTES, NODE_BYTES)),
@@ -165,7 +170,7 @@ def graph() -> Graph:
 def _attacks(draw: Any) -> tuple[str, Any]:
     """Draw what is sent: a burst of messages, a text on a topic, or a parameter."""
     sums, results = seeds()
-    match draw(st.sampled_from('imu imu text text parameter'.split())):
+    match draw(st.sampled_from(['imu', 'imu', 'text', 'text', 'parameter'])):
         case 'imu':
             messages = draw(st.lists(any_message, min_size=1, max_size=6))
             return 'imu', (messages, draw(st.sampled_from([1, 1, 50, 500])))

@@ -20,7 +20,17 @@ from .reading import MESSAGES, PERIOD_NS, START_NS, payloads, read_and_check
 
 MAGIC = b'#ROSBAG V2.0\n'
 CHUNKS = 2
-FIELDS = ('op', 'conn', 'time', 'topic', 'compression', 'size', 'type', 'message_definition', 'count')
+FIELDS = (
+    'op',
+    'conn',
+    'time',
+    'topic',
+    'compression',
+    'size',
+    'type',
+    'message_definition',
+    'count',
+)
 SECOND = 10**9
 
 
