@@ -129,7 +129,10 @@ class Watch:
             writes = set(mode) & set('wax+') if isinstance(mode, str) else (flags or 0) & _WRITES
             if writes and not self._is_ours(path):
                 self._refuse(f'open {path!r} to write')
-        if event in _CHANGES and not all(map(self._is_ours, arguments[: 1 + ('rename' in event)])):
+        # inside a folder that was opened before, names are relative to it
+        in_folder = any(isinstance(a, int) and a >= 0 for a in arguments[-1:])
+        paths = arguments[: 1 + ('rename' in event)]
+        if event in _CHANGES and not in_folder and not all(map(self._is_ours, paths)):
             self._refuse(f'{event} {arguments!r:.200}')
 
     def _is_ours(self, path: object) -> bool:

@@ -1,0 +1,175 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write the SROS 2 policy of the nodes, as the graph shows them: config/sros2/allan_ros.policy.xml.
+
+    python scripts/sros2_policy.py            # starts every node, reads its topics and services
+    python scripts/sros2_policy.py --check NODE ...  # exit 1 if the file says other of these
+
+The format is version 0.2.0 of the policies that ``ros2 security create_permission`` reads
+(design.ros2.org, ROS 2 Access Control Policies and ROS 2 Security Enclaves).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+POLICY = ROOT / 'config' / 'sros2' / 'allan_ros.policy.xml'
+VERSION = '0.2.0'
+ENCLAVES = '/allan_ros/'
+
+HEADER = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!-- Copyright 2026 the allan_ros authors -->
+<!-- SPDX-License-Identifier: Apache-2.0 -->
+<!-- Made by scripts/sros2_policy.py from the graph of the running nodes. -->
+"""
+
+STARTED = {
+    'allan_monitor': ('monitor', ['-p', 'relay.enabled:=true']),
+    'allan_accumulator': ('accumulator', []),
+    'allan_estimator': ('estimator', []),
+    'allan_imu_relay': ('relay', []),
+    'allan_player': ('player', []),
+    'allan_watch': ('watch', []),
+}
+"""Node -> its module, and what makes it show all it can. All get ``use_sim_time``, for `/clock`."""
+
+PLAYER = ['--simulate', '3600', '--clock', '--wait', '99']
+"""It plays nothing, as nobody listens, but its topics are there."""
+
+PATIENCE_S = 60.0
+SETTLED_S = 3.0
+"""A node whose names have not changed for so long shows them all."""
+
+Names = dict[str, frozenset[str]]
+"""'publish', 'subscribe', 'reply', 'request' -> names of topics or services."""
+
+
+def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
+    """Start these nodes and return what each of them uses, by its fully qualified names."""
+    import rclpy
+
+    rclpy.init()
+    client = rclpy.create_node('sros2_policy')
+    path = os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')])
+    environment = {**os.environ, 'PYTHONPATH': path}
+    processes = []
+    try:
+        for module, given in (STARTED[node] for node in nodes):
+            own = PLAYER if module == 'player' else ['--plain'] if module == 'watch' else []
+            processes.append(
+                subprocess.Popen(
+                    [sys.executable, '-m', f'allan_ros.nodes.{module}', *own, '--ros-args']
+                    + ['-p', 'use_sim_time:=true', *given],
+                    env=environment,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+            )
+        return _settled(lambda: {name: _names(client, name) for name in nodes})
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait()
+        client.destroy_node()
+        rclpy.shutdown()
+
+
+def _settled(read: Callable[[], dict[str, Names]]) -> dict[str, Names]:
+    """Return what is read once it is there and stays the same."""
+    ends = time.monotonic() + PATIENCE_S
+    known, since = read(), time.monotonic()
+    while time.monotonic() < ends:
+        time.sleep(0.2)
+        now = read()
+        if now != known or not all(names['publish'] for names in now.values()):
+            known, since = now, time.monotonic()
+        elif time.monotonic() - since > SETTLED_S:
+            return known
+    raise SystemExit(
+        f'these nodes did not come up: {[n for n in known if not known[n]["publish"]]}'
+    )
+
+
+def _names(client: object, node: str) -> Names:
+    """Return what a node uses now; nothing while it is not known."""
+    from rclpy.node import NodeNameNonExistentError
+
+    asked = {
+        'publish': 'get_publisher_names_and_types_by_node',
+        'subscribe': 'get_subscriber_names_and_types_by_node',
+        'reply': 'get_service_names_and_types_by_node',
+        'request': 'get_client_names_and_types_by_node',
+    }
+    try:
+        return {
+            what: frozenset(name for name, _ in getattr(client, how)(node, '/'))
+            for what, how in asked.items()
+        }
+    except NodeNameNonExistentError:
+        return dict.fromkeys(asked, frozenset())
+
+
+def policy_of(graph: dict[str, Names]) -> str:
+    """Return the policy as XML: an enclave for each node, so that each has keys of its own."""
+    policy = ET.Element('policy', version=VERSION)
+    enclaves = ET.SubElement(policy, 'enclaves')
+    for node, names in sorted(graph.items()):
+        enclave = ET.SubElement(enclaves, 'enclave', path=f'{ENCLAVES}{node}')
+        profile = ET.SubElement(ET.SubElement(enclave, 'profiles'), 'profile', ns='/', node=node)
+        for what, group, each in (
+            ('subscribe', 'topics', 'topic'),
+            ('publish', 'topics', 'topic'),
+            ('reply', 'services', 'service'),
+            ('request', 'services', 'service'),
+        ):
+            if names[what]:
+                allowed = ET.SubElement(profile, group, {what: 'ALLOW'})
+                for name in _relative(node, names[what]):
+                    ET.SubElement(allowed, each).text = name
+    ET.indent(policy)
+    return f'{HEADER}{ET.tostring(policy, encoding="unicode")}\n'
+
+
+def _relative(node: str, names: Iterable[str]) -> list[str]:
+    """Return the names as policies spell them: ``~/`` for those of the node itself."""
+    own = f'/{node}/'
+    return sorted(f'~/{n[len(own) :]}' if n.startswith(own) else n.lstrip('/') for n in names)
+
+
+def _compare(seen: ET.Element, written: ET.Element) -> int:
+    """Return 1, and say it, where an enclave of the graph is another in the file."""
+    known = {e.get('path'): ET.tostring(e).split() for e in written.iter('enclave')}
+    differ = [e.get('path') for e in seen.iter('enclave')
+              if ET.tostring(e).split() != known.get(e.get('path'))]  # fmt: skip
+    for path in differ:
+        print(f'{path} is not as {POLICY.name} says: run this script without --check')
+    return 1 if differ else 0
+
+
+def main() -> int:
+    """Write the file, or compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--check', action='store_true', help='compare instead of writing')
+    parser.add_argument('nodes', nargs='*', choices=[*STARTED, []], help='compare only these')
+    options = parser.parse_args()
+    text = policy_of(read_graph(options.nodes or STARTED))
+    if options.check:
+        return _compare(ET.fromstring(text), ET.parse(POLICY).getroot())
+    POLICY.parent.mkdir(exist_ok=True)
+    POLICY.write_text(text)
+    print(f'written: {POLICY.relative_to(ROOT)}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
