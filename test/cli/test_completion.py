@@ -88,6 +88,9 @@ def test_every_shell_gets_code_for_it(shell: str, capsys: pytest.CaptureFixture[
         main(['--completion', shell])
     assert stop.value.code == 0
     code = capsys.readouterr().out
-    assert {'bash': 'complete -', 'zsh': 'compdef', 'fish': 'complete --command allan'}[
-        shell
-    ] in code
+    marks = {
+        'bash': ('complete -o',),
+        'zsh': ('compdef', 'bashcompinit'),
+        'fish': ("-a '(__fish_allan_complete)'",),
+    }
+    assert any(mark in code for mark in marks[shell])
