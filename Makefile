@@ -19,7 +19,7 @@ endif
 # The matrices of a fit are small: threads only wait for each other, and tests run side by side.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-floor lint format bench faults soak docs pictures clean
+.PHONY: help venv demo test test-floor lint format bench fuzz faults soak docs pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -45,6 +45,9 @@ format: $(VENV)/.ready  ## put the code into the house style
 
 bench: $(VENV)/.ready  ## run the benchmarks
 	@for file in $(filter-out %_faults.py %_soak.py,$(wildcard bench/bench_*.py)); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
+
+fuzz: $(VENV)/.ready  ## damage every kind of input and hold what happens against one rule
+	$(VENV)/bin/python -m fuzz
 
 faults: $(VENV)/.ready  ## put faults into running nodes (half an hour; all of them need root)
 	$(VENV)/bin/python bench/bench_faults.py
