@@ -11,11 +11,15 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import asdict
+from pathlib import Path
 
 from .harness import CURRENT, Tally, Watch, run_target
 from .targets import TARGETS
 
 EXIT_CRASHES = 1
+
+HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest, s', 'memory, MB')
+"""Memory is what the process grew by after its first inputs."""
 
 GRACE_S = 60.0
 """How much longer than it was given a target may take: to warm up, and to shrink what it found."""
@@ -28,6 +32,7 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=60.0, help='in all (default 60)')
     parser.add_argument('--seed', type=int, default=0, help='where to begin; other, other inputs')
     parser.add_argument('--shrink', action='store_true', help='make what crashes small: slow')
+    parser.add_argument('--write', action='store_true', help='write docs/reliability.md too')
     parser.add_argument('--here', action='store_true', help='run in this process, print JSON')
     options = parser.parse_args()
     names = options.targets or list(TARGETS)
@@ -43,9 +48,16 @@ def main() -> int:
                 )
             )
         return 0
-    tallies = [_in_a_process(name, share, options.seed, options.shrink) for name in names]
-    print(_table(tallies))
-    return EXIT_CRASHES if any(tally.crashes for tally in tallies) else 0
+    print(_line(HEADING))
+    found = 0
+    for name in names:
+        tally = _in_a_process(name, share, options.seed, options.shrink)
+        row = _row(tally)
+        print('\n  '.join([_line(row), *tally.crashes.values()]), flush=True)
+        if options.write:
+            _write(row)
+        found += len(tally.crashes)
+    return EXIT_CRASHES if found else 0
 
 
 def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally:
@@ -68,15 +80,22 @@ def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally
     return Tally(**json.loads(out.strip().splitlines()[-1]))
 
 
-def _table(tallies: list[Tally]) -> str:
-    rows = [f'{"target":12} {"inputs":>9} {"crashes":>8} {"slowest s":>10} {"memory MB":>10}']
-    rows += [
-        f'{t.name:12} {t.inputs:9,} {len(t.crashes):8} {t.slowest_s:10.2f} '
-        f'{t.memory_bytes / 1e6:10.0f}'
-        for t in tallies
-    ]
-    rows += [f'\n{t.name}: {said}' for t in tallies for said in t.crashes.values()]
-    return '\n'.join(rows)
+def _line(cells: tuple[str, ...]) -> str:
+    return ''.join(f'{cell:>18}' for cell in cells)
+
+
+def _row(tally: Tally) -> tuple[str, ...]:
+    counted = (tally.inputs, tally.inputs - tally.valid, tally.valid, len(tally.crashes))
+    cost = f'{tally.slowest_s:.2f}', f'{tally.memory_bytes / 1e6:.0f}'
+    return tally.name, *(f'{number:,}' for number in counted), *cost
+
+
+def _write(row: tuple[str, ...]) -> None:
+    """Write a row into the table of docs/reliability.md, in place of the one of this target."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'bench'))
+    from doc_table import DocTable
+
+    DocTable('fuzz', HEADING).put(row)
 
 
 if __name__ == '__main__':

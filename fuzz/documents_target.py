@@ -69,15 +69,14 @@ def _texts(draw: Any) -> tuple[str, bytes, int]:
     return kind, data, draw(st.integers(0, 10**6))
 
 
-def check(made: tuple[str, bytes, int], folder: Path) -> None:
+def check(made: tuple[str, bytes, int], folder: Path) -> bool:
     """Read it as what it is taken for, and do with it what is done with such."""
     kind, data, choice = made
     path = folder / f'{kind}.json'
     path.write_bytes(data)
     if kind == 'checkpoint':
-        _restart(path, data)
-        return
-    with refused_or_valid():
+        return _restart(path, data)
+    with refused_or_valid() as outcome:
         document = read_json(path)
         if kind == 'results':
             _use_results(document, choice)
@@ -90,6 +89,7 @@ def check(made: tuple[str, bytes, int], folder: Path) -> None:
             raise BrokenRule(f'exit {code}: {said.getvalue()}')
     if list(folder.iterdir()) != [path]:
         raise BrokenRule('reading left a file behind')
+    return outcome.valid
 
 
 def _use_results(document: object, choice: int) -> None:
@@ -120,7 +120,7 @@ def _use_sums(document: object, choice: int) -> None:
     check_document(to_json(results_to_document(results, curves=bool(choice % 2))))
 
 
-def _restart(path: Path, data: bytes) -> None:
+def _restart(path: Path, data: bytes) -> bool:
     """Begin with the file as a node does; the one thing it may do is rename it, never lose it."""
     checkpoint = Checkpoint(path)
     if checkpoint.loaded is not None:
@@ -132,6 +132,7 @@ def _restart(path: Path, data: bytes) -> None:
         checkpoint.save(checkpoint.sums, checkpoint.provenance)
         if Checkpoint(path).loaded is not None:
             raise BrokenRule('it cannot read what it wrote')
+    return checkpoint.loaded is None
 
 
 TARGET = Target('documents', _texts(), check)

@@ -68,7 +68,7 @@ def _folders(draw: Any) -> tuple[bytes, bytes | None]:
     return draw(metadata), draw(st.none() | st.just(_splits(1)) | any_bytes([_splits(1)]))
 
 
-def check(made: tuple[bytes, bytes | None], folder: Path) -> None:
+def check(made: tuple[bytes, bytes | None], folder: Path) -> bool:
     """Read the folder."""
     metadata, second = made
     bag = folder / 'a'
@@ -77,7 +77,7 @@ def check(made: tuple[bytes, bytes | None], folder: Path) -> None:
     (bag / 'a_0.mcap').write_bytes(_splits(0))
     if second is not None:
         (bag / 'a_1.mcap').write_bytes(second)
-    read_and_check(bag)
+    return read_and_check(bag)
 
 
 TARGET = Target('folder', _folders(), check)

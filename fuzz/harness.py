@@ -59,7 +59,8 @@ class Target:
     inputs : strategy
         Draws what goes in.
     check : callable
-        Takes an input and an empty folder to work in, and raises where the rule is broken.
+        Takes an input and an empty folder to work in, returns whether it was taken for valid (else
+        it was refused in one line), and raises where the rule is broken.
     forks : bool
         Whether it starts processes of its own, as the nodes' target does: then files, processes
         and memory are theirs to watch.
@@ -67,7 +68,7 @@ class Target:
 
     name: str
     inputs: SearchStrategy[Any]
-    check: Callable[[Any, Path], None]
+    check: Callable[[Any, Path], bool]
     forks: bool = False
 
 
@@ -77,6 +78,7 @@ class Tally:
 
     name: str
     inputs: int = 0
+    valid: int = 0
     slowest_s: float = 0.0
     memory_bytes: int = 0
     crashes: dict[str, str] = field(default_factory=dict)
@@ -86,13 +88,22 @@ class BrokenRule(AssertionError):
     """An input got through that should have been refused, or was refused badly."""
 
 
+@dataclass
+class Outcome:
+    """What became of an input: valid until it is refused."""
+
+    valid: bool = True
+
+
 @contextmanager
-def refused_or_valid() -> Iterator[None]:
+def refused_or_valid() -> Iterator[Outcome]:
     """Let an `AllanError` pass that a user can read; anything else is a crash."""
+    outcome = Outcome()
     try:
-        yield
+        yield outcome
     except AllanError as error:
         check_line(str(error))
+        outcome.valid = False
 
 
 def check_line(said: str) -> None:
@@ -170,7 +181,7 @@ def run_target(
             try:
                 if watch is not None and not target.forks:
                     watch.folder, watch.seen[:] = str(scratch), []
-                target.check(value, Path(folder))
+                valid = target.check(value, Path(folder))
             finally:
                 signal.setitimer(signal.ITIMER_REAL, 0.0)
                 if watch is not None:
@@ -178,6 +189,7 @@ def run_target(
             if watch is not None and watch.seen:
                 raise BrokenRule(watch.seen[0])
             tally.inputs += 1
+            tally.valid += valid
             tally.slowest_s = max(tally.slowest_s, time.monotonic() - began)
 
     warm: int | None = None

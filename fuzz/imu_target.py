@@ -66,8 +66,8 @@ def _stream(draw: Any) -> list[bytes]:
     return out
 
 
-def check(stream: list[bytes], folder: Path) -> None:
-    """Decode, patch and accumulate."""
+def check(stream: list[bytes], folder: Path) -> bool:
+    """Decode, patch and accumulate; return whether all were Imu messages."""
     del folder
     patch = CovariancePatch(VARIANCES)
     accumulator = ImuAccumulator()
@@ -106,6 +106,7 @@ def check(stream: list[bytes], folder: Path) -> None:
     )
     check_document(text)
     sums_file_from_document(json.loads(text))
+    return len(good) == len(stream)
 
 
 TARGET = Target('imu', _stream(), check)

@@ -213,11 +213,11 @@ def _files(draw: Any) -> bytes:
     return draw(_planned() if draw(st.integers(0, 2)) else any_bytes(seeds()))
 
 
-def check(data: bytes, folder: Path) -> None:
+def check(data: bytes, folder: Path) -> bool:
     """Read the file."""
     path = folder / 'bag.mcap'
     path.write_bytes(data)
-    read_and_check(path)
+    return read_and_check(path)
 
 
 TARGET = Target('mcap', _files(), check)

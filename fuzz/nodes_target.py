@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -23,9 +24,14 @@ from typing import Any
 
 from hypothesis import strategies as st
 
+from allan_ros.core.errors import AllanError
+from allan_ros.io.documents import results_from_document, sums_file_from_document
+from allan_ros.io.imu_cdr import MalformedMessage, decode_imus
+from allan_ros.io.json_text import parse_json
+
 from .damage import ODD_TEXTS, any_bytes, as_utf8, damaged_json, floats
 from .documents_target import seeds
-from .harness import BrokenRule, Target
+from .harness import BrokenRule, Target, check_line, refused_or_valid
 from .imu_target import any_message
 
 PATIENCE_S = 60.0
@@ -42,6 +48,9 @@ TEXT_TOPICS = ('/sums', '/allan_monitor/noise_model')
 PARAMETERS = ('estimator.growth', 'estimator.margin', 'estimator.method', 'publish.sums_period')
 PARAMETERS += ('input.stale_after', 'segmenter.max_bridge', 'segmenter.motion_ratio', 'relay.rate')
 PARAMETERS += ('checkpoint.path', 'checkpoint.period', 'input.topics', 'no.such', 'relay.inflate')
+
+NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf)(?!\w)')
+"""What a diagnostic must never say."""
 
 _values = (
     st.booleans()
@@ -102,20 +111,21 @@ class Graph:
 
         return self.node.create_client(SetParameters, f'/{name}/set_parameters')
 
-    def set_parameter(self, name: str, parameter: str, value: Any) -> None:
-        """Ask a node to change a parameter; it must answer, whatever it says."""
+    def set_parameter(self, name: str, parameter: str, value: Any) -> bool:
+        """Ask a node to change a parameter; it must answer, whatever it says: return what."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
         try:
             message = Parameter(parameter, value=value).to_parameter_msg()
         except (TypeError, ValueError, AssertionError):
-            return  # a list of nothing has no type
+            return False  # a list of nothing has no type
         future = self.clients[name].call_async(SetParameters.Request(parameters=[message]))
         self._until(future.done, f'{name} does not answer about {parameter}')
-        for answer in future.result().results:
-            if not answer.successful and not answer.reason:
-                raise BrokenRule(f'{parameter} was refused without a reason')
+        (answer,) = future.result().results
+        if not answer.successful:
+            check_line(answer.reason)
+        return bool(answer.successful)
 
     def check_alive(self) -> None:
         """Raise unless both nodes speak from now on, hold little memory, and wrote nothing."""
@@ -144,9 +154,9 @@ class Graph:
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             self.heard[status.name.partition(':')[0]] = time.monotonic()
-            for pair in status.values:
-                if pair.value in ('nan', 'inf', '-inf'):
-                    raise BrokenRule(f'{status.name}: {pair.key} is {pair.value}')
+            for said in (status.message, *(f'{v.key}: {v.value}' for v in status.values)):
+                if NO_NUMBER.search(said):
+                    raise BrokenRule(f'{status.name}: {said}')
 
     def _resident(self, name: str) -> int:
         pages = Path(f'/proc/{self.processes[name].pid}/statm').read_text().split()[1]
@@ -184,13 +194,15 @@ def _attacks(draw: Any) -> tuple[str, Any]:
     return 'parameter', draw(st.tuples(*values))
 
 
-def check(attack: tuple[str, Any], folder: Path) -> None:
-    """Send it, and see that the nodes live."""
+def check(attack: tuple[str, Any], folder: Path) -> bool:
+    """Send it, and see that the nodes live; return whether it is what the nodes take."""
     from std_msgs.msg import String
 
     del folder
     here = graph()
     kind, what = attack
+    with refused_or_valid() as outcome:
+        _read(kind, what)
     if kind == 'imu':
         messages, times = what
         for message in messages * times:
@@ -201,10 +213,23 @@ def check(attack: tuple[str, Any], folder: Path) -> None:
             message = String(data=text)
             here.texts[topic].publish(message)
         except UnicodeEncodeError:
-            return  # half a pair cannot be sent
+            return False  # half a pair cannot be sent
     else:
-        here.set_parameter(*what)
+        outcome.valid = here.set_parameter(*what)
     here.check_alive()
+    return outcome.valid
+
+
+def _read(kind: str, what: Any) -> None:
+    """Read messages and texts as the nodes do; raise `AllanError` where they are none of ours."""
+    if kind == 'imu':
+        try:
+            decode_imus(what[0], 'cdr')
+        except MalformedMessage as error:
+            raise AllanError(str(error)) from None
+    elif kind == 'text':
+        read = sums_file_from_document if what[0] == '/sums' else results_from_document
+        read(parse_json(what[1], what[0]), what[0])
 
 
 TARGET = Target('nodes', _attacks(), check, forks=True)

@@ -37,10 +37,10 @@ def payloads(encoding: Any, n: int = MESSAGES) -> list[bytes]:
     return [bytes(payload) for payload in encode_imus(small_batch(n), encoding)]
 
 
-def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> None:
-    """Read a recording to its sums; raise where it breaks the rule of `harness`."""
+def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
+    """Read a recording to its sums; return whether it is one; raise where it breaks the rule."""
     before = sorted(path.parent.rglob('*'))
-    with refused_or_valid():
+    with refused_or_valid() as outcome:
         for recording in open_recordings([path], options):
             accumulator = ImuAccumulator()
             for batch in recording.batches():
@@ -58,6 +58,7 @@ def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> None:
             sums_file_from_document(json.loads(text))
     if sorted(path.parent.rglob('*')) != before:
         raise BrokenRule('reading left a file behind')
+    return outcome.valid
 
 
 def _check_batch(batch: ImuBatch) -> None:

@@ -138,11 +138,11 @@ def _bags(draw: Any) -> bytes:
     )
 
 
-def check(data: bytes, folder: Path) -> None:
+def check(data: bytes, folder: Path) -> bool:
     """Read the bag."""
     path = folder / 'run.bag'
     path.write_bytes(data)
-    read_and_check(path)
+    return read_and_check(path)
 
 
 TARGET = Target('ros1', _bags(), check)

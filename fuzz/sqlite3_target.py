@@ -119,14 +119,14 @@ def _edited(path: Path, edits: tuple[Any, ...]) -> None:
                 connection.executescript(statement)
 
 
-def check(made: Any, folder: Path) -> None:
+def check(made: Any, folder: Path) -> bool:
     """Read the file."""
     path = folder / 'bag.db3'
     if isinstance(made, bytes):
         path.write_bytes(made)
     else:
         _edited(path, made)
-    read_and_check(path)
+    return read_and_check(path)
 
 
 @st.composite
