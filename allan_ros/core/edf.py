@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtri
 
 Floats = NDArray[np.float64]
 
@@ -133,6 +132,8 @@ def chi_squared_limits(
     low, high : float64 arrays
         sqrt(avar edf / chi^2) at the upper and lower quantile.
     """
+    from scipy.special import chdtri  # 20 MB: a node that only accumulates draws no limits
+
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
     tail = (1.0 - level) / 2.0
     low, high = (np.sqrt(avar * degrees / chdtri(degrees, p)) for p in (tail, 1.0 - tail))

@@ -129,6 +129,7 @@ class RecentView:
         self._ring: deque[_Snapshot] = deque()
         self._latest: _Snapshot | None = None
         self._sums: AllanSums | None = None
+        self._scaled: tuple[NDArray[np.int64], Floats, Floats] | None = None
 
     def update(self, sums: AllanSums, time_s: float) -> None:
         """Take the running sums as they are at a time; sums of another stream start anew."""
@@ -142,7 +143,7 @@ class RecentView:
             self._ring.append(now)
         while len(self._ring) > 2 and self._ring[1].time_s <= time_s - self._window_s:
             self._ring.popleft()
-        self._latest, self._sums = now, sums
+        self._latest, self._sums, self._scaled = now, sums, None
 
     def curve(self) -> RecentCurve | None:
         """Return the deviation over the window; None before there is anything to compare."""
@@ -213,15 +214,19 @@ class RecentView:
 
     def _scale(self) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Return m, tau and the degrees of freedom of one second difference (factors, axes)."""
+        if self._scaled is not None:
+            return self._scaled
         assert self._latest is not None and self._sums is not None and self._sums.tau0
         n = len(self._latest.count)
         m, stride = self._sums.m[:n], self._sums.stride[:n]
         types = noise_types_of_avar(m, self._sums.avar[:n], self._sums.samples)
         dof = np.empty(types.shape)
-        for i, j in np.ndindex(types.shape):
-            number = max(int(self._latest.count[i]), 1)
-            dof[i, j] = edf(int(types[i, j]), int(m[i]), int(stride[i]), number) / number
-        return m, np.asarray(m * self._sums.tau0, float), dof
+        for i, number in enumerate(np.maximum(self._latest.count, 1.0).astype(np.int64)):
+            for noise_type in np.unique(types[i]):  # most often all axes have the same
+                degrees = edf(int(noise_type), int(m[i]), int(stride[i]), number)
+                dof[i, types[i] == noise_type] = degrees / number
+        self._scaled = m, np.asarray(m * self._sums.tau0, float), dof
+        return self._scaled
 
     def _padded(self, snapshot: _Snapshot) -> tuple[Floats, Floats]:
         """Return count (factors, 1) and sum_sq (factors, axes) with the factors of the latest."""

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from ..core.compare import Reference, compare, reference_of_run
 from ..core.errors import AllanError
+from ..core.fit import forget
 from ..core.recent import Change, RecentCurve, RecentView
 from ..core.sums import AllanSums
 from ..io.documents import read_json, results_from_document, results_to_document
@@ -203,7 +204,11 @@ class ImuEstimate:
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
     """Return the results, and how long they took in s."""
     began = time.monotonic()
-    return analyse_sums(*total, method), time.monotonic() - began
+    try:
+        results = analyse_sums(*total, method)
+    finally:
+        forget()  # the next fit comes when the segments are longer: other tables, and maybe late
+    return results, time.monotonic() - began
 
 
 def _same_imu(a: tuple[AllanSums, ...], b: tuple[AllanSums, ...]) -> bool:

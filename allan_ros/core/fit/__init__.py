@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 
 from ..errors import AllanError
@@ -19,6 +20,7 @@ __all__ = [
     'NoiseFit',
     'Sinusoid',
     'fit_noise',
+    'forget',
 ]
 
 METHODS = {
@@ -49,3 +51,10 @@ def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseFit:
     # A method is imported when it is used: they are slow to load, and most runs use one.
     fit: NoiseFit = getattr(import_module(f'.{method}', __name__), f'fit_{method}')(sums)
     return fit
+
+
+def forget() -> None:
+    """Forget what the fits remember of each other: for processes that fit seldom and live long."""
+    evidence = sys.modules.get(f'{__name__}.evidence')
+    if evidence is not None:  # else no method has been used that remembers
+        evidence.forget()

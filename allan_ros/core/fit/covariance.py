@@ -44,7 +44,7 @@ PANEL_RATIO = 4
 TAIL = 128
 """Flicker differences are uncorrelated (C^2 < 1e-8) beyond this many times m_i + m_j."""
 
-PANELS_AT_ONCE = 4096
+PANELS_AT_ONCE = 1024
 """Panels summed in one go: a few megabytes of work space, also inside a robot's node."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
@@ -180,8 +180,12 @@ class _LagTable:
         lag = np.clip(lag, self.low[row], self.high[row])
         at = np.searchsorted(self.key, row * _KEY + lag, side='right') - 1
         start = self.edge[at].astype(float)
-        rest = _panel_sums(self.mi[row], self.mj[row], start, lag.astype(float))
-        return np.asarray(self.sums[:, :, at] + rest)
+        out = self.sums[:, :, at]
+        for first in range(0, len(row), PANELS_AT_ONCE):
+            part = slice(first, first + PANELS_AT_ONCE)
+            mi, mj = self.mi[row[part]], self.mj[row[part]]
+            out[:, :, part] += _panel_sums(mi, mj, start[part], lag[part].astype(float))
+        return out
 
 
 @lru_cache(maxsize=2)
@@ -201,6 +205,12 @@ def pair_sums(samples: int) -> PairSums:
     squares, singles = _smooth_sums(_lag_table(octaves), i, j, stride, count)
     _add_quantization(squares, singles, i, j, m, stride, count)
     return PairSums(samples, m, count, squares, singles)
+
+
+def forget_pair_sums() -> None:
+    """Forget what `pair_sums` remembers, and the table it is made from."""
+    _lag_table.cache_clear()
+    pair_sums.cache_clear()
 
 
 def _smooth_sums(
