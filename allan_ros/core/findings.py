@@ -337,6 +337,12 @@ _word(
     'give another checkpoint path, or move the file away',
 )
 _word(
+    'checkpoint_in_use',
+    'warning',
+    '{path} is kept by another node ({owner}), and nothing is saved by this one',
+    'stop one of the two, or give each a checkpoint of its own; then start this one again',
+)
+_word(
     'checkpoint_corrupt',
     'warning',
     '{path} is not whole and was renamed to {aside} ({reason})',

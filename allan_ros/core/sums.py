@@ -257,7 +257,12 @@ class AllanSums:
             When the two are of different IMUs, axes, or sample periods (over 0.1 % apart, and more
             than stamps a period off at the ends of the segments explain).
         """
-        self._refuse_strangers(other)
+        self.refuse_stranger(other)
+        if self.axes != other.axes:
+            raise AllanError(
+                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} do not add: '
+                'analyse them apart'
+            )
         return self.extended(other)
 
     def extended(self, other: AllanSums) -> AllanSums:
@@ -279,16 +284,18 @@ class AllanSums:
             intervals=self.intervals + other.intervals,
         )
 
-    def _refuse_strangers(self, other: AllanSums) -> None:
+    def refuse_stranger(self, other: AllanSums) -> None:
+        """Do nothing if both are of one stream, whichever axes they have.
+
+        Raises
+        ------
+        AllanError
+            When the two are of different IMUs or sample periods, as `+` says.
+        """
         if self.identity != other.identity:
             raise AllanError(
                 f'sums of {self.identity} and of {other.identity} do not add: '
                 'they are different IMUs, analyse them apart'
-            )
-        if self.axes != other.axes:
-            raise AllanError(
-                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} do not add: '
-                'analyse them apart'
             )
         a, b = self.tau0, other.tau0
         if a and b and abs(a - b) > a * (TAU0_TOLERANCE + self._end_slack + other._end_slack):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 from .errors import AllanError
 from .sums import AllanSums
@@ -30,3 +31,16 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
             'differ, analyse them apart'
         )
     return tuple(x + y for x, y in zip(a, b))
+
+
+def refuse_strangers(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
+    """Do nothing if both may be of one stream, one of them later on with more axes.
+
+    Raises
+    ------
+    AllanError
+        When an axis that both have is of different IMUs or rates.
+    """
+    for x, y in product(a, b):
+        if not set(x.axes).isdisjoint(y.axes):
+            x.refuse_stranger(y)

@@ -4,17 +4,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+import time
 from pathlib import Path
 from uuid import uuid4
 
 from ..core.errors import AllanError
 
+ABANDONED_S = 3600.0
+"""A draft that nobody has written to for an hour was left by a process that was killed."""
+
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Put the content at the path so that a reader, or a crash, never sees half of it.
 
-    It is written to a file of its own in the same folder, synced to the disk and renamed.
+    It is written to a draft in the same folder, synced to the disk and renamed.
 
     Raises
     ------
@@ -35,10 +41,34 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
             draft.unlink(missing_ok=True)
         _sync_folder(path.parent)
     except OSError as error:
-        raise AllanError(
-            f'{path}: cannot be written ({error.strerror}): check the folder, its permissions '
-            'and the space left'
-        ) from error
+        raise unwritable(path, error) from error
+    remove_drafts(path)
+
+
+def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
+    """Remove the drafts of this path that killed processes left.
+
+    Parameters
+    ----------
+    path : Path
+    older_s : float
+        How old a draft must be in s; 0 is for who knows that nobody else writes this path.
+    """
+    of_this_path = re.compile(rf'\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.part')
+    with contextlib.suppress(OSError):
+        for name in filter(of_this_path.fullmatch, os.listdir(path.parent)):
+            draft = path.with_name(name)
+            with contextlib.suppress(OSError):  # gone meanwhile, or somebody else's
+                if time.time() - draft.lstat().st_mtime >= older_s:
+                    draft.unlink()
+
+
+def unwritable(path: Path, error: OSError) -> AllanError:
+    """Return what to tell of a path that cannot be written."""
+    return AllanError(
+        f'{path}: cannot be written ({error.strerror}): check the folder, its permissions '
+        'and the space left'
+    )
 
 
 def _sync_folder(folder: Path) -> None:

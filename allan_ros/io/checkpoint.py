@@ -10,7 +10,8 @@ from pathlib import Path
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..core.sums import AllanSums
-from .atomic import write_atomic
+from ..core.total import add_sums, refuse_strangers
+from .atomic import remove_drafts, write_atomic
 from .documents import (
     SUMS_SCHEMA,
     read_json,
@@ -24,8 +25,8 @@ from .results import Provenance
 class Checkpoint:
     """One checkpoint file, loaded when made.
 
-    A file that is not whole is renamed aside. A file of another version is left alone, and so is,
-    once `refuse` was called, one of another IMU: nothing is ever written over it.
+    A file that is not whole is renamed aside. A file of another version or IMU is left alone,
+    until it is moved away or its own IMU is back: nothing is ever written over it.
 
     Attributes
     ----------
@@ -35,6 +36,8 @@ class Checkpoint:
         What stood beside them.
     loaded : Finding or None
         What was wrong with the file.
+    refused : Finding or None
+        Why nothing is written now.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -42,20 +45,30 @@ class Checkpoint:
         self.sums: tuple[AllanSums, ...] = ()
         self.provenance = Provenance()
         self.loaded: Finding | None = None
-        self._kept = False
+        self.refused: Finding | None = None
+        self._readable = True
+        self._holds: tuple[tuple[AllanSums, ...], Provenance] = (), Provenance()
         if self.path.exists():
             self._load()
 
-    @property
-    def kept(self) -> bool:
-        """Whether the file is somebody else's and must not be written."""
-        return self._kept
+    def add(self, sums: tuple[AllanSums, ...]) -> tuple[AllanSums, ...]:
+        """Return these sums with those of the runs before.
 
-    def refuse(self, reason: str) -> Finding:
-        """Leave the file alone from now on."""
-        self.sums, self.provenance, self._kept = (), Provenance(), True
-        self.loaded = finding('checkpoint_refused', path=self.path, reason=reason)
-        return self.loaded
+        While they are of another IMU than the file, or of other axes, they come back alone, and
+        the file is left alone.
+        """
+        if self.refused is not None and not self.path.exists():
+            self._forget()
+        if not self._readable:
+            return sums
+        try:
+            refuse_strangers(self._holds[0], sums)
+            total = add_sums(self.sums, sums)
+        except AllanError as error:
+            self._refuse(str(error))
+            return sums
+        self.refused = None
+        return total
 
     def save(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> None:
         """Write the sums, unless there are none or the file is to be left alone.
@@ -65,8 +78,9 @@ class Checkpoint:
         AllanError
             When the file cannot be written.
         """
-        if sums and not self._kept:
+        if sums and self.refused is None:
             write_atomic(self.path, to_json(sums_file_to_document(sums, provenance)))
+            self._holds = sums, provenance
 
     def try_to_write(self) -> None:
         """Find out now, not at the first period, whether the folder can be written.
@@ -76,9 +90,13 @@ class Checkpoint:
         AllanError
             When it cannot.
         """
-        trial = self.path.with_name(f'{self.path.name}.trial')
-        write_atomic(trial, '')
-        trial.unlink(missing_ok=True)
+        write_atomic(self._trial, '')
+        self._trial.unlink(missing_ok=True)
+
+    def remove_drafts(self) -> None:
+        """Remove what a process that was killed while it wrote left; nobody else may write now."""
+        for path in (self.path, self._trial):
+            remove_drafts(path, older_s=0.0)
 
     def set_aside(self) -> Path:
         """Begin anew: the file, if any, becomes ``<name>.previous``; return that path.
@@ -88,22 +106,40 @@ class Checkpoint:
         AllanError
             When it cannot be renamed.
         """
-        self.sums, self.provenance = (), Provenance()
         previous = self.path.with_name(f'{self.path.name}.previous')
-        if not self._kept and self.path.exists():
+        if self.path.exists():
             self._rename(previous)
+        self._forget()
         return previous
+
+    def resume(self) -> None:
+        """Begin anew after what the file holds, as it stays where it is."""
+        self.sums, self.provenance = self._holds
+
+    @property
+    def _trial(self) -> Path:
+        return self.path.with_name(f'{self.path.name}.trial')
 
     def _load(self) -> None:
         try:
             document = read_json(self.path)
             schema = document.get('schema') if isinstance(document, dict) else None
             if isinstance(schema, str) and schema != SUMS_SCHEMA:
-                self.refuse(f'it is {schema}, this version reads {SUMS_SCHEMA}')
+                self._readable = False
+                self._refuse(f'it is {schema}, this version reads {SUMS_SCHEMA}')
                 return
             self.sums, self.provenance = sums_file_from_document(document, str(self.path))
+            self._holds = self.sums, self.provenance
         except AllanError as error:
             self._set_corrupt_aside(str(error))
+
+    def _forget(self) -> None:
+        """Begin with nothing: the file is not there, or will not be."""
+        self.sums, self.provenance = self._holds = (), Provenance()
+        self.refused, self._readable = None, True
+
+    def _refuse(self, reason: str) -> None:
+        self.refused = finding('checkpoint_refused', path=self.path, reason=reason)
 
     def _set_corrupt_aside(self, reason: str) -> None:
         aside = next(
@@ -114,7 +150,8 @@ class Checkpoint:
         try:
             self._rename(aside)
         except AllanError:
-            self.refuse(reason)
+            self._readable = False
+            self._refuse(reason)
             return
         self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
 

@@ -249,6 +249,7 @@ class ImuWatch:
         response.message = 'the sums began anew'
         if where:
             response.message += f'; those before are in {where}'
+        response.message = '; '.join([response.message, *map(str, self._checkpoint.findings)])
         return response
 
 

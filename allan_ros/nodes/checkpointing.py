@@ -7,13 +7,14 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..core.sums import AllanSums
-from ..core.total import add_sums
 from ..io.checkpoint import Checkpoint
+from ..io.lock import PathLock
 from ..io.results import Provenance
 
 SPANS_KEPT = 1000
@@ -26,7 +27,8 @@ Total = tuple[tuple[AllanSums, ...], Provenance]
 class CheckpointKeeper:
     """Adds the sums of former runs to those of this one, and saves the total.
 
-    Every trouble is a finding, told once in the log: a node goes on without its checkpoint.
+    Every trouble is a finding, told once in the log: a node goes on without its checkpoint. A path
+    that another node keeps is neither read nor written: the two would overwrite each other's sums.
 
     Parameters
     ----------
@@ -37,19 +39,18 @@ class CheckpointKeeper:
 
     def __init__(self, path: str, log: Any) -> None:
         self._log = log
-        self._file = Checkpoint(path) if path else None
+        self.path = path
+        self._lock = PathLock(Path(path))
+        self._file: Checkpoint | None = None
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
+        self._in_use: Finding | None = None
+        self._refused = False
         self._writer = ThreadPoolExecutor(1)
         self._writing: Future[None] | None = None
         self._news = False
-        if self._file is not None:
-            self._open(self._file)
-
-    @property
-    def path(self) -> str:
-        """The path, '' without one."""
-        return str(self._file.path) if self._file is not None else ''
+        if path:
+            self._open()
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
@@ -59,29 +60,32 @@ class CheckpointKeeper:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is wrong with the file now."""
-        loaded = self._file.loaded if self._file is not None else None
-        return tuple(f for f in (self._unsaved, loaded) if f is not None)
+        file = self._file
+        of_file = (file.refused, file.loaded) if file is not None else ()
+        return tuple(f for f in (self._in_use, self._unsaved, *of_file) if f is not None)
 
     def age_s(self, now: float) -> float | None:
         """Return how old the file is (steady clock), None before it was written."""
         return None if self._saved_s is None else now - self._saved_s
 
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
-        """Return the sums of all runs; a file of another IMU is refused and left alone."""
+        """Return the sums of all runs; a file of another IMU is left alone."""
         self._news = bool(sums)
         if self._file is None:
             return sums, provenance
-        try:
-            total = add_sums(self._file.sums, sums)
-        except AllanError as error:
-            self._log.warning(str(self._file.refuse(str(error))))
+        total = self._file.add(sums)
+        if self._file.refused is not None:
+            if not self._refused:
+                self._log.warning(str(self._file.refused))
+            self._refused = True
             return sums, provenance
+        self._refused = False
         return total, _shortened(self._file.provenance + provenance, provenance.findings)
 
     def save(self, total: Total) -> bool:
         """Write the total now, where it says more than the file; return whether the file has it."""
         self._wait()
-        if self._file is None or self._file.kept:
+        if not self._may_write() or self._file is None:
             return False
         if not self._news:
             return True
@@ -96,7 +100,7 @@ class CheckpointKeeper:
     def save_in_background(self, total: Total) -> None:
         """Write the total while messages go on; what became of it is learned the next time."""
         self._wait()
-        if self._file is not None and self._news and not self._file.kept:
+        if self._news and self._may_write() and self._file is not None:
             self._writing = self._writer.submit(self._file.save, *total)
 
     def tick(self) -> None:
@@ -106,29 +110,62 @@ class CheckpointKeeper:
 
     def begin_anew(self, total: Total) -> str:
         """Save the total under another name and forget it; return where it is, '' for nowhere."""
-        if not self.save(total) or self._file is None:
+        saved = self.save(total)
+        if self._file is None:
             return ''
         try:
-            return str(self._file.set_aside())
+            if saved:
+                return str(self._file.set_aside())
         except AllanError as error:
             self._note(error)
-            return ''
+        self._file.resume()
+        return ''
 
     def close(self) -> None:
-        """Let the last writing end."""
+        """Let the last writing end, and the path go."""
         self._wait()
         self._writer.shutdown()
+        self._lock.release()
 
-    def _open(self, file: Checkpoint) -> None:
-        if file.loaded is not None:
-            self._log.warning(str(file.loaded))
-        elif file.sums:
-            samples = max(s.samples for s in file.sums)
-            self._log.info(f'continues {file.path} with {samples} samples')
+    def _open(self) -> None:
         try:
-            file.try_to_write()
+            owner = self._lock.acquire()
+        except AllanError as error:  # the file may be read all the same
+            self._note(error)
+            owner = ''
+        if owner:
+            self._leave_to(owner)
+            return
+        self._file = Checkpoint(self.path)
+        if self._file.loaded is not None:
+            self._log.warning(str(self._file.loaded))
+        elif self._file.sums:
+            samples = max(s.samples for s in self._file.sums)
+            self._log.info(f'continues {self.path} with {samples} samples')
+        try:
+            self._file.try_to_write()
         except AllanError as error:
             self._note(error)
+        else:
+            self._file.remove_drafts()
+
+    def _may_write(self) -> bool:
+        """Return whether the file is ours, also where its folder could not be written so far."""
+        if self._file is None or self._file.refused is not None:
+            return False
+        try:
+            owner = self._lock.acquire()
+        except AllanError as error:
+            self._note(error)
+            return False
+        if owner:
+            self._leave_to(owner)
+        return not owner
+
+    def _leave_to(self, owner: str) -> None:
+        self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
+        self._log.warning(str(self._in_use))
+        self._file = self._unsaved = None
 
     def _wait(self) -> None:
         """Learn what became of the last writing in the background."""

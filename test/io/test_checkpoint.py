@@ -18,12 +18,18 @@ from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.results import Provenance
 
 
+def sums_of(frame_id: str = 'imu', period_ns: int = 10**7, axes: slice = slice(0, 6)):
+    accumulator = ImuAccumulator()
+    noise = np.full((3000, 6), np.nan)
+    noise[:, axes] = np.random.default_rng(0).normal(size=(3000, 6))[:, axes]
+    stamps = 10**18 + np.arange(3000) * period_ns
+    accumulator.update(ImuBatch(stamps, noise, frame_id=frame_id))
+    return accumulator.result().sums
+
+
 @pytest.fixture
 def sums():
-    accumulator = ImuAccumulator()
-    noise = np.random.default_rng(0).normal(size=(3000, 6))
-    accumulator.update(ImuBatch(10**18 + np.arange(3000) * 10**7, noise, frame_id='imu'))
-    return accumulator.result().sums
+    return sums_of()
 
 
 def test_what_was_saved_is_loaded(tmp_path: Path, sums):
@@ -31,7 +37,7 @@ def test_what_was_saved_is_loaded(tmp_path: Path, sums):
     Checkpoint(path).save(sums, Provenance())
     loaded = Checkpoint(path)
     assert [sums_to_document(s) for s in loaded.sums] == [sums_to_document(s) for s in sums]
-    assert loaded.loaded is None and not loaded.kept
+    assert loaded.loaded is None and loaded.refused is None
 
 
 def test_nothing_is_written_for_no_sums(tmp_path: Path):
@@ -48,7 +54,7 @@ def test_a_broken_file_is_put_aside(tmp_path: Path, sums, content):
     for number in ('', '1'):
         path.write_text(content)
         checkpoint = Checkpoint(path)
-        assert checkpoint.sums == () and not checkpoint.kept
+        assert checkpoint.sums == () and checkpoint.refused is None
         assert checkpoint.loaded.id == 'checkpoint_corrupt'
         assert (tmp_path / f'sums.json.corrupt{number}').read_text() == content
     checkpoint.save(sums, Provenance())
@@ -60,21 +66,73 @@ def test_a_file_of_another_version_is_left_alone(tmp_path: Path, sums):
     content = json.dumps({'schema': 'allan_ros/sums_file/99'})
     path.write_text(content)
     checkpoint = Checkpoint(path)
-    assert checkpoint.kept and 'sums_file/99' in str(checkpoint.loaded)
+    assert 'sums_file/99' in str(checkpoint.refused)
+    assert checkpoint.add(sums) == sums
     checkpoint.save(sums, Provenance())
     assert path.read_text() == content
 
 
-def test_a_refused_file_is_left_alone(tmp_path: Path, sums):
+STRANGERS = [sums_of('other'), sums_of(period_ns=2 * 10**7)]
+
+
+@pytest.mark.parametrize('stranger', STRANGERS, ids=['another IMU', 'another rate'])
+def test_a_file_of_another_imu_is_left_alone_until_its_own_is_back(tmp_path: Path, sums, stranger):
     path = tmp_path / 'sums.json'
     Checkpoint(path).save(sums, Provenance())
     content = path.read_bytes()
     checkpoint = Checkpoint(path)
-    checkpoint.refuse('it is of another IMU')
-    assert checkpoint.sums == ()
-    checkpoint.save(sums, Provenance())
-    checkpoint.set_aside()
+    assert checkpoint.add(stranger) == stranger
+    assert 'do not add' in str(checkpoint.refused)
+    checkpoint.save(stranger, Provenance())
     assert path.read_bytes() == content
+    total = checkpoint.add(sums)
+    assert checkpoint.refused is None and total[0].samples == 2 * sums[0].samples
+    checkpoint.save(total, Provenance())
+    assert Checkpoint(path).sums[0].samples == total[0].samples
+
+
+@pytest.mark.parametrize('stranger', STRANGERS, ids=['another IMU', 'another rate'])
+def test_what_this_run_saved_is_left_alone_too(tmp_path: Path, sums, stranger):
+    path = tmp_path / 'sums.json'
+    checkpoint = Checkpoint(path)
+    checkpoint.save(checkpoint.add(sums), Provenance())
+    content = path.read_bytes()
+    checkpoint.save(checkpoint.add(stranger), Provenance())
+    assert path.read_bytes() == content and checkpoint.refused is not None
+    checkpoint.resume()  # as after a reset: what the file holds is not in this run any more
+    assert checkpoint.add(sums)[0].samples == 2 * sums[0].samples
+
+
+def test_a_file_that_was_moved_away_is_refused_no_more(tmp_path: Path, sums):
+    path = tmp_path / 'sums.json'
+    for content in (None, json.dumps({'schema': 'allan_ros/sums_file/99'})):
+        Checkpoint(path).save(sums_of('other'), Provenance())
+        if content:
+            path.write_text(content)
+        checkpoint = Checkpoint(path)
+        assert checkpoint.add(sums) == sums and checkpoint.refused is not None
+        path.rename(tmp_path / 'moved.json')
+        assert checkpoint.add(sums) == sums and checkpoint.refused is None
+        checkpoint.save(sums, Provenance())
+        assert Checkpoint(path).sums[0].identity == sums[0].identity
+        path.unlink()
+
+
+def test_a_sensor_that_comes_later_is_no_stranger(tmp_path: Path, sums):
+    checkpoint = Checkpoint(tmp_path / 'sums.json')
+    for known in (sums_of(axes=slice(0, 3)), sums):
+        checkpoint.save(checkpoint.add(known), Provenance())
+    assert checkpoint.refused is None
+    assert Checkpoint(checkpoint.path).sums[0].axes == sums[0].axes
+
+
+def test_drafts_of_a_killed_process_are_removed(tmp_path: Path):
+    left = [tmp_path / f'.{name}.{"0a" * 16}.part' for name in ('imu.json', 'imu.json.trial')]
+    others = [tmp_path / f'.right.json.{"0a" * 16}.part', tmp_path / '.imu.json.notes.part']
+    for path in (*left, *others):
+        path.write_text('{"sums": [')
+    Checkpoint(tmp_path / 'imu.json').remove_drafts()
+    assert sorted(tmp_path.iterdir()) == sorted(others)
 
 
 def test_a_folder_that_is_not_there_is_found_at_once(tmp_path: Path):

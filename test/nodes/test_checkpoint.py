@@ -1,0 +1,81 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One file, one node, one IMU: what a checkpoint holds is never written over by a stranger."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+FAST = {
+    # reliable, so that nothing is lost: a full queue makes the publisher wait
+    **{f'qos_overrides./imu/{x}.subscription.reliability': 'reliable' for x in ('data', 'b')},
+    **{f'qos_overrides./imu/{x}.subscription.history': 'keep_all' for x in ('data', 'b')},
+    'publish.diagnostics_period': 0.2,
+    'checkpoint.period': 0.5,
+}
+
+
+def samples_in(checkpoint: Path) -> dict[str, int]:
+    """Return the samples that the file has, by frame_id; none without a file."""
+    if not checkpoint.exists():
+        return {}
+    sums = json.loads(checkpoint.read_text())['sums']
+    return {s['frame_id']: sum(segment['samples'] for segment in s['segments']) for s in sums}
+
+
+def test_a_path_that_another_node_keeps_is_neither_read_nor_written(
+    graph, still_imu, tmp_path: Path
+):
+    checkpoint = tmp_path / 'imu.json'
+    settings = {**FAST, 'checkpoint.path': str(checkpoint)}
+    first = graph.start('accumulator', **settings)
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(2000))
+    graph.until(lambda: samples_in(checkpoint) == {'imu': 2000})
+
+    second = graph.start('accumulator', remap={'__node': 'second', 'imu/data': 'imu/b'}, **settings)
+    said = graph.until(lambda: graph.value('second: imu/data input', 'finding: checkpoint_in_use'))
+    assert f'kept by another node (process {first.popen.pid})' in said
+    assert graph.status('second: imu/data input').level != b'\x00'
+    graph.send(graph.publisher('imu/b'), still_imu(1500, seed=2))
+    graph.until(lambda: graph.value('second: imu/data input', 'used') == '1500')
+    saved = graph.call('/second/save')
+    assert not saved.success and 'nothing is saved by this one' in saved.message
+    assert first.stop(signal.SIGKILL) == -signal.SIGKILL
+    assert second.stop() == 0, second.output
+    assert second.output.count('kept by another node') == 1
+    assert samples_in(checkpoint) == {'imu': 2000}
+
+    # whoever comes next has it, and clears away what a writer that was killed left
+    draft = tmp_path / f'.imu.json.{"0a" * 16}.part'
+    draft.write_text('{"sums": [')
+    third = graph.start('accumulator', remap={'imu/data': 'imu/c'}, **settings)
+    graph.until(lambda: 'continues' in third.output)
+    graph.until(lambda: not draft.exists())
+    assert third.stop() == 0, third.output
+    assert [p.name for p in tmp_path.glob('*imu.json*')] == ['imu.json']
+
+
+def test_an_imu_that_overtakes_does_not_overwrite_the_first(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'imu.json'
+    node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint)})
+    publisher = graph.publisher()
+    second = 10**9
+    graph.send(publisher, still_imu(2000, frame_id='left'))
+    graph.until(lambda: samples_in(checkpoint) == {'left': 2000})
+    right = still_imu(3000, frame_id='right', seed=2, start_ns=10**18 + 100 * second)
+    graph.send(publisher, right)
+    graph.until(lambda: graph.value('input', 'finding: checkpoint_refused'))
+    assert not graph.call('/allan_accumulator/save').success
+    assert samples_in(checkpoint) == {'left': 2000}
+    again = still_imu(2500, frame_id='left', seed=3, start_ns=10**18 + 200 * second)
+    graph.send(publisher, again)  # the longest once more
+    graph.until(lambda: samples_in(checkpoint) == {'left': 4500})
+    assert node.stop() == 0, node.output
+    assert samples_in(checkpoint) == {'left': 4500}
