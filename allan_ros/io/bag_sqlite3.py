@@ -6,41 +6,49 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 
 from .bag_storage import Block, Cut, Topic, damaged, normal_type, translated
+from .sqlite3_pages import MessagePages, Rows, Unusual
 
 ROWS = 2048
-"""Most rows fetched at a time: those of an Imu are less than 1 MB and stay in the cache."""
-FIRST_ROWS = 64
-"""Rows of the first batch, when nothing is known of their size."""
-BATCH_BYTES = 1 << 22
-"""Batches are of about this many bytes."""
-_USUAL_TABLE = """
-SELECT 1 FROM pragma_table_info('messages') AS field, pragma_index_list('messages') AS list,
-pragma_index_info(list.name) AS part
-WHERE field.name = 'id' AND field.pk = 1 AND upper(field.type) = 'INTEGER'
-AND NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
+"""Rows fetched at a time where they are taken one by one."""
+_COLUMNS = ('id', 'topic_id', 'timestamp', 'data')
+"""Of the table ``messages``, in all versions of the schema."""
+_TIME_INDEX = """
+SELECT 1 FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS part
+WHERE NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
 """
-"""Has a row where ids are row numbers and there is an index of the record times."""
-_LIBRARY_ERRORS = (sqlite3.Error, OverflowError, ValueError, TypeError, AttributeError)
+"""Has a row where there is an index of the record times."""
+_LIBRARY_ERRORS = (
+    sqlite3.Error,
+    OSError,
+    OverflowError,
+    ValueError,
+    TypeError,
+    AttributeError,
+)
 """What reading raises on a damaged database: SQLite's own, and cells of another type."""
 REMEDY = 'copy it again, or mend it with "sqlite3 FILE .recover"'
 
 
 class Sqlite3Storage:
-    """An open .db3 file."""
+    """An open .db3 file.
+
+    ``pages`` is the file itself, None where that alone does not tell all.
+    """
 
     cut: Cut | None = None
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, is_settled: bool) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, pages: FileIO | None) -> None:
         self._path = path
         self._connection = connection
-        self._is_settled = is_settled
+        self._pages = pages
         self.topics = self._read_topics()
 
     def _read_topics(self) -> list[Topic]:
@@ -76,22 +84,29 @@ class Sqlite3Storage:
             yield from self._blocks(ids)
 
     def _blocks(self, ids: set[int]) -> Iterator[Block]:
-        first, last = next(self._query('SELECT min(id), max(id) FROM messages'))
+        # in one query of their own each: both in one, SQLite goes through the whole table
+        (first,), (last,) = (
+            next(self._query(f'SELECT {which}(id) FROM messages')) for which in ('min', 'max')
+        )
         if first is None:
             return
         done = first - 1
-        if self._can_batch():
-            done = yield from self._batches(ids, done, last)
+        if self._pages is not None and self._is_usual():
+            done = yield from self._batches(ids, done, self._pages)
         if done < last:
             # the plus keeps SQLite from sorting the whole file: it shall go by the time index
             yield from self._rows(ids, '+id > ? ORDER BY timestamp, id', done)
 
-    def _can_batch(self) -> bool:
-        """Return whether messages can be fetched many at a time: the usual file of a recorder."""
-        ((encoding,),) = self._query('PRAGMA encoding')
-        return encoding == 'UTF-8' and self._is_settled and bool(list(self._query(_USUAL_TABLE)))
+    def _is_usual(self) -> bool:
+        """Return whether the table is as recorders make it: ids are row numbers, times indexed."""
+        columns = list(
+            self._query("SELECT name, upper(type), pk FROM pragma_table_xinfo('messages')")
+        )
+        of_ids = columns and columns[0][1:] == ('INTEGER', 1)
+        names = tuple(name for name, _, _ in columns)
+        return bool(of_ids and names == _COLUMNS and list(self._query(_TIME_INDEX)))
 
-    def _batches(self, ids: set[int], done: int, last: int) -> Generator[Block, None, int]:
+    def _batches(self, ids: set[int], done: int, file: FileIO) -> Generator[Block, None, int]:
         """Yield messages by ranges of ids while their order is that of time.
 
         Returns
@@ -99,43 +114,40 @@ class Sqlite3Storage:
         int
             The id up to which all messages have been yielded, in order.
         """
-        of_topics = _topics(ids)
-        first = (
-            'SELECT id, timestamp, length(data) FROM messages '
-            f'WHERE id > ? AND {of_topics} ORDER BY id LIMIT 1'
-        )
-        joined = (
-            'SELECT CAST(group_concat(data, timestamp) AS BLOB) FROM messages '
-            f'WHERE id > ? AND id <= ? AND {of_topics}'
-        )
-        rows, end_ns = FIRST_ROWS, None
-        while found := next(self._query(first, done), None):
-            start, start_ns, length = found
-            until = start - 1 + rows
-            ((data,),) = self._query(joined, start - 1, until)
-            alike = _equal_block(length, start_ns, data)
-            range_of_ids = 'id > ? AND id <= ? ORDER BY +timestamp, id'
-            blocks = [alike] if alike else list(self._rows(ids, range_of_ids, start - 1, until))
-            messages = sum(len(block.record_ns) for block in blocks)
-            before_ns, end_ns = end_ns, int(blocks[-1].record_ns[-1])
-            if self._is_overtaken(of_topics, before_ns, end_ns, messages, until):
-                return done  # a later row was recorded earlier
-            yield from blocks
-            done = until
-            rows = max(1, min(ROWS, BATCH_BYTES * rows // max(len(data or ''), 1)))
-        return last
+        (root,) = next(self._query("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"))
+        end_ns, seen_ns = -(2**63), np.empty(0, np.int64)
+        with suppress(Unusual):
+            for rows in MessagePages(file, root).rows():
+                blocks = self._blocks_of(rows, ids, done)
+                times = [block.record_ns for block in blocks if len(block.record_ns)]
+                seen_ns = np.append(seen_ns, rows.record_ns) if times else seen_ns[:0]
+                if times:
+                    start_ns, end_ns = end_ns, int(times[-1][-1])
+                    seen_ns = seen_ns[seen_ns >= start_ns]
+                    known = int(np.count_nonzero(seen_ns <= end_ns))
+                    if self._is_overtaken(ids, start_ns, end_ns, known, rows.last_id):
+                        return done  # a later row was recorded earlier
+                    yield from blocks
+                done = rows.last_id
+        return done
+
+    def _blocks_of(self, rows: Rows, ids: set[int], done: int) -> list[Block]:
+        """Return the messages among some rows, which begin behind the id ``done``."""
+        try:
+            return [rows.block(ids)]
+        except Unusual:
+            which = 'id > ? AND id <= ? ORDER BY +timestamp, id'
+            return list(self._rows(ids, which, done, rows.last_id))
 
     def _is_overtaken(
-        self, of_topics: str, before_ns: int | None, end_ns: int, messages: int, until: int
+        self, ids: set[int], start_ns: int, end_ns: int, known: int, last_id: int
     ) -> bool:
-        """Return whether a row behind id ``until`` was recorded before ``end_ns``.
+        """Return whether a message behind ``last_id`` was recorded before ``end_ns``.
 
-        ``before_ns`` is where the batch before ended, from which on ``messages`` are known.
+        None was before ``start_ns``, and from there to ``end_ns`` so many rows are known.
         """
         # SQLite skips entries of the index in a fifth of the time it takes to look at them: when
-        # no more of them than those known come up to the end of the batch, all is said.
-        known = messages if before_ns is None else messages + 1
-        start_ns = -(2**63) if before_ns is None else before_ns
+        # no more of them than those known come up to the end, all is said.
         behind = (
             'SELECT timestamp FROM messages WHERE timestamp >= ? '
             'ORDER BY timestamp LIMIT 1 OFFSET ?'
@@ -145,9 +157,9 @@ class Sqlite3Storage:
             return False
         earlier = (
             'SELECT 1 FROM messages WHERE timestamp >= ? AND timestamp < ? AND +id > ? '
-            f'AND {of_topics} LIMIT 1'
+            f'AND {_topics(ids)} LIMIT 1'
         )
-        return next(self._query(earlier, start_ns, end_ns, until), None) is not None
+        return next(self._query(earlier, start_ns, end_ns, last_id), None) is not None
 
     def _rows(self, ids: set[int], which: str, *values: int) -> Iterator[Block]:
         """Yield messages row by row."""
@@ -165,32 +177,6 @@ class Sqlite3Storage:
 
 def _topics(ids: set[int]) -> str:
     return f'topic_id IN ({", ".join(str(int(number)) for number in sorted(ids))})'
-
-
-def _equal_block(length: int | None, start_ns: int, data: bytes) -> Block | None:
-    """Return joined messages as a block, or None when they differ in length or are in disorder.
-
-    Parameters
-    ----------
-    length, start_ns : int
-        Bytes and record time of the first message.
-    data : bytes
-        The messages, before each but the first its record time in decimal digits: where all of
-        these stand in their places, the messages between them are of one length. SQLite joins in
-        whatever order it likes; the times tell.
-    """
-    digits = len(str(start_ns))
-    if not length or start_ns < 0 or (len(data) + digits) % (length + digits):
-        return None
-    rows = (len(data) + digits) // (length + digits)
-    step = (length + digits,)
-    text = np.ndarray((rows - 1, digits), np.uint8, data, length, (*step, 1)) - ord('0')
-    if (text > 9).any():
-        return None
-    times = np.append(start_ns, text.astype(np.int64) @ 10 ** np.arange(digits)[::-1])
-    if (times[1:] < times[:-1]).any():
-        return None
-    return Block(times, np.ndarray((rows,), np.dtype((np.void, length)), data, strides=step))
 
 
 @contextmanager
@@ -211,7 +197,8 @@ def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     how = 'immutable=1' if is_settled else 'mode=ro'
     with translated(shown, _LIBRARY_ERRORS, REMEDY):
         connection = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{how}', uri=True)
-    with closing(connection):
+        file = FileIO(path)
+    with closing(connection), file:
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
-            storage = Sqlite3Storage(shown, connection, is_settled)
+            storage = Sqlite3Storage(shown, connection, file if is_settled else None)
         yield storage

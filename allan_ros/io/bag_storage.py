@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import bz2
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -64,6 +64,20 @@ class Block:
 
     record_ns: NDArray[np.int64]
     payloads: Payloads
+
+
+def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the records of one type that begin at these bytes, wherever they are."""
+    anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
+    return anywhere[start]
+
+
+def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
+    """Return which topics are among the wanted ones, of which there are one or two."""
+    mine = np.zeros(len(numbers), bool)
+    for number in ids:
+        mine |= numbers == number
+    return mine
 
 
 @dataclass(frozen=True)

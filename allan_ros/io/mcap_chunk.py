@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .bag_storage import Block, Payloads
+from .bag_storage import Block, Payloads, among, gathered
 
 MESSAGE, MESSAGE_INDEX = 0x05, 0x07
 RECORD = struct.Struct('<BQ')
@@ -81,7 +81,7 @@ def _uniform(data: bytes, ids: Collection[int]) -> Block | None:
     messages = np.frombuffer(data, dtype, offset=first)
     if (messages['opcode'] != MESSAGE).any() or (messages['length'] != length).any():
         return None
-    mine = _among(messages['channel'], ids)
+    mine = among(messages['channel'], ids)
     if not mine.all():
         messages = messages[mine]
     return Block(messages['log_time'].astype(np.int64), messages['payload'])
@@ -92,7 +92,7 @@ def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
     start = np.sort(_offsets(index))
     if not len(start) or start[0] < 0 or start[-1] > len(data) - HEAD.itemsize:
         return None
-    head = _gathered(data, start, HEAD)
+    head = gathered(data, start, HEAD)
     end = start + (RECORD.size + head['length'].astype(np.int64))
     if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
         return None
@@ -105,7 +105,7 @@ def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
         between = data[before[gap] : behind[gap]]
         if any(opcode == MESSAGE for opcode, _, _ in records(between)):
             return None
-    mine = _among(head['channel'], ids)
+    mine = among(head['channel'], ids)
     head, start, end = head[mine], start[mine], end[mine]
     return Block(head['log_time'].astype(np.int64), _payloads(data, start, end))
 
@@ -127,15 +127,9 @@ def _payloads(data: bytes, start: NDArray[np.int64], end: NDArray[np.int64]) -> 
     if len(lengths) and (lengths == lengths[0]).all():
         dtype = _message_dtype(int(lengths[0]) - RECORD.size)
         if dtype is not None:
-            return _gathered(data, start, dtype)['payload']
+            return gathered(data, start, dtype)['payload']
     view, head = memoryview(data), HEAD.itemsize
     return [view[a + head : b] for a, b in zip(start.tolist(), end.tolist())]
-
-
-def _gathered(data: bytes, start: NDArray[np.int64], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return the records of one type that begin at these bytes, wherever they are."""
-    anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
-    return anywhere[start]
 
 
 @lru_cache(maxsize=64)
@@ -144,14 +138,6 @@ def _message_dtype(length: int) -> np.dtype[np.void] | None:
     if length <= MESSAGE_HEAD.size:
         return None
     return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
-
-
-def _among(channels: NDArray[np.uint16], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return which channels are among the wanted ones, of which there are one or two."""
-    mine = np.zeros(len(channels), bool)
-    for number in ids:
-        mine |= channels == number
-    return mine
 
 
 def _one_by_one(data: bytes, ids: Collection[int]) -> Block:
