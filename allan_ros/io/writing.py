@@ -113,7 +113,7 @@ def _write(
 def _appears_whole(path: Path, overwrite: bool) -> Iterator[Path]:
     """Yield a hidden place of the same name; what is written there is moved to ``path``."""
     if path.exists() and not overwrite:
-        raise AllanError(f'{path} exists already: remove it or choose another name')
+        raise AllanError(f'{path} exists already: choose another name, or --overwrite it')
     if path.is_dir() and not (path / 'metadata.yaml').is_file():
         raise AllanError(f'{path} is a folder that is no bag: choose another name')
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -144,10 +144,9 @@ def _write_rosbag2(
     plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
     writer = Writer(path, version=METADATA_VERSION, storage_plugin=plugin)
     writer.set_compression(modes[compression], CompressionFormat.ZSTD)
+    typestore = get_typestore(Stores.ROS2_JAZZY)
     with writer:
-        connection = writer.add_connection(
-            topic, IMU_TYPE, typestore=get_typestore(Stores.ROS2_JAZZY)
-        )
+        connection = writer.add_connection(topic, IMU_TYPE, typestore=typestore)
         return _feed(batches, 'cdr', lambda ns, data: writer.write(connection, ns, data))
 
 
@@ -158,10 +157,9 @@ def _write_ros1(path: Path, batches: Iterable[ImuBatch], compression: str, topic
     writer = Writer(path)
     if compression != 'none':
         writer.set_compression(Writer.CompressionFormat[compression.upper()])
+    typestore = get_typestore(Stores.ROS1_NOETIC)
     with writer:
-        connection = writer.add_connection(
-            topic, IMU_TYPE, typestore=get_typestore(Stores.ROS1_NOETIC)
-        )
+        connection = writer.add_connection(topic, IMU_TYPE, typestore=typestore)
         return _feed(batches, 'ros1', lambda ns, data: writer.write(connection, ns, data))
 
 
