@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write what was measured as the file a filter reads.
 
-The input is a results.json of `allan analyze` or `allan merge`. Without -o or --merge-into the
-file goes to the standard output. What a number in it is not, is said beside it and on stderr.
+The input is a results.json of `allan analyze` or `allan merge`, or its folder. Without -o or
+--merge-into the file goes to the standard output. What a number in it is not, is said beside it
+and on stderr.
 
   allan export --list
-  allan export results/results.json --to openvins -o kalibr_imu_chain.yaml
+  allan export results --to openvins -o kalibr_imu_chain.yaml
   allan export results/results.json --to kalibr --merge-into my_imu.yaml
 """
 
@@ -20,12 +21,15 @@ from pathlib import Path
 from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
 from .console import Console
+from .folder import RESULTS, file_of
 from .options import add_settings, settings_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb."""
-    parser.add_argument('results', nargs='?', metavar='RESULTS.JSON', help='what was measured')
+    parser.add_argument(
+        'results', nargs='?', metavar='RESULTS', help='a results.json, or the folder it is in'
+    )
     parser.add_argument(
         '--to', metavar='TARGET', default='', help='filter or tool the file is for; see --list'
     )
@@ -54,14 +58,15 @@ def run(args: argparse.Namespace) -> int:
             print(f'{name:{width}}  {what}')
         return 0
     if not args.results or not args.to:
-        raise AllanError('give a results.json and --to TARGET; --list tells the targets')
+        raise AllanError('give a results.json or its folder, and --to TARGET; --list tells them')
     from ..io.atomic import write_atomic
     from ..io.documents import read_json, results_from_document
     from ..io.exporters import make_export, target_of
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
-    results = results_from_document(read_json(args.results), args.results)
+    measured = file_of(args.results, RESULTS)
+    results = results_from_document(read_json(measured), measured)
     existing = _text(args.merge_into) if args.merge_into else None
     made = make_export(results, args.to, options, existing)
     where = args.output or args.merge_into

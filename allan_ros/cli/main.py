@@ -33,6 +33,15 @@ VERBS = {
 """Verb -> what it does. Each is the module of that name beside this file, which has
 ``add_arguments(parser)`` and ``run(args) -> int``; one with exit codes of its own has ``EXITS``."""
 
+DESCRIPTION = """
+Measure the noise of an IMU by its Allan variance.
+
+  allan analyze my_bag -o results                  a recording in, results/report.html out
+  allan export results --to openvins               the numbers, as the file of a filter
+  allan simulate my_bag --preset paper             no recording at hand? this writes one
+"""
+"""What stands above the list of verbs."""
+
 SHELLS = ('bash', 'zsh', 'fish')
 """Shells whose completion can be set up."""
 
@@ -86,22 +95,27 @@ def build_parser(verb: str = '') -> AllanParser:
     parser = AllanParser(
         prog='allan',
         usage='allan VERB [options] ...',
-        description='Measure the noise of an IMU by its Allan variance.',
+        description=DESCRIPTION,
+        add_help=False,  # the verbs come first
         epilog='`allan VERB --help` tells more of each.\n\n'
         + _exits_text(EXITS)
         + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width.',
     )
-    parser.add_argument('--version', action='version', version=f'allan_ros {__version__}')
-    parser.add_argument(
+    verbs = parser.add_subparsers(
+        title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
+    )
+    options = parser.add_argument_group('options')
+    options.add_argument('-h', '--help', action='help', help='show this and exit')
+    options.add_argument(
+        '--version', action='version', version=f'allan_ros {__version__}', help='show it and exit'
+    )
+    options.add_argument(
         '--completion',
         action=_Completion,
         choices=SHELLS,
         help='print what makes this shell complete verbs, options and names: '
         'eval "$(allan --completion bash)" in ~/.bashrc, or for fish '
         'allan --completion fish | source',
-    )
-    verbs = parser.add_subparsers(
-        title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
     )
     for name, what in VERBS.items():
         sub = verbs.add_parser(name, help=what)
@@ -118,8 +132,11 @@ def build_parser(verb: str = '') -> AllanParser:
 def _run(words: Sequence[str]) -> int:
     """Parse the words and run the verb."""
     keep_to_one_thread()
+    if not words:
+        build_parser().print_help(sys.stderr)
+        return EXIT_USAGE
     try:
-        args = build_parser(words[0] if words else '').parse_args(words)
+        args = build_parser(words[0]).parse_args(words)
     except SystemExit:
         sys.stdout.flush()  # a reader of --help may have left: told where that is caught
         raise

@@ -32,6 +32,8 @@ def test_analyze_and_export_write_the_same(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['export', str(folder / 'results.json'), '--to', 'vins_fusion']) == 0
+    assert main(['export', str(folder), '--to', 'vins_fusion', '-o', str(folder / 'named')]) == 0
+    assert (folder / 'named').read_text() == (folder / 'vins_fusion_imu.yaml').read_text()
     assert capsys.readouterr().out == (folder / 'vins_fusion_imu.yaml').read_text()
 
 
@@ -87,8 +89,8 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
-        (['export'], 'give a results.json and --to TARGET'),
-        (['export', '{results}'], 'give a results.json and --to TARGET'),
+        (['export'], 'give a results.json or its folder'),
+        (['export', '{results}'], 'give a results.json or its folder'),
         (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
         (['export', '{results}', '--to', 'klibr'], 'choose one of kalibr, openvins'),
         (['export', '{sums}', '--to', 'kalibr'], 'schema is'),
@@ -105,7 +107,8 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export', '{results}', '--to', 'gtsam', '--merge-into', '{results}'], 'Python module'),
         (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
         (['analyze', '{results}', '--export', 'kalibr'], 'folder of -o'),
-        (['merge', '{sums}', '--export', 'klibr', '-o', '/tmp'], 'choose one of kalibr'),
+        (['merge', '{sums}', '--export', 'klibr', '-o', '/tmp'], 'did you mean kalibr'),
+        (['merge', '{above}'], 'no sums.json in this folder'),
     ],
 )
 def test_what_a_user_can_mend_is_one_line_and_exit_1(
@@ -115,6 +118,7 @@ def test_what_a_user_can_mend_is_one_line_and_exit_1(
         '{results}': str(folder / 'results.json'),
         '{sums}': str(folder / 'sums.json'),
         '{yaml}': str(folder / 'imu.yaml'),
+        '{above}': str(folder.parent),
     }
     assert main([files.get(word, word) for word in words]) == 1
     lines = capsys.readouterr().err.splitlines()

@@ -62,7 +62,8 @@ def test_the_bare_word_is_answered_with_what_there_is(capsys: pytest.CaptureFixt
     assert main([]) == 2
     said = capsys.readouterr()
     assert not said.out
-    order = [said.err.index(word) for word in ('allan analyze my_bag', *VERBS, '--version')]
+    verbs = (f'\n    {verb} ' for verb in VERBS)
+    order = [said.err.index(word) for word in ('allan analyze my_bag', *verbs, '\n  --version')]
     assert order == sorted(order)
 
 

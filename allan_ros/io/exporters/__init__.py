@@ -9,6 +9,7 @@ modules the text. The arithmetic is in `allan_ros.core.noise_model`.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
 from dataclasses import dataclass
@@ -60,7 +61,9 @@ def target_of(name: str) -> Target:
         When it is unknown; it lists the known.
     """
     if name not in TARGETS:
-        raise AllanError(f'target {name!r} is unknown: choose one of {", ".join(TARGETS)}')
+        near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
+        meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
+        raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
     target: Target = importlib.import_module(f'.{name}', __package__).TARGET
     return target
 
