@@ -23,7 +23,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, toeplitz
 
 from ..cascade import PHASE_POINTS
 from ..grid import counts, grid_for
@@ -60,7 +59,8 @@ class RampGeometry:
         row = np.maximum(power, 0.0) @ self.bends
         if z < 1 or not row[0] > 0.0:
             return None
-        solution = cho_solve(cho_factor(toeplitz(row / row[0]), check_finite=False), np.ones(z))
+        lag = np.abs(np.arange(z)[:, None] - np.arange(z))
+        solution = np.linalg.solve(row[lag] / row[0], np.ones(z))
         return self._on_phase(solution / solution.sum())
 
     def _on_phase(self, on_bends: Floats) -> Floats:
@@ -85,6 +85,15 @@ class RampEffect:
 
     cross: Floats
     variance: Floats
+
+
+def ramp_shift(m: NDArray[np.int64], effect: RampEffect) -> Floats:
+    """Return what taking the ramp out adds to the expected d^2/(2 m^2), (factors, 4).
+
+    -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit power.
+    """
+    m = m.astype(float)
+    return np.asarray((np.outer(effect.variance, m * m / 2.0) - np.sqrt(2.0) * m * effect.cross).T)
 
 
 def _bends_of(weights: Floats) -> Floats:
