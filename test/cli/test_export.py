@@ -92,7 +92,7 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export'], 'give a results.json or its folder'),
         (['export', '{results}'], 'give a results.json or its folder'),
         (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
-        (['export', '{results}', '--to', 'klibr'], 'choose one of kalibr, openvins'),
+        (['export', '{results}', '--to', 'klibr'], 'Known are kalibr, openvins'),
         (['export', '{sums}', '--to', 'kalibr'], 'schema is'),
         (['export', '{results}', '--to', 'kalibr', '--strict'], 'is not observable'),
         (['export', '{results}', '--to', 'kalibr', '--exact'], 'vins_fusion only'),
