@@ -17,10 +17,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sums import AllanSums, LengthClass, SegmentRecord, ols_ramp_weights
+from ..sums import AllanSums, LengthClass, SegmentRecord
 from .covariance import TERM_PAIRS, PairSums, forget_pair_sums, pair_sums
 from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
-from .ramp import RampEffect, RampGeometry, ramp_geometry
+from .pooled import fixed_effect, pooled_shift
+from .ramp import RampEffect, RampGeometry, ramp_geometry, ramp_shift
 
 Ints = NDArray[np.int64]
 
@@ -137,9 +138,14 @@ class _Part:
 
     def take_out(self, effect: RampEffect, terms: Floats, squares: Floats) -> None:
         """Change the pooled expectation, (factors, 4), and pair sums to those less its ramps."""
+        m = self.pairs.m
+        shift = ramp_shift(m, effect)
+        terms[: len(m)] += (self.number * self.pairs.count)[:, None] * shift
+        self.take_out_of_squares(effect, squares)
+
+    def take_out_of_squares(self, effect: RampEffect, squares: Floats) -> None:
+        """Change the pooled pair sums, (10, pairs), to those less its ramps."""
         m = self.pairs.m.astype(float)
-        shift = -np.sqrt(2.0) * m * effect.cross + np.outer(effect.variance, m * m / 2.0)
-        terms[: len(m)] += (self.number * self.pairs.count * shift).T
         # d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is
         # the same for all starts when r is the best estimate, and near it for any good one.
         i, j = (x[self.long] for x in np.triu_indices(len(m)))
@@ -164,20 +170,21 @@ class Evidence:
         self.terms = avar_terms(self.m)
         self._kept = [_Part.of(s.samples, 1, factors) for s in sums.segments]
         self._pooled_sums = sums.sum_sq.copy()
-        self._pooled_terms = np.zeros((factors, len(RANDOM_TERMS)))
         self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
+        pooled = sums.count.copy()
         for part in self._kept:
             part.add(self._pooled_squares)
+            pooled[: len(part.pairs.m)] -= part.pairs.count
         for length_class in sums.classes:
             self._pool(length_class, factors)
+        self._pooled_terms = pooled_shift(sums.classes, self.m, sums.stride, pooled)
 
     def _pool(self, pool: LengthClass, factors: int) -> None:
         part = _Part.of(round(pool.samples / pool.count), pool.count, factors)
-        weights = ols_ramp_weights(part.geometry.points, part.geometry.step)
-        effect = part.geometry.effect(weights) if part.geometry.points > 2 else None
+        effect = fixed_effect(part.pairs.samples)
         part.add(self._pooled_squares)
         if effect is not None:
-            part.take_out(effect, self._pooled_terms, self._pooled_squares)
+            part.take_out_of_squares(effect, self._pooled_squares)
         self._pooled_sums[: len(pool.ramp_correction)] += pool.ramp_correction
 
     @property
