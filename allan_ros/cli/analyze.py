@@ -89,7 +89,8 @@ def run(args: argparse.Namespace) -> int:
         console.detail(_read_text(part))
     parts[0] = add_findings(parts[0], lost)
     run = add_runs(part.run for part in parts)
-    return finish(run, args, [part.signal for part in parts], add_spectra(parts))
+    signals, temperatures = zip(*((part.signal, part.temperature) for part in parts))
+    return finish(run, args, signals, add_spectra(parts), temperatures)
 
 
 def _spread(

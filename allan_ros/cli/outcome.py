@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..core.sums import AllanSums
     from ..io.envelope import SignalEnvelope
     from ..io.results import Provenance, Results
+    from ..io.temperature import TemperatureTrace
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ def finish(
     args: argparse.Namespace,
     signals: Sequence[SignalEnvelope] = (),
     spectra: Sequence[SpectrumSums] = (),
+    temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> int:
     """Fit the run, write its files where ``--output`` says, and show what was found.
 
@@ -159,6 +161,7 @@ def finish(
                 run.sums,
                 signals,
                 spectra,
+                temperatures,
                 _former(args),
                 args.margin,
                 args.command_line,

@@ -21,6 +21,7 @@ from ..core.spectrum import SpectrumSums
 from ..io.envelope import SignalEnvelope
 from ..io.recordings import ReadOptions, Recording, open_recordings
 from ..io.results import Provenance
+from ..io.temperature import TemperatureTrace
 from .console import Console
 from .outcome import Run
 
@@ -38,11 +39,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Part:
-    """What came of one recording: its sums, and if it is to be drawn, its signal and spectra."""
+    """What came of one recording: its sums, and if it is to be drawn, what is drawn beside them."""
 
     run: Run
     signal: SignalEnvelope
     spectra: tuple[SpectrumSums, ...] = ()
+    temperature: TemperatureTrace | None = None
 
 
 def accumulate(job: Job) -> Part:
@@ -145,4 +147,6 @@ def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) 
         raise AllanError(f'{job.path}: no evidence among {counts.received} samples: {why}')
     settings = {**asdict(job.evidence), **asdict(job.reading), 'hardware_id': job.hardware_id}
     origin = Provenance((recording.info,), known.spans, findings, counts, settings)
-    return Part(Run(job.path, known.sums, origin), signal, known.spectra)
+    frame_id = known.sums[0].identity.frame_id
+    temperature = recording.temperature(frame_id) if job.drawn else None
+    return Part(Run(job.path, known.sums, origin), signal, known.spectra, temperature)

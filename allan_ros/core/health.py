@@ -65,11 +65,22 @@ class Counts:
 
 
 class Span(NamedTuple):
-    """One segment: stamp of its first sample, number of samples, and its length in seconds."""
+    """One segment.
+
+    Attributes
+    ----------
+    start_ns : int
+        Stamp of its first sample.
+    samples : int
+    duration_s : float
+    cut : str
+        Why it does not follow on what came before, as in ``Counts.cuts``; '' where nothing did.
+    """
 
     start_ns: int
     samples: int
     duration_s: float
+    cut: str = ''
 
 
 @dataclass(frozen=True)

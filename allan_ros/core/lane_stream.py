@@ -97,6 +97,7 @@ class LaneStream:
         self._spans: list[tuple[int, int, Span]] = []
         self._span_count = 0
         self._span_start = self._span_end = 0
+        self._span_cut = ''
 
     @property
     def state(self) -> State:
@@ -230,7 +231,7 @@ class LaneStream:
         if not len(run.stamps):
             return
         if not self._engine.open_samples:
-            self._span_start = int(run.stamps[0])
+            self._span_start, self._span_cut = int(run.stamps[0]), run.cut
         self._span_end = int(run.stamps[-1])
         self.counts.used += len(run.stamps)
         self._engine.update(run.rows.T, int(run.stamps[0]), self._span_end)
@@ -241,7 +242,8 @@ class LaneStream:
         samples = self._engine.open_samples
         if not samples:
             return
-        span = Span(self._span_start, samples, (self._span_end - self._span_start) * 1e-9)
+        length = (self._span_end - self._span_start) * 1e-9
+        span = Span(self._span_start, samples, length, self._span_cut)
         heapq.heappush(self._spans, (samples, self._span_count, span))
         if len(self._spans) > KEPT_SPANS:
             heapq.heappop(self._spans)

@@ -26,6 +26,7 @@ from .bag_storage import (
     decompress_all,
     frame_compression,
 )
+from .bag_temperature import bag_temperature
 from .imu_cdr import DecodedImus, MalformedMessage, decode_imus
 from .imu_fields import IMU_TYPE, imu_fields, is_unknown, nested_decoder
 from .recordings import BATCH, ReadOptions, Recording, Report, SourceInfo
@@ -86,7 +87,13 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     source = _choose(path, survey, options.topic)
     info = SourceInfo(str(path), source.label, source.key[1], survey.storage)
     topic = survey.topics[source.key]
-    return Recording(info, survey.counts.get(source.key), partial(_read, bag, topic, source))
+    topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
+    return Recording(
+        info,
+        survey.counts.get(source.key),
+        partial(_read, bag, topic, source),
+        partial(bag_temperature, bag.files, topics, topic.name),
+    )
 
 
 def _survey(bag: BagFiles) -> Survey:

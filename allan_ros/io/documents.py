@@ -155,6 +155,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
                 s.integer('start_ns'),
                 s.integer('samples', least=0),
                 s.number('duration_s', least=0.0),
+                s.text('cut', ''),
             )
             for s in fields.each('segments')
         ),

@@ -1,11 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw signal of all recordings on one axis of time, and which of it is no evidence."""
+"""The raw signal of all recordings on one axis of time, which of it is no evidence, and why."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from ..core.batch import AXES
 from ..core.health import Span
 from .envelope import SignalEnvelope
+from .temperature import TemperatureTrace
 
 Floats = NDArray[np.float64]
 
@@ -20,8 +22,39 @@ GAP = 3.0
 """A span that takes so many times the usual one holds a gap."""
 
 LEAST_SHARE = 1e-3
-"""What is left out or missing for less than this share of the whole is not marked: it would be
-narrower than a line."""
+"""What is missing, or left out for no reason of its own, for less than this share of the whole is
+not marked: it would be narrower than a line."""
+
+REASONS = ('motion', 'stuck')
+"""Cuts that leave samples out; others only part what is before from what is after."""
+
+
+class LeftOut(NamedTuple):
+    """Samples that are no evidence, from ``start`` to ``end`` in s.
+
+    ``why`` is 'motion', 'stuck', or '' (warm-up, another rate, or several reasons).
+    """
+
+    start: float
+    end: float
+    why: str = ''
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """Temperature over time.
+
+    Attributes
+    ----------
+    source : str
+        Topic or column; several, where recordings differ.
+    time_s, celsius : (n,) float64 arrays
+        Times as in the outline; NaN parts recordings.
+    """
+
+    source: str
+    time_s: Floats
+    celsius: Floats
 
 
 @dataclass(frozen=True)
@@ -34,25 +67,49 @@ class Outline:
         Start of each span since the first sample of the first recording, recordings joined.
     low, high : (bins, 6) float64 arrays
         Lowest and highest sample, SI; NaN where a recording begins, and where a sensor is absent.
+    evidence : (bins,) bool array
+        The span holds nothing that is left out.
     middle : (6,) float64 array
         Median of the signal.
-    left_out, gaps : tuples of (start, end)
-        In s: samples that are no evidence (motion, warm-up), and times without samples.
+    left_out : tuple of LeftOut
+    gaps : tuple of (start, end)
+        In s: times without samples.
     starts : tuple of float
         Where each recording begins, in s.
+    warmth : Warmth or None
+        Temperature, where a recording holds it.
     """
 
     time_s: Floats
     low: Floats
     high: Floats
+    evidence: NDArray[np.bool_]
     middle: Floats
-    left_out: tuple[tuple[float, float], ...]
+    left_out: tuple[LeftOut, ...]
     gaps: tuple[tuple[float, float], ...]
     starts: tuple[float, ...]
+    warmth: Warmth | None = None
+
+    @property
+    def reach(self) -> Floats:
+        """Largest distance of the evidence from its middle, (6,), SI; 1 where nothing is there.
+
+        A knock that was left out does not count: it may leave the picture.
+        """
+        sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
+        for rows in (sizes[self.evidence], sizes):
+            largest = np.fmax.reduce(rows, axis=0, initial=0.0)
+            if largest.any():
+                return np.where(largest > 0.0, largest, 1.0)
+        return np.ones(len(AXES))
 
 
 def outline_of(
-    signals: Sequence[SignalEnvelope], spans: Sequence[Span], bins: int
+    signals: Sequence[SignalEnvelope],
+    spans: Sequence[Span],
+    bins: int,
+    cuts: Mapping[str, int] | None = None,
+    temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> Outline | None:
     """Return the outline of the signals, or None when none has two spans.
 
@@ -64,28 +121,41 @@ def outline_of(
         The segments that count as evidence.
     bins : int
         About how many spans are wanted of all.
+    cuts : mapping of str to int
+        How often the evidence was cut for what: it tells what ended the last segment.
+    temperatures : sequence of TemperatureTrace or None
+        One a signal; empty for none.
     """
-    some = [signal for signal in signals if signal.bins > 1]
+    temperatures = temperatures or [None] * len(signals)
+    some = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
     if not some:
         return None
     times: list[Floats] = []
     lows: list[Floats] = []
     highs: list[Floats] = []
-    left_out: list[tuple[float, float]] = []
+    evidence: list[NDArray[np.bool_]] = []
+    left_out: list[LeftOut] = []
     gaps: list[tuple[float, float]] = []
     starts: list[float] = []
+    warm: list[Warmth] = []
     offset = 0.0
-    for signal in some:
-        step = max(1, round(sum(s.bins for s in some) / bins))
+    step = max(1, round(sum(signal.bins for signal, _ in some) / bins))
+    for signal, trace in some:
         time, low, high = _reduced(signal, step)
         length = float(time[-1] + np.median(np.diff(time)))
         holes = _holes(time)
         counted = _counted(spans, int(signal.start_ns[0]), length)
         least = LEAST_SHARE * length
-        gaps += [_moved(span, offset) for span in holes if span[1] - span[0] > least]
-        if counted:
-            outside = _without(_without([(0.0, length)], counted), holes)
-            left_out += [_moved(span, offset) for span in outside if span[1] - span[0] > least]
+        gaps += [_moved(hole, offset) for hole in holes if hole[1] - hole[0] > least]
+        outside = list(_left_out(counted, holes, length, cuts or {}))
+        left_out += [
+            out._replace(start=out.start + offset, end=out.end + offset)
+            for out in outside
+            if out.why or out.end - out.start > least
+        ]
+        evidence.append(_untouched(time, length, outside))
+        if trace is not None:
+            warm += _warmth(trace, int(signal.start_ns[0]), length, offset)
         starts.append(offset)
         if times:
             low[0] = high[0] = np.nan  # no line from the recording before
@@ -98,8 +168,72 @@ def outline_of(
     there = ~np.all(np.isnan(low), axis=0)
     middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
     return Outline(
-        np.concatenate(times), low, high, middle, tuple(left_out), tuple(gaps), tuple(starts)
+        np.concatenate(times),
+        low,
+        high,
+        np.concatenate(evidence),
+        middle,
+        tuple(left_out),
+        tuple(gaps),
+        tuple(starts),
+        _joined(warm),
     )
+
+
+def _left_out(
+    counted: Sequence[tuple[float, float, str]],
+    holes: Sequence[tuple[float, float]],
+    length: float,
+    cuts: Mapping[str, int],
+) -> Iterator[LeftOut]:
+    """Yield what lies between the segments of one recording and is no hole, with the reason."""
+    if not counted:
+        return
+    ends = {reason for reason in REASONS if cuts.get(reason)}
+    last = ends.pop() if len(ends) == 1 else ''
+    before = 0.0
+    for start, end, cut in [*sorted(counted), (length, length, last)]:
+        for part in _without([(before, start)], holes) if start > before else ():
+            yield LeftOut(*part, cut if cut in REASONS else '')
+        before = max(before, end)
+
+
+def _untouched(time: Floats, length: float, outside: Sequence[LeftOut]) -> NDArray[np.bool_]:
+    """Tell of each span whether nothing in it is left out."""
+    ends = np.append(time[1:], length)
+    untouched = np.ones(len(time), bool)
+    for out in outside:
+        untouched &= (time >= out.end) | (ends <= out.start)
+    return untouched
+
+
+def _warmth(
+    trace: TemperatureTrace, first_ns: int, length: float, offset: float
+) -> Iterator[Warmth]:
+    """Yield the readings taken during one recording, by whichever of their times says so."""
+    for stamps in (trace.header_ns, trace.record_ns):
+        time = np.asarray((stamps - first_ns) * 1e-9, float)
+        inside = (time >= 0.0) & (time <= length)
+        if inside.sum() > 1:
+            order = np.argsort(time[inside], kind='stable')
+            yield Warmth(trace.source, time[inside][order] + offset, trace.celsius[inside][order])
+            return
+
+
+def _joined(parts: Sequence[Warmth]) -> Warmth | None:
+    """Return the temperatures of all recordings as one, with a break between two."""
+    if not parts:
+        return None
+    times: list[Floats] = []
+    values: list[Floats] = []
+    for part in parts:
+        if times:
+            times.append(part.time_s[:1])
+            values.append(np.array([np.nan]))
+        times.append(part.time_s)
+        values.append(part.celsius)
+    source = ', '.join(dict.fromkeys(part.source for part in parts))
+    return Warmth(source, np.concatenate(times), np.concatenate(values))
 
 
 def _reduced(signal: SignalEnvelope, step: int) -> tuple[Floats, Floats, Floats]:
@@ -119,10 +253,14 @@ def _holes(time: Floats) -> list[tuple[float, float]]:
     ]
 
 
-def _counted(spans: Sequence[Span], first_ns: int, length: float) -> list[tuple[float, float]]:
-    """Return the segments of one recording, in s since its first sample."""
-    seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s) for s in spans]
-    return [(start, start + of) for start, of in seconds if start < length and start + of > 0.0]
+def _counted(spans: Sequence[Span], first_ns: int, length: float) -> list[tuple[float, float, str]]:
+    """Return start, end and cut of the segments of one recording, in s since its first sample."""
+    seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in spans]
+    return [
+        (start, start + of, cut)
+        for start, of, cut in seconds
+        if start < length and start + of > 0.0
+    ]
 
 
 def _without(

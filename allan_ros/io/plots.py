@@ -344,11 +344,11 @@ def _draw_signal(panel: Axes, axis: str, outline: Outline, units: str) -> None:
     panel.fill_between(hours, low, high, color=TERM_STYLES['N'][0], ec='none', step='post')
     for start, end in outline.gaps:
         panel.axvspan(start / 3600.0, end / 3600.0, fc='0.88', lw=0)
-    for start, end in outline.left_out:
+    for start, end, _ in outline.left_out:
         panel.axvspan(start / 3600.0, end / 3600.0, fc='none', ec='0.45', hatch='/////', lw=0)
     for start in outline.starts[1:]:
         panel.axvline(start / 3600.0, color=rcParams['text.color'], lw=0.6)
-    reach = ABOVE_SIGNAL * _largest(outline, low, high)
+    reach = ABOVE_SIGNAL * unit.factor * float(outline.reach[column])
     panel.set_ylim(-reach, reach)
     said = ', hatched: left out' if outline.left_out else ''
     panel.set_title(
@@ -360,13 +360,3 @@ def _draw_signal(panel: Axes, axis: str, outline: Outline, units: str) -> None:
     panel.set_axisbelow(True)
     panel.grid(color=rcParams['grid.color'], lw=0.5)
     panel.margins(x=0.01)
-
-
-def _largest(outline: Outline, low: Floats, high: Floats) -> float:
-    """Return the largest distance of the evidence from its middle."""
-    counted = np.ones(len(low), bool)
-    for start, end in outline.left_out:
-        counted &= (outline.time_s < start) | (outline.time_s > end)
-    sizes = np.fmax(np.abs(low), np.abs(high))
-    largest = np.nanmax(sizes[counted], initial=0.0) or np.nanmax(sizes, initial=0.0)
-    return float(largest) or 1.0

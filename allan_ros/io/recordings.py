@@ -19,6 +19,7 @@ from ..core.batch import ImuBatch
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.parameters import check, parameter
+from .temperature import TemperatureTrace
 
 BATCH = 32768
 """Samples a batch: enough to forget the cost of a batch, few enough to stay in the cache."""
@@ -107,10 +108,12 @@ class Recording:
         info: SourceInfo,
         messages: int | None,
         read: Callable[[Report], Iterator[ImuBatch]],
+        read_temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None,
     ) -> None:
         self.info = info
         self.messages = messages
         self._read = read
+        self._read_temperature = read_temperature
         self._findings: list[Finding] = []
 
     def batches(self) -> Iterator[ImuBatch]:
@@ -123,6 +126,13 @@ class Recording:
         """
         self._findings = []
         yield from self._read(self._findings.append)
+
+    def temperature(self, frame_id: str) -> TemperatureTrace | None:
+        """Return the temperature of the IMU with that frame_id, if there is one beside it.
+
+        The recording is read once more for it.
+        """
+        return self._read_temperature(frame_id)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -23,6 +23,7 @@ from .outline import outline_of
 from .plot_style import PictureSettings, load_style
 from .report import Beside, render_report
 from .results import Results
+from .temperature import TemperatureTrace
 
 OUTLINE_BINS = 1000
 """Spans of the raw signal in pictures and page: as many as a plot has pixels across."""
@@ -37,6 +38,7 @@ def write_result_files(
     sums: Sequence[AllanSums],
     signals: Sequence[SignalEnvelope] = (),
     spectra: Sequence[SpectrumSums] = (),
+    temperatures: Sequence[TemperatureTrace | None] = (),
     former: Mapping[str, Results] | None = None,
     margin: float = 0.0,
     command: str = '',
@@ -52,6 +54,8 @@ def write_result_files(
         One a recording.
     spectra : sequence of SpectrumSums
         Of ``sums``, in the same order; empty where none were kept.
+    temperatures : sequence of TemperatureTrace or None
+        Of ``signals``, in the same order; empty where none was looked for.
     former : mapping of name to Results
         Earlier runs that the report holds these results against.
     margin : float
@@ -86,7 +90,8 @@ def write_result_files(
         except AllanError as error:
             left_out = finding('file_left_out', file=target_of(target).file_name, why=str(error))
             results = replace(results, findings=(*results.findings, left_out))
-    outline = outline_of(signals, results.provenance.spans, OUTLINE_BINS)
+    known = results.provenance
+    outline = outline_of(signals, known.spans, OUTLINE_BINS, known.counts.cuts, temperatures)
     elements = {}
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:

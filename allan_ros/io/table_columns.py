@@ -32,6 +32,7 @@ _ACCEL = re.compile(
 )
 _TIME = re.compile(r'(?:^|_)(t|time|timestamp|timestamps|stamp|stamps)(?:_(s|ms|us|ns))?$')
 _RECORD = re.compile(r'^record(?:_time|_stamp)?(?:_(s|ms|us|ns))?$')
+_TEMPERATURE = re.compile(r'(?:^|_)(?:temp|temperature)(?:_(?:c|degc|celsius))?$')
 _SECONDS = re.compile(r'(?:^|_)secs?$')
 _NANOSECONDS = re.compile(r'(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)$')
 
@@ -56,6 +57,8 @@ class TableLayout:
         Columns whose sum is the stamp (``sec`` and ``nanosec``, or one); empty if there is none.
     rate_hz : float
         Sample rate where there is no stamp.
+    temperature : int or None
+        Column of the temperature in degC.
     """
 
     delimiter: str
@@ -66,6 +69,7 @@ class TableLayout:
     stamp: tuple[tuple[int, int], ...]
     record: tuple[tuple[int, int], ...]
     rate_hz: float
+    temperature: int | None = None
 
     def split(self, lines: Iterable[str]) -> list[list[str]]:
         """Split lines into cells."""
@@ -135,7 +139,15 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
             'with --rate, or name the column with --columns'
         )
     return TableLayout(
-        delimiter, len(first), names, header_line, axes, stamp, record, options.rate_hz
+        delimiter,
+        len(first),
+        names,
+        header_line,
+        axes,
+        stamp,
+        record,
+        options.rate_hz,
+        next((column for column, name in enumerate(names) if _is_celsius(name)), None),
     )
 
 
@@ -216,6 +228,12 @@ def _base_and_unit(name: str) -> tuple[str, str]:
             'm/s²': 'm/s^2', 'sec': 's', 'µs': 'us',
         }.get(unit, unit)  # fmt: skip
     return re.sub(r'[^a-z0-9]+', '_', text).strip('_'), unit
+
+
+def _is_celsius(name: str) -> bool:
+    """Tell whether a column is a temperature in degC, or in no unit that it names."""
+    base, unit = _base_and_unit(name)
+    return bool(_TEMPERATURE.search(base)) and unit in ('', 'c', 'degc', 'celsius')
 
 
 def _listed(names: tuple[str, ...], most: int = 10) -> str:

@@ -27,6 +27,7 @@ from ..core.errors import AllanError
 from ..core.findings import finding
 from .recordings import BATCH, ReadOptions, Recording, Report, SourceInfo
 from .table_columns import TableLayout, is_number, read_layout
+from .temperature import TemperatureTrace, Thinned, trace_of
 
 FRAME_COMMENT = '# frame_id:'
 COMMENT = '#'
@@ -44,7 +45,12 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
     with _text(path) as file:
         layout = read_layout(path, file, options)
     info = SourceInfo(str(path), '', 'table', 'tsv' if layout.delimiter == '\t' else 'csv')
-    return Recording(info, None, lambda report: _read(path, layout, report))
+    return Recording(
+        info,
+        None,
+        lambda report: _read(path, layout, report),
+        lambda frame_id: _temperature(path, layout),
+    )
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
@@ -119,6 +125,30 @@ def _read(path: Path, layout: TableLayout, report: Report) -> Iterator[ImuBatch]
         _drop_cut_line(path, layout, numbers, lines, report)
     if lines:
         yield _batch(path, layout, numbers, lines, first_row, frame_id)
+
+
+def _temperature(path: Path, layout: TableLayout) -> TemperatureTrace | None:
+    """Return the column of the temperature, if there is one."""
+    column = layout.temperature
+    if column is None:
+        return None
+    kept: Thinned[tuple[int, str]] = Thinned()
+    row = 0
+    with _text(path) as file:
+        for number, line in enumerate(file, 1):
+            if number > layout.header_line and not line.startswith(COMMENT) and line.strip():
+                kept.add((row, line))
+                row += 1
+    readings = []
+    for row, line in kept:
+        cells = layout.split([line])[0]
+        with suppress(ValueError, IndexError, DecimalException):  # a line that is cut off
+            if layout.stamp:
+                stamp = sum(round(Decimal(cells[at].strip()) * size) for at, size in layout.stamp)
+            else:
+                stamp = round(row * 1e9 / layout.rate_hz)
+            readings.append((stamp, stamp, float(cells[column])))
+    return trace_of(layout.names[column].strip(), readings)
 
 
 def _drop_cut_line(

@@ -119,6 +119,13 @@ def test_a_clean_stream_gives_the_sums_of_the_engine_alone():
     assert [(s.start_ns, s.samples) for s in result.spans] == [(START, 20_000)]
 
 
+def test_every_segment_says_why_it_does_not_follow_on_the_one_before():
+    t, x = still(30_000)
+    t[10_000:] += 5 * 10**9
+    x[20_000:20_400] += 50.0 * np.random.default_rng(0).normal(size=(400, 6))
+    assert [s.cut for s in accumulate(t, x).spans] == ['', 'gap', 'motion']
+
+
 def test_looking_at_the_result_disturbs_nothing():
     t, x = FAULTS['motion'](*still(12_000), np.random.default_rng(0))
     accumulator = ImuAccumulator()

@@ -29,6 +29,7 @@ from allan_ros.io.report import Beside, render_report
 from allan_ros.io.report.chart_data import sensor_charts, to_script
 from allan_ros.io.report.clipboard import copies
 from allan_ros.io.results import Results
+from allan_ros.io.temperature import TemperatureTrace
 
 VOID = ('meta', 'br', 'wbr', 'input')
 HOSTILE = '</script><script>alert(1)</script><img src=x onerror=alert(2)>&"\'\u2028'
@@ -204,9 +205,43 @@ def test_what_is_left_out_and_missing_is_told_from_the_evidence() -> None:
     assert outline is not None
     # the second recording has the same stamps: the spans are found in it again
     (first, second) = outline.left_out
-    assert first == (0.0, pytest.approx(20.0))
-    assert second[1] - second[0] == pytest.approx(20.0)
+    assert first == (0.0, pytest.approx(20.0), '')
+    assert second.end - second.start == pytest.approx(20.0)
     (gap, _) = outline.gaps
     assert gap == (pytest.approx(100.0, abs=0.2), pytest.approx(150.0, abs=0.2))
     assert outline.starts == (0.0, pytest.approx(250.0, abs=0.5))
     assert np.isnan(outline.low).any(axis=1).sum() == 1
+
+
+def test_the_outline_says_why_and_knows_the_evidence() -> None:
+    n, second = 10_000, 10**9
+    stamps = np.arange(n, dtype=np.int64) * 20_000_000  # 200 s
+    samples = np.random.default_rng(4).normal(size=(n, 6))
+    samples[4000:4010] += 100.0  # a knock at 80 s
+    signal = SignalEnvelope()
+    signal.update(ImuBatch(stamps, samples))
+    spans = [Span(20 * second, 3000, 59.8), Span(82 * second, 3400, 68.0, 'motion')]
+    trace = TemperatureTrace(
+        '/t', stamps[::50] - second, stamps[::50], np.linspace(20.0, 30.0, 200)
+    )
+    outline = outline_of([signal], spans, 100, {'motion': 2}, [trace])
+    assert outline is not None
+    assert [out.why for out in outline.left_out] == ['', 'motion', 'motion']
+    assert [out.end for out in outline.left_out] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
+    assert (outline.reach < 10.0).all() and np.nanmax(outline.high) > 90.0
+    assert not outline.evidence[outline.time_s < 19.0].any()
+    assert outline.warmth is not None and outline.warmth.source == '/t'
+    assert outline.warmth.time_s[0] == 0.0 and outline.warmth.celsius[-1] == 30.0
+
+
+def test_temperatures_of_several_recordings_are_joined_with_a_break() -> None:
+    signal = a_signal()
+    start = int(signal.start_ns[0])
+    late = start + 5 * 10**9 + np.arange(3, dtype=np.int64) * 10**9
+    # the stamps of the message are from another clock: those of the recorder are taken
+    trace = TemperatureTrace('/t', late - 10**17, late, np.array([20.0, 21.0, 22.0]))
+    outline = outline_of([signal, signal, signal], (), 100, {}, [trace, None, trace])
+    assert outline is not None and outline.warmth is not None
+    assert np.isnan(outline.warmth.celsius).tolist() == [False] * 3 + [True] + [False] * 3
+    assert outline.warmth.time_s[0] == pytest.approx(5.0)
+    assert outline.warmth.time_s[-1] == pytest.approx(outline.starts[2] + 7.0)

@@ -192,6 +192,7 @@ def _signal(axes: Mapping[str, AxisResult], outline: Outline) -> dict[str, Any]:
             {
                 'name': name,
                 'middle': _rounded([middle])[0],
+                'reach': _rounded([outline.reach[i]])[0],
                 'low': _short(low),
                 'high': _short(high),
             }
@@ -199,9 +200,16 @@ def _signal(axes: Mapping[str, AxisResult], outline: Outline) -> dict[str, Any]:
     return {
         'time': _rounded(outline.time_s),
         'axes': shown,
-        'leftOut': [_rounded(span) for span in outline.left_out],
+        'leftOut': [[*_rounded([out.start, out.end]), out.why] for out in outline.left_out],
         'gaps': [_rounded(span) for span in outline.gaps],
         'starts': _rounded(outline.starts),
+        'warmth': None
+        if outline.warmth is None
+        else {
+            'source': outline.warmth.source,
+            'time': _rounded(outline.warmth.time_s),
+            'celsius': _rounded(outline.warmth.celsius),
+        },
     }
 
 
