@@ -60,7 +60,7 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     missing = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
     last = np.minimum(counts, len(pairs)) - 1
     variance = np.sum(number * (counts * pairs[last] - missing[last]))
-    return float(np.sum(number * counts) ** 2 / variance)
+    return float(np.sum(number * counts)) ** 2 / float(variance)  # int64 ends at 3e9 squared
 
 
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:

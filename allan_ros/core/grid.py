@@ -19,8 +19,9 @@ FIRST_FACTORS = (1, 2, 3, 4, 6)
 LEVEL_FACTORS = (8, 10, 12, 14)
 """Factors of every level, in units of the level's stride 2^j."""
 
-MAX_LEVELS = 44
-"""2^43 x 14 samples are 3,900 years at 1 kHz: a bound for what is read from strangers."""
+MAX_LEVELS = 42
+"""2^41 x 14 samples are 970 years at 1 kHz: a bound for what is read from strangers, and as far as
+the lags of a covariance fit their search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

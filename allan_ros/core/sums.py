@@ -31,6 +31,11 @@ TAU0_TOLERANCE = 1e-3
 """Sums whose sample periods differ by more than 0.1 % are of different streams."""
 
 
+LEAST_VARIANCE = 1e-80
+"""A smaller variance is none: no IMU has steps of 1e-40, and what fits do with a variance, its cube
+and its inverse square over all averaging times, stays within the numbers of full precision."""
+
+
 class ImuIdentity(NamedTuple):
     """Which IMU the samples came from."""
 
@@ -224,20 +229,14 @@ class AllanSums:
     def avar(self) -> Floats:
         """Overlapping Allan variance at ``m``, (factors, axes), squared unit of the samples.
 
-        sum d^2 / (2 m^2 count): NIST SP 1065 eq. 11, pooled over segments. NaN without data.
+        Pooled over segments. NaN without data.
         """
-        return self._variance(self.sum_sq, self.count)
+        return allan_variance(self.sum_sq, self.m, self.count)
 
     @property
     def group_avar(self) -> Floats:
         """Allan variance over groups that do not overlap, as the paper computed it."""
-        return self._variance(self.group_sum_sq, self.group_count)
-
-    def _variance(self, sum_sq: Floats, count: NDArray[np.int64]) -> Floats:
-        m = self.m.astype(float)[:, None]
-        with np.errstate(invalid='ignore', divide='ignore'):
-            variance: Floats = sum_sq / (2.0 * m * m * count[:, None])
-        return variance
+        return allan_variance(self.group_sum_sq, self.m, self.group_count)
 
     @property
     def _end_slack(self) -> float:
@@ -303,6 +302,25 @@ class AllanSums:
                 f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
                 f'{TAU0_TOLERANCE:.1%} apart, analyse them apart'
             )
+
+
+def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
+    """Return sum d^2 / (2 m^2 count), NIST SP 1065 eq. 11; NaN without data.
+
+    Parameters
+    ----------
+    sum_sq : (factors, axes) float64 array
+    m, count : (factors,) int64 arrays
+
+    Returns
+    -------
+    (factors, axes) float64 array
+        0 where it is below `LEAST_VARIANCE`.
+    """
+    number = m.astype(float) ** 2 * count  # in int64 it overflows after weeks at 1 kHz
+    with np.errstate(invalid='ignore', divide='ignore'):
+        variance: Floats = sum_sq / (2.0 * number[:, None])
+    return np.where(variance < LEAST_VARIANCE, 0.0, variance)
 
 
 def _levels(factors: int) -> int:

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sums import AllanSums, LengthClass, SegmentRecord
+from ..sums import AllanSums, LengthClass, SegmentRecord, allan_variance
 from .covariance import TERM_PAIRS, PairSums, forget_pair_sums, pair_sums
 from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
 from .pooled import fixed_effect, pooled_shift
@@ -194,7 +194,7 @@ class Evidence:
 
     def is_noiseless(self, axis: int) -> bool:
         """Return whether the samples of an axis are constant or a straight line, to rounding."""
-        if not np.any(self.sums.sum_sq[:, axis] > 0.0):
+        if not np.any(self.sums.avar[:, axis] > 0.0):
             return True
         table = self.table(axis, WHITE)
         raw = self.sums.avar[np.isin(self.m, table.m), axis]
@@ -250,7 +250,7 @@ class Evidence:
         table = Table(
             self.m,
             self.sums.count,
-            sum_sq / (2.0 * self.m.astype(float) ** 2 * count),
+            allan_variance(sum_sq[:, None], self.m, self.sums.count)[:, 0],
             self.terms + terms / count[:, None],
             squares / (count[i] * count[j]),
             found,

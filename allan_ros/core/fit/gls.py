@@ -84,7 +84,7 @@ def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
     if ramp is None:
         return _unseen(None, np.inf)
     sign = int(np.sign(ramp.value))
-    near, far = sorted((ramp.low * sign / tau0, ramp.high * sign / tau0))
+    near, far = sorted(end * (sign or 1) / tau0 for end in (ramp.low, ramp.high))
     if ramp.observable:
         return Coefficient(abs(ramp.value) / tau0, (max(near, 0.0), far), sign=sign)
     return _unseen(abs(ramp.value) / tau0, max(-near, far), sign)

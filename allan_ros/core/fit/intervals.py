@@ -24,7 +24,7 @@ import numpy as np
 from .active_set import RIDGE
 from .evidence import Table
 from .model import Floats
-from .solve import Q, Whitening, solve, weights_at, white_floor
+from .solve import Q, Whitening, solve, weights_at, white_floor, with_floor
 
 Z_TWO_SIDED = 1.96
 """Normal quantile of 97.5 %."""
@@ -93,7 +93,7 @@ class Score:
         contrast = _contrast(white[:, :-1], active.index(self.term))
         self.estimate = float(contrast @ white[:, -1])
         self.deviation = float(np.sqrt(contrast @ contrast))
-        model = self.table.terms @ np.maximum(power, 0.0)
+        model = self.table.terms @ with_floor(self.table, power)
         weights, scatter = whitening.weights(contrast), whitening.scatter(contrast)
         third = 2.0 * float(np.sum(weights * scatter**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation

@@ -20,7 +20,7 @@ from .evidence import Evidence, variances
 from .intervals import Z_TWO_SIDED, cross
 from .model import Floats
 from .point import PointFit
-from .solve import K, solve
+from .solve import K, solve, with_floor
 
 Z_DETECT = 2.58
 """Normal quantile of 99.5 %: R has a sign, so both tails count for 1 % false alarms."""
@@ -74,7 +74,7 @@ def ramp_interval(evidence: Evidence, axis: int, fit: PointFit, walk: float) -> 
         known[chosen] = c
         less = fit.frame.table(evidence, axis, fit.power, known)
         held = solve(less, fit.power, signed=fit.frame.signed, misfit=fit.frame.misfit)
-        noise = fit.frame.noise(held)
+        noise = fit.frame.noise(with_floor(less, held))
         free, effects = evidence.ramps(axis, noise, ignored)
         r, sd = _mean(free[chosen], (variances(effects) @ noise)[chosen])
         return (r - c) / sd

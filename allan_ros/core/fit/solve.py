@@ -155,10 +155,16 @@ def white_floor(table: Table) -> float:
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 
 
-def weights_at(table: Table, power: Floats, misfit: float) -> Floats:
-    """Return the covariance of the table at powers that leave no factor without any noise."""
+def with_floor(table: Table, power: Floats) -> Floats:
+    """Return the powers, none negative, with `white_floor` at least: each factor has some noise."""
     p = np.maximum(power, 0.0)
     p[N] = max(p[N], white_floor(table))
+    return p
+
+
+def weights_at(table: Table, power: Floats, misfit: float) -> Floats:
+    """Return the covariance of the table at powers `with_floor`."""
+    p = with_floor(table, power)
     covariance = table.covariance(p)
     model = table.terms @ p
     diagonal = np.maximum(np.diag(covariance), EMPTY_ROW * model**2) + (misfit * model) ** 2
