@@ -6,6 +6,7 @@
 """
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -36,7 +37,20 @@ setup(
     author='the allan_ros authors',
     maintainer='the allan_ros authors',
     maintainer_email='maintainers@users.noreply.h-seed-d8235d04.example',
-    license='Apache-2.0',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    keywords=['Allan variance', 'IMU', 'noise', 'ROS 2', 'robotics'],
+    classifiers=[
+        'Environment :: Console',
+        'Intended Audience :: Developers',
+        'Intended Audience :: Science/Research',
+        'Operating System :: OS Independent',
+        'Programming Language :: Python :: 3',
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
+    license='Apache-2.0 AND MIT',  # MIT: uPlot, which the report contains
+    license_files=['LICENSE', f'{PACKAGE}/io/report/uplot/LICENSE'],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed', 'io/report/*.css', 'io/report/*.js', 'io/report/uplot/*']},
     data_files=[
@@ -46,6 +60,7 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
         (f'share/{PACKAGE}/config/filters', glob('config/filters/*.yaml')),
         (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
+        (f'share/{PACKAGE}/config/sros2', glob('config/sros2/*')),
         (f'share/{PACKAGE}/config/viewers', glob('config/viewers/*')),
     ],
     python_requires='>=3.10',

@@ -76,3 +76,13 @@ def test_every_console_script_is_there() -> None:
     for _, module, function in scripts:
         source = ROOT / 'allan_ros' / (module.replace('.', '/') + '.py')
         assert f'def {function}(' in source.read_text(encoding='utf-8')
+
+
+def test_every_licence_that_is_named_is_there_and_every_configuration_is_installed() -> None:
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    licences = ElementTree.parse(ROOT / 'package.xml').findall('license')
+    assert f"license='{' AND '.join(str(each.text) for each in licences)}'" in setup
+    assert all((ROOT / each.attrib['file']).is_file() for each in licences)
+    folders = [path.name for path in (ROOT / 'config').iterdir() if path.is_dir()]
+    assert len(folders) > 2
+    assert [name for name in folders if f"glob('config/{name}/" not in setup] == []
