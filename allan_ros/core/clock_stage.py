@@ -76,17 +76,53 @@ class ClockStage:
 
     def feed(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> list[Run]:
         """Take more samples, return the runs that are certain by now."""
+        if rows.strides[1] != rows.itemsize:
+            rows = np.ascontiguousarray(rows)  # axis by axis, however they lay in memory
+        # Only the seam between what waits and what comes is copied: up to the end of a block from
+        # which on the samples that are looked back at came with these.
+        waiting = len(self._stamps) - self._past
+        seam = -(-(waiting + self._reach) // BLOCK) * BLOCK - waiting + self._reach
+        self._append(stamps[:seam], rows[:, :seam], jumped[:seam])
+        runs = self._judge_ready()
+        if len(stamps) > seam:
+            if self.rate_changed:
+                self._append(stamps[seam:], rows[:, seam:], jumped[seam:])
+                return runs
+            rest = slice(seam - len(self._stamps), None)
+            self._stamps, self._rows, self._jumped = stamps[rest], rows[:, rest], jumped[rest]
+            runs += self._judge_ready()
+            self._append(stamps[:0], rows[:, :0], jumped[:0])  # a copy: lets go of the others
+        return runs
+
+    def _append(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> None:
+        """Put samples behind those that wait."""
         self._stamps = np.concatenate([self._stamps, stamps])
-        self._rows = _appended(self._rows, rows)
+        self._rows = np.concatenate([self._rows, rows], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
+
+    def _judge_ready(self) -> list[Run]:
+        """Judge the whole blocks behind which there is enough to look ahead at."""
         runs: list[Run] = []
+        first = self._past  # of samples among which nothing is missing: they pass in one run
         while not self.rate_changed:
             ready = (len(self._stamps) - self._past - self._reach) // BLOCK
             blocks = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
             if blocks < 1:
                 break
+            if self._are_even(blocks * BLOCK):
+                self._step_forward(blocks * BLOCK, np.ones(blocks * BLOCK, np.int64))
+                continue
+            runs += self._view(first)
             runs += self._judge(blocks * BLOCK)
+            first = self._past
+        runs += self._view(first)
+        self._forget()
         return runs
+
+    def _view(self, first: int) -> list[Run]:
+        """Return the samples from there on that were judged."""
+        judged = slice(first, self._past)
+        return [Run(self._stamps[judged], self._rows[:, judged])] if first < self._past else []
 
     def flush(self) -> list[Run]:
         """Return the runs of all that waits: no more samples come."""
@@ -95,7 +131,25 @@ class ClockStage:
             left = len(self._stamps) - self._past
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * BLOCK
             runs += self._judge(min(left, room))
+            self._forget()
         return runs
+
+    def _are_even(self, n: int) -> bool:
+        """Return whether nothing is missing among the next n samples, nor their rate another.
+
+        It is what nearly all samples are; where it is not so, `_judge` tells what is.
+        """
+        begin = self._past
+        if begin == 0 or self._jumped[begin : begin + n].any():
+            return False
+        stamps = self._stamps[begin - 1 : begin + n]
+        clock, longest = self.clock, int((stamps[1:] - stamps[:-1]).max())
+        if clock.bursty or longest > clock.silence_ns:
+            return longest <= clock.silence_ns
+        period = np.diff(stamps[::BLOCK]) / BLOCK
+        return longest <= RATE_CHANGE_STEP * clock.step_ns and bool(
+            np.all(np.abs(period / clock.period_ns - 1.0) <= RATE_CHANGE)
+        )
 
     def _judge(self, n: int) -> list[Run]:
         """Judge the next n samples (whole blocks, or the last ones)."""
@@ -148,14 +202,6 @@ class ClockStage:
         if self.clock.bursty:
             return len(step)
         usual = self.clock.step_ns
-        whole = step[: len(step) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
-        if (
-            step.max() <= RATE_CHANGE_STEP * usual
-            and advance.min() == advance.max() == 1
-            and len(whole) * BLOCK == len(step)
-            and np.all(np.abs(whole / self.clock.period_ns - 1.0) <= RATE_CHANGE)
-        ):
-            return len(step)  # the common case, without a look at each block
         for at in range(max(0, LEARN - self._blocks * BLOCK), len(step), BLOCK):
             steps, indices = step[at : at + BLOCK], advance[at : at + BLOCK]
             if len(steps) < BLOCK // 4:
@@ -199,8 +245,6 @@ class ClockStage:
 
     def _runs(self, begin: int, n: int, advance: NDArray[np.int64]) -> list[Run]:
         """Return the judged samples as runs, lost ones interpolated."""
-        if advance.min() == advance.max() == 1:  # nothing was lost: views, not copies
-            return [Run(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])]
         runs: list[Run] = []
         stamps: list[Stamps] = []
         rows: list[Floats] = []
@@ -241,12 +285,16 @@ class ClockStage:
         last = int(self._index[-1]) if len(self._index) else -1
         index = np.concatenate([self._index, last + np.cumsum(advance)])
         self._track(self._stamps[begin:end], index[len(self._index) :], bool(len(cuts)))
-        keep = max(0, end - self._reach)
-        self._index = index[keep:]
-        self._stamps = self._stamps[keep:]
-        self._rows = self._rows[:, keep:]
-        self._jumped = self._jumped[keep:]
-        self._past = end - keep
+        self._index = index[-self._reach :]
+        self._past = end
+
+    def _forget(self) -> None:
+        """Let go of judged samples that nobody will look back at."""
+        old = max(0, self._past - self._reach)
+        self._stamps = self._stamps[old:]
+        self._rows = self._rows[:, old:]
+        self._jumped = self._jumped[old:]
+        self._past -= old
 
     def _track(self, stamps: Stamps, index: NDArray[np.int64], cut: bool) -> None:
         """Update the working period after every `TRACK_BLOCKS` blocks without a cut."""
@@ -267,11 +315,3 @@ class ClockStage:
             period = self.clock.period_ns + 0.25 * (period - self.clock.period_ns)
         if not self.rate_changed:
             self.clock = replace(self.clock, period_ns=period)
-
-
-def _appended(rows: Floats, more: Floats) -> Floats:
-    """Return rows (axes, n) with more behind them, axis by axis however ``more`` lies in memory."""
-    n = rows.shape[1]
-    out = np.empty((len(rows), n + more.shape[1]))
-    out[:, :n], out[:, n:] = rows, more
-    return out

@@ -42,16 +42,24 @@ class Windows:
         """Measure windows of ``size`` samples; rows is (axes, k * size)."""
         cube = rows.reshape(len(rows), -1, size)
         mean = np.add.reduce(cube, axis=2) / size
+        # rounding keeps the order, so the farthest sample is the largest or the smallest one
+        peak = np.maximum(cube.max(axis=2) - mean, mean - cube.min(axis=2))
         from_mean = cube - mean[:, :, None]
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
         # one value throughout has no variance, whatever the rounding of its mean leaves
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
-        peak = np.maximum(from_mean.max(axis=2), -from_mean.min(axis=2))
         return cls(mean, variance, peak)
+
+    def __getitem__(self, which: slice | NDArray[np.bool_]) -> Windows:
+        """Return some of the windows."""
+        return Windows(self.mean[:, which], self.variance[:, which], self.peak[:, which])
 
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
         """Return windows that follow on each other as one."""
+        parts = list(parts)
+        if len(parts) == 1:
+            return parts[0]
         columns = zip(*((p.mean, p.variance, p.peak) for p in parts))
         return cls(*(np.concatenate(arrays, axis=1) for arrays in columns))
 
@@ -136,9 +144,10 @@ class NoiseFloor:
             Nothing stood out in any of them but the mean rate.
         """
         if np.count_nonzero(still) >= len(still) // 2:
-            recent = _quantile(block.variance[:, still], QUIET)
+            rest = block if still.all() else block[still]
+            recent = _quantile(rest.variance, QUIET)
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
-            return replace(self, variance=variance, mean=_quantile(block.mean[:, still], 0.5))
+            return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
         if turning:
             # a steady rate for a whole block is a bias that jumped, or was learned in a turn
             return replace(self, mean=_quantile(block.mean, 0.5))

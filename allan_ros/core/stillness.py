@@ -27,6 +27,7 @@ from .run import Run
 from .window_verdict import LEAST_WINDOW, Verdict, judge_windows, saturated
 
 Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 WINDOW_S = 0.5
@@ -108,22 +109,35 @@ class StillnessStage:
         cut = stretch[0].cut
         if cut:
             out += self._end_stretch()
-        self._stamps = np.concatenate([self._stamps, *(run.stamps for run in stretch)])
-        self._rows = np.concatenate([self._rows, *(run.rows for run in stretch)], axis=1)
         self._stretch_cut = self._stretch_cut or cut
-        at, have = 0, len(self._stamps) // self.size
+        for run in stretch:
+            # only the window that began before is copied together
+            seam = -len(self._stamps) % self.size
+            if seam:
+                out += self._fill(run.stamps[:seam], run.rows[:, :seam])
+            out += self._fill(run.stamps[seam:], run.rows[:, seam:])
+        return out
+
+    def _fill(self, stamps: Stamps, rows: Floats) -> list[Run]:
+        """Judge the windows that more samples fill; the others wait."""
+        if len(self._stamps):
+            stamps = np.concatenate([self._stamps, stamps])
+            rows = np.concatenate([self._rows, rows], axis=1)
+        out: list[Run] = []
+        at, have = 0, len(stamps) // self.size
+        measured = Windows.of(rows[:, : have * self.size], self.size)
         while at < have:
             k = min(have - at, LEARN_WINDOWS - self._in_block)
             part = slice(at * self.size, (at + k) * self.size)
-            windows = Run(self._stamps[part], self._rows[:, part], self._stretch_cut)
+            run = Run(stamps[part], rows[:, part], self._stretch_cut)
             self._stretch_cut = ''
-            out += self._judge(windows, self.size)
+            out += self._judge(run, self.size, measured[at : at + k])
             self._in_block += k
             at += k
             if self._in_block == LEARN_WINDOWS:
                 out += self._follow()
-        self._stamps = self._stamps[have * self.size :]
-        self._rows = self._rows[:, have * self.size :]
+        self._stamps = stamps[have * self.size :].copy()
+        self._rows = rows[:, have * self.size :].copy()
         return out
 
     def flush(self) -> list[Run]:
@@ -152,7 +166,7 @@ class StillnessStage:
         out: list[Run] = []
         if len(self._stamps) and self._floor is not None:
             last = Run(self._stamps, self._rows, self._stretch_cut)
-            out += self._judge(last, len(self._stamps))
+            out += self._judge(last, len(last.stamps), Windows.of(last.rows, len(last.stamps)))
         self._stretch_cut = ''
         self._stamps = self._stamps[:0]
         self._rows = self._rows[:, :0]
@@ -160,14 +174,13 @@ class StillnessStage:
         self._margin = []
         return out
 
-    def _judge(self, run: Run, size: int) -> list[Run]:
-        """Judge windows that follow on each other; ``run.cut`` says why not on those before."""
+    def _judge(self, run: Run, size: int, windows: Windows) -> list[Run]:
+        """Judge the windows of a run; ``run.cut`` says why it does not follow on those before."""
         out: list[Run] = []
         if run.cut:
             out, self._margin = self._margin, []
             self._last_mean = None
             self._cut = self._cut or run.cut
-        windows = Windows.of(run.rows, size)
         assert self._floor is not None
         verdict = judge_windows(
             windows, self._last_mean, size, self._floor, self._ratio, self._rate_limit
@@ -247,7 +260,7 @@ class StillnessStage:
         self.moving, self._calm, self._cut = True, 0, 'motion'
         out = [Run(block[0].run.stamps[:0], block[0].run.rows[:, :0], RELEARNED)]
         for judged in block:
-            out += self._judge(judged.run, self.size)
+            out += self._judge(judged.run, self.size, judged.windows)
         self._block = []
         return out
 
