@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the subscribers of a publisher have found it, so that they miss nothing of its start.
+"""Whether the subscribers of a publisher have found it, and whether they have taken its end.
 
 A publisher counts a subscriber once it has heard of it; the subscriber may hear of the publisher
 later (0.07 s on a busy machine, and nothing bounds it). What is sent in between is lost to a best
@@ -10,12 +10,18 @@ DDS announces the endpoints of a participant in the order in which they were mad
 2.5, 8.5.4: one announcing writer for all of them). So a service client that is made after the
 publisher is answered by a node only when that node has found the publisher too. Every ROS node
 offers its parameters as services, unless it was told not to.
+
+When the publisher goes, what a best effort subscriber has not yet taken from the transport is lost
+likewise (417 messages, where a process was frozen for 7 s). A question that is sent after the last
+message takes the same way and its turn, so the answer tells that all before it have arrived.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
@@ -60,6 +66,7 @@ class Handshake:
     def __init__(self, node: Node, publisher: Publisher, wanted: int = 1) -> None:
         self._node, self._publisher, self._wanted = node, publisher, wanted
         self._asked: dict[bytes, _Asked] = {}
+        self._round = 0
 
     def update(self) -> bool:
         """Ask on; return whether all there are have found the publisher, or will never say."""
@@ -74,6 +81,13 @@ class Handshake:
                     self._ask(asked, now)
                 done = done and now - asked.since > PATIENCE_S
         return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
+
+    def again(self) -> None:
+        """Ask anew whoever is still there; who never answered is not waited for again."""
+        self._wanted, self._round = 0, self._round + 1
+        for asked in self._asked.values():
+            if asked.answered:
+                asked.answered, asked.since, asked.last = False, time.monotonic(), float('-inf')
 
     def silent(self) -> tuple[str, ...]:
         """Return the nodes that have not answered."""
@@ -93,4 +107,8 @@ class Handshake:
         if now - asked.last >= ASK_AGAIN_S and asked.client.service_is_ready():
             asked.last = now
             answer = asked.client.call_async(GetParameters.Request())
-            answer.add_done_callback(lambda _: setattr(asked, 'answered', True))
+            answer.add_done_callback(partial(self._on_answer, asked, self._round))
+
+    def _on_answer(self, asked: _Asked, round_asked: int, _: Any) -> None:
+        """Note an answer, unless it is a late one to what was asked before `again`."""
+        asked.answered = asked.answered or round_asked == self._round

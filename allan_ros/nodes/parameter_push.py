@@ -73,11 +73,12 @@ class ParameterPush:
         if target:
             # its answers must come while ~/restore waits for them
             group = ReentrantCallbackGroup()
-            self._get = owner.create_client(
-                GetParameters, f'{target}/get_parameters', callback_group=group
-            )
             self._set = owner.create_client(
                 SetParameters, f'{target}/set_parameters', callback_group=group
+            )
+            # made last: a node that answers to it knows the other client too (see `handshake`)
+            self._get = owner.create_client(
+                GetParameters, f'{target}/get_parameters', callback_group=group
             )
 
     def offer(self, results: Results) -> None:

@@ -37,7 +37,7 @@ POLL_S = 0.05
 """How often waiting for subscribers or acknowledgements looks whether it should stop."""
 
 LINGER_S = 0.5
-"""How long the publisher stays after the last acknowledgement, for readers to take their queue."""
+"""How long the publisher stays after the last answer, for subscribers to empty their queues."""
 
 SIMULATED = (
     NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
@@ -70,7 +70,7 @@ class Player(Node):
         self._error: AllanError | None = None
         self._played = 0
         self._handshake = Handshake(self, self._publisher, options.wait)
-        self._heard = threading.Event()
+        self._asking, self._answered = False, threading.Event()
         self.create_timer(
             POLL_S, self._tick, clock=STEADY
         )  # signals, too, are heeded when it wakes
@@ -85,22 +85,20 @@ class Player(Node):
             raise self._error
 
     def _tick(self) -> None:
-        """Wait for the subscribers, in the executor that their answers come to."""
-        if self._heard.is_set() or not self._handshake.update():
-            return
-        for name in self._handshake.silent():
-            self.get_logger().warning(
-                f'{name} subscribes and does not answer: whether it misses the start is not known'
-            )
-        self._handshake.close()
-        self._heard.set()
+        """Ask the subscribers, in the executor that their answers come to."""
+        if self._asking and self._handshake.update():
+            self._asking = False
+            self._answered.set()
 
     def _work(self) -> None:
         """Play to the end (in a thread of its own), then end the node."""
         try:
-            self._wait_for_subscribers()
+            self._wait_for_answers('misses the start')
             self._play()
             self._wait_for_acknowledgements()
+            self._handshake.again()
+            self._wait_for_answers('has the end')
+            self._stop.wait(LINGER_S)
         except AllanError as error:
             self._error = error
         self._stop.set()
@@ -166,15 +164,21 @@ class Player(Node):
             self._clock_due = now + CLOCK_PERIOD_S
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
 
-    def _wait_for_subscribers(self) -> None:
-        while not (self._stop.is_set() or self._heard.wait(POLL_S)):
+    def _wait_for_answers(self, unknown: str) -> None:
+        """Wait until the subscribers have answered; say of whom something is not known."""
+        self._answered.clear()
+        self._asking = True
+        while not (self._stop.is_set() or self._answered.wait(POLL_S)):
             pass
+        for name in () if self._stop.is_set() else self._handshake.silent():
+            self.get_logger().warning(
+                f'{name} subscribes and does not answer: whether it {unknown} is not known'
+            )
 
     def _wait_for_acknowledgements(self) -> None:
         poll = Duration(seconds=POLL_S)
         while not (self._stop.is_set() or self._publisher.wait_for_all_acked(poll)):
             pass
-        self._stop.wait(LINGER_S)
 
     def _batches(self) -> Iterator[ImuBatch]:
         o = self._options

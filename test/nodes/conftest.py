@@ -26,6 +26,7 @@ from allan_ros.io.imu_cdr import encode_imus
 ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)
 """Domains whose UDP ports stay below the ephemeral ones (docs.ros.org, The ROS_DOMAIN_ID)."""
+ASK_AGAIN_S = 1.0
 PATIENCE_S = 60.0
 """How long anything may take before it counts as never: a loaded machine is slow."""
 
@@ -206,15 +207,48 @@ class Graph:
                 except rclpy_implementation.RCLError:
                     continue
 
+    def ask(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service of a node and return its response.
+
+        A client knows a service before the service knows the client, and answers in between are
+        lost. As endpoints are announced in order (see `handshake`), a node that answers to a client
+        made later knows the earlier one too; and that question does no harm if asked twice.
+        """
+        from rcl_interfaces.srv import GetParameters
+
+        client = self.node.create_client(kind, service)
+        self.until(client.service_is_ready)
+        question = self.until(lambda: self._parameter_service(service))
+        later = self.node.create_client(GetParameters, question)
+        answers: list[Any] = []
+        asked = float('-inf')
+
+        def answered() -> bool:
+            nonlocal asked
+            if time.monotonic() - asked > ASK_AGAIN_S and later.service_is_ready():
+                asked = time.monotonic()
+                later.call_async(GetParameters.Request()).add_done_callback(answers.append)
+            return bool(answers)
+
+        self.until(answered)
+        future = client.call_async(request)
+        self.until(future.done)
+        self.node.destroy_client(later)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def _parameter_service(self, service: str) -> str:
+        """Return the parameter service of the node that has a service; '' while it is not known."""
+        known = {name for name, _ in self.node.get_service_names_and_types()}
+        parts = service.split('/')
+        named = (f'{"/".join(parts[:n])}/get_parameters' for n in range(len(parts), 1, -1))
+        return next((name for name in named if name in known), '')
+
     def call(self, service: str) -> Any:
         """Call a Trigger service and return its response."""
         from std_srvs.srv import Trigger
 
-        client = self.node.create_client(Trigger, service)
-        self.until(client.service_is_ready)
-        future = client.call_async(Trigger.Request())
-        self.until(future.done)
-        return future.result()
+        return self.ask(Trigger, service, Trigger.Request())
 
     def latched(self, topic: str) -> list[dict[str, Any]]:
         """Subscribe to a latched String topic and return the list its documents go to."""

@@ -276,15 +276,11 @@ def test_parameters_change_at_run_time_within_reason(graph):
     from rcl_interfaces.srv import DescribeParameters, SetParameters
 
     graph.start('accumulator', **FAST)
-    client = graph.node.create_client(SetParameters, '/allan_accumulator/set_parameters')
-    graph.until(client.service_is_ready)
 
     def set_to(name: str, **value):
         request = SetParameters.Request()
         request.parameters = [Parameter(name=name, value=ParameterValue(**value))]
-        future = client.call_async(request)
-        graph.until(future.done)
-        return future.result().results[0]
+        return graph.ask(SetParameters, '/allan_accumulator/set_parameters', request).results[0]
 
     double, text = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
     assert set_to('publish.diagnostics_period', type=double, double_value=0.5).successful
@@ -293,11 +289,7 @@ def test_parameters_change_at_run_time_within_reason(graph):
     fixed = set_to('checkpoint.path', type=text, string_value='/elsewhere')
     assert not fixed.successful and 'read-only' in fixed.reason
 
-    describe = graph.node.create_client(
-        DescribeParameters, '/allan_accumulator/describe_parameters'
-    )
-    graph.until(describe.service_is_ready)
-    future = describe.call_async(DescribeParameters.Request(names=['input.stale_after']))
-    graph.until(future.done)
-    described = future.result().descriptors[0]
+    request = DescribeParameters.Request(names=['input.stale_after'])
+    response = graph.ask(DescribeParameters, '/allan_accumulator/describe_parameters', request)
+    described = response.descriptors[0]
     assert described.description.endswith('[s]') and described.floating_point_range[0].to_value

@@ -62,11 +62,9 @@ def values(graph: Any, *names: str) -> list[Any]:
     from rcl_interfaces.srv import GetParameters
     from rclpy.parameter import parameter_value_to_python
 
-    client = graph.node.create_client(GetParameters, '/imu_filter/get_parameters')
-    graph.until(client.service_is_ready)
-    future = client.call_async(GetParameters.Request(names=names))
-    graph.until(future.done)
-    return [parameter_value_to_python(value) for value in future.result().values]
+    request = GetParameters.Request(names=names)
+    response = graph.ask(GetParameters, '/imu_filter/get_parameters', request)
+    return [parameter_value_to_python(value) for value in response.values]
 
 
 def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, filter_node):

@@ -13,8 +13,11 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from sensor_msgs.msg import Imu
+
 from allan_ros.core.batch import ImuBatch
 from allan_ros.io.writing import write_recording
+from allan_ros.nodes.handshake import Handshake
 from allan_ros.nodes.imu_input import ImuInput
 from allan_ros.nodes.settings import InputSettings
 
@@ -65,6 +68,25 @@ def test_a_loop_with_rebased_stamps_goes_on_evenly_from_now(graph, bag):
     assert np.array_equal(np.diff(stamps), np.full(599, 5_000_000))
     assert abs(stamps[0] - time.time_ns()) < 60 * 10**9
     assert player.stop(signal.SIGINT, signal.SIGTERM) == 0, player.output
+
+
+def test_the_end_is_answered_for_anew(graph):
+    """An answer of before says nothing of the last messages: a node that is frozen gives none."""
+    accumulator = graph.start('accumulator')
+    publisher = graph.node.create_publisher(Imu, 'imu/data', 10)
+    handshake = Handshake(graph.node, publisher)
+    graph.until(handshake.update)
+    accumulator.popen.send_signal(signal.SIGSTOP)
+    state = Path(f'/proc/{accumulator.popen.pid}/stat')
+    graph.until(lambda: state.read_text().rpartition(') ')[2][0] == 'T')
+    handshake.again()
+    for _ in range(10):
+        graph.spin(0.05)
+        assert not handshake.update()
+    accumulator.popen.send_signal(signal.SIGCONT)
+    graph.until(handshake.update)
+    assert not handshake.silent()
+    handshake.close()
 
 
 def test_it_tells_the_time(graph, bag):

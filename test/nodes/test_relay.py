@@ -180,12 +180,9 @@ def set_parameters(graph: Any, node: str, **values: Any) -> list[Any]:
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
 
-    client = graph.node.create_client(SetParameters, f'{node}/set_parameters')
-    graph.until(client.service_is_ready)
     made = [Parameter(n.replace('__', '.'), value=v).to_parameter_msg() for n, v in values.items()]
-    future = client.call_async(SetParameters.Request(parameters=made))
-    graph.until(future.done)
-    return list(future.result().results)
+    request = SetParameters.Request(parameters=made)
+    return list(graph.ask(SetParameters, f'{node}/set_parameters', request).results)
 
 
 def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
@@ -254,10 +251,21 @@ def test_a_relay_to_itself_is_refused(graph):
 def test_the_monitor_relays_what_it_measures(graph, still_imu):
     monitor = graph.start('monitor', **QUICK, **{'relay.enabled': True, 'publish.sums_period': 0.5})
     received = raw(graph)
+    models = graph.latched('/allan_monitor/noise_model')
     publisher = graph.publisher()
     batch = still_imu(6000)
     graph.send(publisher, batch)
-    filled(graph)
+    graph.until(lambda: graph.value('input', 'used') == '6000')
+    assert graph.call('/allan_monitor/save').message  # there the sums of all are handed on
+    graph.until(lambda: graph.call('/allan_monitor/fit').success)
+    model = graph.until(lambda: models and models[-1]['samples'] == 6000 and models[-1])
+    variance = model['axes']['gyro_x']['white_std_per_sample'] ** 2
+    graph.until(
+        lambda: (
+            (shown := graph.value('relay', 'variance of gyro x')) not in (None, 'unknown')
+            and float(shown) == pytest.approx(variance, rel=1e-4)
+        )
+    )
     again = still_imu(100, start_ns=10**18 + 31 * 10**9, seed=4)
     graph.send(publisher, again)
     graph.until(lambda: graph.value('relay', 'received') == '6100')
