@@ -15,6 +15,8 @@ from .harness import Target
 from .mcap_target import IMU_TYPE, Plan, build
 from .reading import MESSAGES, read_and_check
 
+PAIRS = tuple(zip('abcdefgh', 'bcdefghi'))
+
 METADATA: dict[str, Any] = {
     'rosbag2_bagfile_information': {
         'version': 8,
@@ -37,11 +39,20 @@ METADATA: dict[str, Any] = {
         'compression_mode': '',
     }
 }
+ALIASES, MERGES = (
+    first + ''.join(f'{b}: &{b} {link.format(",".join([f"*{a}"] * 9))}\n' for a, b in PAIRS)
+    for first, link in (('a: &a [x,x,x]\n', '[{}]'), ('a: &a {k: 1}\n', '{{<<: [{}]}}'))
+)
+"""Entries of which each holds the one before nine times."""
+
 YAML_TRICKS = (
     'rosbag2_bagfile_information: !!python/object/apply:os.system ["touch pwned"]\n',
-    'a: &a [x,x,x,x,x,x,x,x,x]\n'
-    + ''.join(f'{b}: &{b} [{",".join([f"*{a}"] * 9)}]\n' for a, b in zip('abcdefgh', 'bcdefghi'))
-    + 'rosbag2_bagfile_information: *i\n',
+    ALIASES + 'rosbag2_bagfile_information: *i\n',
+    ALIASES + 'rosbag2_bagfile_information: {relative_file_paths: [*i]}\n',
+    ALIASES + 'rosbag2_bagfile_information: {topics_with_message_count: [{topic_metadata: '
+    '{name: *i, type: *i, serialization_format: *i}, message_count: 1}]}\n',
+    MERGES + 'rosbag2_bagfile_information: *i\n',
+    '- ' * 3000,
     '[' * 3000,
     'rosbag2_bagfile_information: {relative_file_paths: ' + '[' * 900 + ']' * 900 + '}',
     'rosbag2_bagfile_information: &r {topics_with_message_count: [*r]}\n',

@@ -27,6 +27,8 @@ from .recordings import first_bytes
 
 METADATA = 'metadata.yaml'
 METADATA_KEY = 'rosbag2_bagfile_information'
+MAX_METADATA = 16 * 2**20
+"""Bytes of a metadata.yaml that is read: one of 50 000 splits is smaller."""
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 STORAGES = (
     (b'\x89MCAP0\r\n', 'mcap'),
@@ -108,24 +110,25 @@ def _described(path: Path) -> BagFiles:
     """Return what metadata.yaml says."""
     import yaml
 
+    from .yaml_text import parse_yaml
+
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     first_bytes(path / METADATA)
     try:
-        info: dict[str, Any] = yaml.safe_load((path / METADATA).read_text(encoding='utf-8'))[
-            METADATA_KEY
-        ]
+        if (path / METADATA).stat().st_size > MAX_METADATA:
+            raise ValueError(f'it has more than {MAX_METADATA} bytes')
+        text = (path / METADATA).read_text(encoding='utf-8')
+        info: dict[str, Any] = parse_yaml(text)[METADATA_KEY]
         # Older bags name the files with the folder they were recorded to.
         files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
         described: dict[tuple[str, str], Described] = {}
         for entry in info.get('topics_with_message_count') or []:
             topic = entry['topic_metadata']
-            key = (str(topic['name']), normal_type(str(topic['type'])))
+            key = (_text(topic['name']), normal_type(_text(topic['type'])))
             before = described[key].count if key in described else 0
             count = before + int(entry['message_count'])
-            described[key] = Described(count, str(topic['serialization_format']))
+            described[key] = Described(count, _text(topic['serialization_format']))
     except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
-        raise damaged(path / METADATA, error, remedy) from error
-    except RecursionError as error:  # thousands of brackets
         raise damaged(path / METADATA, error, remedy) from error
     if missing := [file.name for file in files if not file.exists()]:
         raise AllanError(
@@ -133,6 +136,13 @@ def _described(path: Path) -> BagFiles:
             f'({missing[0]}): copy the whole folder'
         )
     return BagFiles(path, tuple(files), described)
+
+
+def _text(value: object) -> str:
+    """Return a text; a list of lists of lists would be a long one."""
+    if not isinstance(value, str):
+        raise TypeError(f'a text is expected, not a {type(value).__name__}')
+    return value
 
 
 @contextmanager

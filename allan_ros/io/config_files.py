@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import yaml
 
 from ..core.errors import AllanError
+from .yaml_text import parse_yaml
 
 MAX_BYTES = 100_000
 """Such a file is a page; more is another file."""
@@ -40,19 +40,12 @@ def read_yaml(path: Path) -> Any:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise AllanError(f'{path}: over {MAX_BYTES} bytes, this is no file of settings')
-        return yaml.load(path.read_text(encoding='utf-8'), _Loader)
+        return parse_yaml(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
-    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
         where = ' '.join(str(error).split())
         raise AllanError(f'{path}: is not YAML ({where[:120]}): mend it there') from error
-
-
-# YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
-_Loader: Any = type('_Loader', (yaml.SafeLoader,), {})
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
-)
 
 
 def config_names(kind: str) -> list[str]:
