@@ -7,7 +7,7 @@ runs of the same IMU: their evidence adds up.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
-  allan analyze table.csv --columns t,gx,gy,gz,ax,ay,az --gyro-unit deg/s --accel-unit g
+  allan analyze table.csv --columns t,gx,gy,gz,ax,ay,az --gyro-unit deg/s
   allan analyze my_bag --json | jq .axes.gyro_x.noise.N.value
 """
 

@@ -6,7 +6,7 @@ An input is a results.json, a sums.json, the folder of an analysis, a recording,
 a datasheet. The first run is what the others are compared with.
 
   allan compare monday tuesday
-  allan compare cold/results.json warm/results.json --label cold --label warm -o compared
+  allan compare run1 run2 --label cold --label warm -o compared
   allan compare results sensor:adis16475-3 --fail-on-difference
 """
 

@@ -36,9 +36,9 @@ VERBS = {
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
 
-  allan analyze my_bag -o results                  a recording in, results/report.html out
-  allan export results --to openvins               the numbers, as the file of a filter
-  allan simulate my_bag --preset paper             no recording at hand? this writes one
+  allan analyze my_bag -o results        a recording in, a report out
+  allan export results --to openvins     its numbers as the file of a filter
+  allan simulate my_bag --preset paper   no recording at hand? this writes one
 """
 """What stands above the list of verbs."""
 

@@ -143,8 +143,11 @@ def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) 
     findings = (*recording.findings, *known.findings)
     counts = known.health.counts
     if not known.sums:
-        why = '; '.join(str(finding) for finding in findings) or 'it has no samples'
-        raise AllanError(f'{job.path}: no evidence among {counts.received} samples: {why}')
+        why = '; '.join(str(each) for each in findings if each.id != 'nothing_left')
+        if counts.skipped and counts.skipped == counts.received:
+            why = f'--skip {job.evidence.skip:g} (s) leaves out all of it: skip less'
+        why = why or 'it has no samples'
+        raise AllanError(f'{job.path}: no evidence among {counts.received:,} samples: {why}')
     settings = {**asdict(job.evidence), **asdict(job.reading), 'hardware_id': job.hardware_id}
     origin = Provenance((recording.info,), known.spans, findings, counts, settings)
     frame_id = known.sums[0].identity.frame_id

@@ -9,7 +9,7 @@ ones with --gyro, --accel, --gyro-x ..., in datasheet units:
   accel  Q um/s   N m/s/sqrt(h)   B ug      K ug/sqrt(h)  R ug/h
 
   allan simulate bag --preset paper
-  allan simulate imu.csv --gyro N=0.3,B=7 --gyro-z K=30 --accel N=0.02 --hours 1 --drop 0.001
+  allan simulate imu.csv --gyro N=0.3,B=7 --gyro-z K=30 --accel N=0.02
 
 OUT is an mcap bag, or what its suffix says: .bag (ROS 1), .csv, .tsv, .npz.
 """
