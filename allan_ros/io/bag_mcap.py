@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -82,7 +83,7 @@ class McapStorage:
         in_order = InOrder()
         ends = [span.start_ns for span in self._spans[1:]] + [None]
         for span, until in zip(self._spans, ends):
-            index = self._read(span.offset + span.length, span.index_length)
+            index = partial(self._read, span.offset + span.length, span.index_length)
             yield in_order.add(chunk_messages(self._data(span), ids, index), until)
 
     def _read(self, offset: int, length: int) -> bytes:
@@ -98,7 +99,7 @@ class McapStorage:
         compression, at = _text(data, CHUNK_HEAD.size)
         (stored,) = struct.unpack_from('<Q', data, at)
         try:
-            records = decompress(data[at + 8 : at + 8 + stored], compression)
+            records = decompress(memoryview(data)[at + 8 : at + 8 + stored], compression)
             if len(records) != size:
                 raise ValueError(f'{len(records)} bytes in place of {size}')
             if checksum and zlib.crc32(records) != checksum:

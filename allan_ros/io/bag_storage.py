@@ -122,7 +122,7 @@ def normal_type(name: str) -> str:
     return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
 
 
-def decompress(data: bytes, compression: str) -> bytes:
+def decompress(data: bytes | memoryview, compression: str) -> bytes:
     """Return the bytes of a compressed chunk or message.
 
     Raises
@@ -131,7 +131,7 @@ def decompress(data: bytes, compression: str) -> bytes:
         When the compression is unknown or the data are damaged.
     """
     if compression in ('', 'none'):
-        return data
+        return bytes(data)
     if compression == 'bz2':
         return _translated(OSError, bz2.decompress, data)
     if compression == 'lz4':
@@ -185,7 +185,7 @@ def decompression_errors() -> tuple[type[Exception], ...]:
     return (OSError, EOFError, RuntimeError, ValueError, _zstd().ZstdError)
 
 
-def _translated(error_type: type[Exception], function: Any, data: bytes) -> bytes:
+def _translated(error_type: type[Exception], function: Any, data: bytes | memoryview) -> bytes:
     try:
         result: bytes = function(data)
     except (error_type, EOFError, OSError, ValueError) as error:

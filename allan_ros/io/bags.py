@@ -242,8 +242,9 @@ def _decoded(
                 f'{file}: message {read + error.index + 1} of {source.label} is no '
                 f'{source.key[1]} ({error}): record it again'
             ) from error
-        changes = np.flatnonzero(np.diff(decoded.frames)) + 1
-        edges = [0, *changes.tolist(), len(decoded.frames)]
+        edges = [0, len(decoded.frames)]
+        if len(decoded.frame_ids) > 1:
+            edges[1:1] = (np.flatnonzero(np.diff(decoded.frames)) + 1).tolist()
         for start, stop in pairwise(edges):
             yield ImuBatch(
                 decoded.stamps_ns[start:stop],

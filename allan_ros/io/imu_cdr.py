@@ -33,7 +33,7 @@ ABSENT = -1.0
 """covariance[0] of a sensor that is not there (sensor_msgs/Imu.msg)."""
 ENCAPSULATION_BYTES = 4
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
-"""Second byte of the encapsulation: CDR_BE and CDR_LE."""
+"""How the encapsulation begins: CDR_BE and CDR_LE."""
 _DOUBLE = 8
 _VECTORS = (
     ('orientation', 4),
@@ -95,13 +95,13 @@ def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 
     fields: list[tuple[str, Any, int]] = []
     if encoding == 'cdr':
         start = ENCAPSULATION_BYTES
-        fields += [('encapsulation', ('u1', (4,)), 0)]
+        fields += [('representation', '>u2', 0)]
         fields += [('sec', f'{order}i4', start)]
     else:
         start = 4
         fields += [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
     fields += [('nanosec', f'{order}u4', start + 4), ('frame_bytes', f'{order}u4', start + 8)]
-    fields += [('frame_id', ('u1', (frame_bytes,)), start + 12)]
+    fields += [('frame_id', (np.void, frame_bytes), start + 12)]
     offset = start + 12 + frame_bytes
     if encoding == 'cdr':
         offset += -(offset - start) % _DOUBLE
@@ -173,8 +173,7 @@ def _decode_equal(
     # What decides the layout, as one integer: the byte order and the raw length field.
     kind = head['frame_bytes'].astype(np.int64)
     if encoding == 'cdr':
-        representation = head['encapsulation'][:, :2].copy().view('>u2')[:, 0]
-        kind += representation.astype(np.int64) << 32
+        kind += head['representation'].astype(np.int64) << 32
     if (kind == kind[:1]).all():
         _decode_alike(payloads, int(kind[0]), encoding, rows, into)
         return
@@ -222,25 +221,33 @@ def _fill(records: NDArray[Any], encoding: Encoding, rows: Rows, into: DecodedIm
     for name, axes in SENSORS.items():
         for i, axis in enumerate(range(len(AXES))[axes]):
             into.samples[rows, axis] = records[name][:, i]
-        first = records[f'{name}_covariance'][:, 0]
-        if not (first >= 0.0).all():
+        first = records[f'{name}_covariance'][:, 0].copy()
+        if not first.min() >= 0.0:  # NaN is neither
             absent = (first == ABSENT) | np.isnan(first)
             into.samples[np.arange(len(into.frames))[rows][absent], axes] = np.nan
 
-    names = records['frame_id'].copy()
-    distinct, which = names[:1], np.zeros(len(records), dtype=np.intp)
-    size, flat = names.shape[1], names.ravel()
-    if (flat[size:] != flat[: flat.size - size]).any():
-        distinct, which = np.unique(names, axis=0, return_inverse=True)
-        which = which.reshape(-1)  # numpy 2.0 returned it as a column
+    distinct, which = _distinct(records['frame_id'])
     texts = [
-        name.tobytes().rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+        name.rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
         for name in distinct
     ]
     for text in texts:
         if text not in into.frame_ids:
             into.frame_ids.append(text)
-    into.frames[rows] = np.array([into.frame_ids.index(text) for text in texts])[which]
+    places = [into.frame_ids.index(text) for text in texts]
+    into.frames[rows] = places[0] if len(places) == 1 else np.array(places)[which]
+
+
+def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
+    """Return the distinct items of an array, and which of them each item is."""
+    if not names.itemsize:
+        return [b''], np.zeros(len(names), np.intp)
+    size, flat = names.itemsize, names.copy().view(np.uint8)
+    if (flat[size:] == flat[: len(flat) - size]).all():
+        return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
+    distinct, which = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
+    # numpy 2.0 returned it as a column
+    return [name.tobytes() for name in distinct], which.reshape(-1)
 
 
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
@@ -253,10 +260,10 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
     dtype = imu_dtype(encoding, order, len(frame))
     records = np.zeros(len(batch), dtype)
     if encoding == 'cdr':
-        records['encapsulation'][:, 1] = LITTLE_ENDIAN if order == '<' else BIG_ENDIAN
+        records['representation'] = LITTLE_ENDIAN if order == '<' else BIG_ENDIAN
     records['sec'], records['nanosec'] = np.divmod(batch.stamps_ns, NANOSECONDS)
     records['frame_bytes'] = len(frame)
-    records['frame_id'] = np.array(list(frame), dtype=np.uint8)
+    records['frame_id'] = np.void(frame)
     records['orientation'][:, 3] = 1.0
     records['orientation_covariance'][:, 0] = ABSENT
     for name, axes in SENSORS.items():

@@ -12,7 +12,7 @@ There are three ways, of which the first that fits is taken; all give the same m
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -36,24 +36,22 @@ MOST_GAPS = 64
 """Stretches of a chunk that hold other records than messages: beyond, walking is as fast."""
 
 
-def chunk_messages(data: bytes, ids: set[int], index: bytes = b'') -> Block:
+def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:
     """Return the messages of these channels in the order of the chunk.
 
     Parameters
     ----------
     data : bytes
         The records of the chunk, decompressed; or a run of records outside of chunks.
-    index : bytes
-        The MessageIndex records that belong to it, where there are any.
+    index : callable
+        Reads the MessageIndex records that belong to it, empty where there are none.
 
     Raises
     ------
     struct.error
         When a record is longer than what holds it.
     """
-    if (block := _uniform(data, ids)) or (index and (block := _by_index(data, ids, index))):
-        return block
-    return _one_by_one(data, ids)
+    return _uniform(data, ids) or _by_index(data, ids, index()) or _one_by_one(data, ids)
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:

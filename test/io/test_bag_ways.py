@@ -140,7 +140,7 @@ def taken_ways(path: Path) -> set[str]:
     """Return how the messages of a bag are handed on: as arrays, or one by one."""
     seen: set[str] = set()
 
-    def spy(data: bytes, ids: set[int], index: bytes = b'') -> Any:
+    def spy(data: bytes, ids: set[int], index: Any = bytes) -> Any:
         block = chunk_messages(data, ids, index)
         seen.add(type(block.payloads).__name__ if len(block.payloads) else 'nothing')
         return block
