@@ -198,8 +198,10 @@ def _former(args: argparse.Namespace) -> dict[str, Results]:
     if not args.baseline:
         return {}
     from ..io.documents import read_json, results_from_document
+    from ..io.run_comparison import labels_of
 
-    return {args.baseline: results_from_document(read_json(args.baseline), args.baseline)}
+    (label,) = labels_of([args.baseline])
+    return {label: results_from_document(read_json(args.baseline), args.baseline)}
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:

@@ -66,6 +66,15 @@ PNG_DPI = 200
 BELOW_CURVE = 0.2
 """A part is drawn where it is above this share of the lowest point of the curve."""
 
+HATCHES = {True: '///', False: 3 * '\\'}
+"""Of what is left out, by whether the IMU moved."""
+
+VEIL = 0.75
+"""Opacity of the ground over the signal that is left out."""
+
+CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
+"""Least length in s, seconds in a unit, its name."""
+
 ABOVE_SIGNAL = 1.15
 """Room about the evidence, over its largest value; a knock that was left out may leave it."""
 
@@ -123,9 +132,11 @@ def sensor_figure(
             _draw_curve(of_axis[0], axis, results.axes[axis], units, wide)
             if len(of_axis) > 1 and outline is not None:
                 _draw_signal(of_axis[1], axis, outline, units)
-        for panel, label in zip(panels[-1], ('averaging time τ [s]', 'time [h]')):
-            panel.set_xlabel(label)
-        _head(figure, results, sensor, wide)
+        panels[-1][0].set_xlabel('averaging time τ [s]')
+        drawn = outline if panels.shape[1] > 1 else None
+        if drawn is not None:
+            panels[-1][1].set_xlabel(f'time [{_clock(drawn)[1]}]')
+        _head(figure, results, sensor, wide, drawn)
     return figure
 
 
@@ -184,7 +195,9 @@ def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray
     return made
 
 
-def _head(figure: Figure, results: Results, sensor: str, wide: bool) -> None:
+def _head(
+    figure: Figure, results: Results, sensor: str, wide: bool, outline: Outline | None
+) -> None:
     """Write what is shown, and the legend that all panels share."""
     width, height = figure.get_size_inches()
     name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
@@ -193,12 +206,17 @@ def _head(figure: Figure, results: Results, sensor: str, wide: bool) -> None:
         f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
         f'{results.duration_s / 3600.0:.3g} h'
     )
+    if outline is not None and outline.left_out:
+        moved = {out.why == 'motion' for out in outline.left_out}
+        said = {True: f'{HATCHES[True]} it moved', False: f'{HATCHES[False]} left out otherwise'}
+        facts += f'; hatched: {", ".join(said[why] for why in (True, False) if why in moved)}'
     left, top = LEFT_IN / width, 1.0 - 0.09 / height
     bold = figure.text(
         left, top, f'{name}{f" of {of}" if of else ""}', va='top', weight='bold', size='large'
     )
     bold.set_parse_math(False)
-    figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL)
+    plain = figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL)
+    plain.set_parse_math(False)
     ink = rcParams['text.color']
     figure.legend(
         handles=[
@@ -335,26 +353,37 @@ def _legend_text(term: str, coefficient: Coefficient, unit: ShownUnit) -> str:
     return f'{term} {value} {pretty_unit(unit.name)}' + (f'\n   {interval}' if interval else '')
 
 
+def _clock(outline: Outline) -> tuple[float, str]:
+    """Return the seconds in the unit of time that suits a recording, and its name."""
+    length = float(outline.time_s[-1])
+    return next((scale, name) for least, scale, name in CLOCKS if length >= least)
+
+
 def _draw_signal(panel: Axes, axis: str, outline: Outline, units: str) -> None:
     """Draw the outline of the signal about its middle, and mark what is no evidence."""
     unit, column = shown_signal_unit(axis, units), AXES.index(axis)
     middle = outline.middle[column]
     low, high = ((a[:, column] - middle) * unit.factor for a in (outline.low, outline.high))
-    hours = outline.time_s / 3600.0
-    panel.fill_between(hours, low, high, color=TERM_STYLES['N'][0], ec='none', step='post')
+    scale, _ = _clock(outline)
+    panel.fill_between(
+        *(outline.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
+    )
     for start, end in outline.gaps:
-        panel.axvspan(start / 3600.0, end / 3600.0, fc='0.88', lw=0)
-    for start, end, _ in outline.left_out:
-        panel.axvspan(start / 3600.0, end / 3600.0, fc='none', ec='0.45', hatch='/////', lw=0)
+        panel.axvspan(start / scale, end / scale, fc='0.88', lw=0)
+    for start, end, why in outline.left_out:
+        span, hatch = (start / scale, end / scale), HATCHES[why == 'motion']
+        panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=VEIL, lw=0)
+        panel.axvspan(*span, fc='none', ec='0.3', hatch=2 * hatch, lw=0)
     for start in outline.starts[1:]:
-        panel.axvline(start / 3600.0, color=rcParams['text.color'], lw=0.6)
+        panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
     reach = ABOVE_SIGNAL * unit.factor * float(outline.reach[column])
     panel.set_ylim(-reach, reach)
-    said = ', hatched: left out' if outline.left_out else ''
     panel.set_title(
-        f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}{said}', size=SMALL, loc='left',
+        f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
+        size=SMALL,
+        loc='left',
         pad=2.0,
-    )  # fmt: skip
+    )
     panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
     panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
     panel.set_axisbelow(True)

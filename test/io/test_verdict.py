@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from allan_ros.core.batch import AXES
 from allan_ros.core.compare import Comparison, compare, reference_of_run
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import AxisFit, Coefficient
@@ -50,11 +51,12 @@ def test_one_number_beyond_makes_it_bad_and_is_named(small_results: Results) -> 
 def test_what_is_not_settled_is_no_blame(small_results: Results) -> None:
     said = verdict_of(calm(small_results), against_itself(small_results, 0.999), 'si')
     assert said.light == 'good'
-    assert said.fine.startswith('As far as this record shows: 0 of 12 numbers')
+    assert said.fine.startswith('It is not settled: 0 of 12 numbers')
 
 
 def test_without_a_reference_it_says_how_to_name_one(small_results: Results) -> None:
     said = verdict_of(calm(small_results), [], 'datasheet')
+    assert (said.light, said.word) == ('good', 'Nothing wrong found')
     assert '--sensor' in said.fine
     assert any('--sensor' in step for step in said.steps)
 
@@ -67,6 +69,9 @@ def test_warnings_ask_for_care_and_their_remedies_come_first(small_results: Resu
     said = verdict_of(replace(small_results, findings=warnings), [], 'datasheet')
     assert (said.light, said.word) == ('caution', 'With care')
     assert said.steps[0] == 'Silence the fan (gyro x, gyro y).'
+    for axes, words in ((tuple(small_results.axes), 'all axes'), (AXES[:4], 'gyro, accel x')):
+        named = replace(small_results, findings=(replace(warnings[0], axes=axes),))
+        assert verdict_of(named, [], 'si').steps[0] == f'Silence the fan ({words}).'
 
 
 def test_an_error_or_nothing_measured_is_bad(small_results: Results) -> None:
@@ -75,8 +80,9 @@ def test_an_error_or_nothing_measured_is_bad(small_results: Results) -> None:
     nothing = AxisFit({t: Coefficient(None, status='not_observable') for t in 'QNBKR'})
     axes = {name: replace(a, fit=nothing) for name, a in small_results.axes.items()}
     said = verdict_of(replace(small_results, axes=axes, findings=()), [], 'si')
-    assert said.light == 'bad'
+    assert (said.light, said.word) == ('bad', 'Not measured')
     assert said.fine.startswith('Nothing could be measured')
+    assert not any('export' in step for step in said.steps)
 
 
 def test_an_odd_axis_is_pointed_out(small_results: Results) -> None:

@@ -7,6 +7,7 @@
 const AllanChart = (() => {
   const { colour, element, number } = Chart;
   const DASHES = { Q: [1, 3], N: [8, 3], B: [9, 3, 2, 3], K: [14, 4], R: [4, 3, 1, 3, 1, 3] };
+  const BESIDE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
 
   // A marker of an axis, so that axes differ in shape as well as in colour.
@@ -27,6 +28,7 @@ const AllanChart = (() => {
     const shown = new Set([...axes.map((a) => a.label), 'fit', 'limits', 'Q', 'N', 'B', 'K', 'R', 'other', 'beside']);
     let system = units;
     let near = axes[0];
+    let named = [];
     const unit = () => sensor.units[system].curve;
     const scaled = (values) => values.map((v) => (v === null ? null : v * unit()[1]));
     const columns = () => [sensor.tau, ...axes.flatMap((a) => [scaled(a.low), scaled(a.high), scaled(a.fit), scaled(a.adev)])];
@@ -87,26 +89,48 @@ const AllanChart = (() => {
 
     // The letter of a part stands on its line where the line enters or leaves the picture.
     function letter(u, words, values, ink) {
-      const inside = values
-        .map((v, i) => [u.valToPos(sensor.tau[i], 'x', true), v > 0 ? u.valToPos(v * unit()[1], 'y', true) : NaN])
-        .filter(([, y]) => y > u.bbox.top + 8 && y < u.bbox.top + u.bbox.height - 8);
+      const inside = places(u, values);
       if (!inside.length) return;
       const rising = inside[0][1] > inside[inside.length - 1][1];
       const [x, y] = inside[rising ? 0 : inside.length - 1];
-      const right = u.bbox.left + u.bbox.width;
-      if (words.length > 1) text(u, words, Math.min(x, right - 4), y, ink, 'right');
-      else text(u, words, Math.min(Math.max(x, u.bbox.left + 10), right - 10), y, ink);
+      text(u, words, Math.min(Math.max(x, u.bbox.left + 10), u.bbox.left + u.bbox.width - 10), y, ink);
     }
+
+    // The name of a line of comparison stands beside it, where it is farthest from all curves.
+    function name(u, words, values, ink) {
+      const { ctx, bbox } = u;
+      ctx.font = `600 ${12 * devicePixelRatio}px system-ui, sans-serif`;
+      const half = ctx.measureText(words).width / 2 + 4 * devicePixelRatio;
+      const lines = sensor.references.filter((r) => r.axis === near.name && r.adev !== values);
+      const others = [...visible(), ...lines].flatMap((a) => places(u, a.adev)).concat(named);
+      let best = [-Infinity];
+      for (const [px, py] of places(u, values)) {
+        const x = Math.min(Math.max(px, bbox.left + half), bbox.left + bbox.width - half);
+        for (const y of [py - 14 * devicePixelRatio, py + 14 * devicePixelRatio]) {
+          if (y < bbox.top + 10 || y > bbox.top + bbox.height - 10) continue;
+          const near = others.filter(([ox]) => Math.abs(ox - x) < half + 10).map(([, oy]) => Math.abs(oy - y));
+          // far enough is far enough: then the one that lies best on its own line
+          const score = Math.min(40 * devicePixelRatio, ...near) - Math.abs(x - px);
+          if (score > best[0]) best = [score, x, y];
+        }
+      }
+      if (best[0] === -Infinity) return;
+      named.push([best[1] - half, best[2]], [best[1], best[2]], [best[1] + half, best[2]]);
+      text(u, words, best[1], best[2], ink);
+    }
+
+    // Where a line runs in the picture.
+    const places = (u, values) => values
+      .map((v, i) => [u.valToPos(sensor.tau[i], 'x', true), v > 0 ? u.valToPos(v * unit()[1], 'y', true) : NaN])
+      .filter(([x, y]) => x >= u.bbox.left && x <= u.bbox.left + u.bbox.width && y > u.bbox.top + 8 && y < u.bbox.top + u.bbox.height - 8);
 
     function above(u) {
       const { ctx } = u;
       const ratio = devicePixelRatio;
+      named = [];
+      const beside = sensor.references.filter((r) => r.axis === near.name && shown.has('beside'));
       if (shown.has(near.label)) {
-        for (const beside of sensor.references.filter((r) => r.axis === near.name)) {
-          if (!shown.has('beside')) break;
-          line(u, beside.adev, [2, 2], 1.4, colour('ink-2'));
-          letter(u, beside.name, beside.adev, colour('ink-2'));
-        }
+        beside.forEach((other, i) => line(u, other.adev, BESIDE[i % BESIDE.length], 1.4, colour('ink-2')));
         for (const [term, values] of Object.entries(near.parts)) {
           if (!shown.has(term in DASHES ? term : 'other')) continue;
           line(u, values, DASHES[term] || [2, 4], 1.2, colour(near.label));
@@ -127,6 +151,7 @@ const AllanChart = (() => {
           ctx.stroke();
         });
       }
+      if (shown.has(near.label)) beside.forEach((other) => name(u, other.name, other.adev, colour('ink-2')));
       visible().forEach((a, row) => strip(u, a, row));
     }
 
@@ -200,10 +225,10 @@ const AllanChart = (() => {
     host.append(heading, controls);
     const u = Chart.create(host, {
       label: `Allan deviation of the ${sensor.sensor}; arrow keys move from point to point`,
-      height: 440,
+      height: 462,
       padding: [axes.length * STRIP + 12, 14, 0, 0],
       zoomY: true,
-      x: { log: true, range: rangeX },
+      x: { log: true, range: rangeX, label: 'averaging time τ [s]' },
       y: { log: true, range: rangeY },
       series, bands, above, focus, describe,
     }, columns());
@@ -230,7 +255,7 @@ const AllanChart = (() => {
       Chart.toggles('also', others.map(([key, text]) => ({ key, text })), change),
     );
     host.append(element('p', { class: 'note' },
-      'Over averaging time τ [s]. The strips on top say which term rules where. Drag to zoom, double-click to go back. ', parts));
+      'The strips on top say which term rules where. Drag to zoom, double-click to go back. ', parts));
     tell();
     return { units(next) { system = next; tell(); u.setData(columns()); } };
   }

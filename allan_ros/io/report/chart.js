@@ -42,16 +42,20 @@ const Chart = (() => {
     return made;
   }
 
-  function axis(log, size) {
+  function axis(log, size, label) {
     return {
+      ...(label ? { label, labelFont: FONT, labelSize: 22, labelGap: 2 } : {}),
       stroke: () => colour('ink-2'),
       grid: { stroke: () => colour('grid'), width: 1 },
       ticks: { stroke: () => colour('grid'), width: 1, size: 5 },
       font: FONT,
       size,
-      ...(log ? { values: (u, splits) => splits.map((s) => (s === null ? '' : decade(s))), space: 34 } : {}),
+      ...(log ? { values: (u, splits) => splits.map((s) => (isRound(s) ? decade(s) : '')), space: 34 } : {}),
     };
   }
+
+  // Whether a tick has one digit: uPlot's first is the end of the axis, wherever that lies.
+  const isRound = (value) => value !== null && Math.abs(Number(value.toPrecision(1)) / value - 1) < 1e-6;
 
   // Make a chart that fills its host, follows the theme, and tells its numbers at the cursor.
   //   options.describe(u, index) returns the lines of the note: [text, colour or null] each.
@@ -72,7 +76,7 @@ const Chart = (() => {
           x: { time: false, distr: options.x.log ? 3 : 1, range: options.x.range },
           y: { distr: options.y.log ? 3 : 1, range: options.y.range },
         },
-        axes: [{ ...axis(options.x.log, 34), ...options.x.axis }, { ...axis(options.y.log, 58), ...options.y.axis }],
+        axes: [{ ...axis(options.x.log, 34, options.x.label), ...options.x.axis }, { ...axis(options.y.log, 58), ...options.y.axis }],
         series: [{}, ...options.series],
         bands: options.bands || [],
         cursor: {
@@ -82,7 +86,6 @@ const Chart = (() => {
           sync: options.sync ? { key: options.sync } : undefined,
         },
         hooks: {
-          drawClear: options.below ? [options.below] : [],
           draw: options.above ? [options.above] : [],
           setCursor: [show],
         },

@@ -203,14 +203,16 @@ def _signal(axes: Mapping[str, AxisResult], outline: Outline) -> dict[str, Any]:
         'leftOut': [[*_rounded([out.start, out.end]), out.why] for out in outline.left_out],
         'gaps': [_rounded(span) for span in outline.gaps],
         'starts': _rounded(outline.starts),
-        'warmth': None
-        if outline.warmth is None
-        else {
-            'source': outline.warmth.source,
-            'time': _rounded(outline.warmth.time_s),
-            'celsius': _rounded(outline.warmth.celsius),
-        },
     }
+
+
+def warmth_chart(outline: Outline | None) -> dict[str, Any] | None:
+    """Return the temperature over the time of the signals, or None where none was recorded."""
+    if outline is None or outline.warmth is None:
+        return None
+    warmth = outline.warmth
+    time, celsius = (_rounded(values) for values in (warmth.time_s, warmth.celsius))
+    return {'source': warmth.source, 'time': time, 'celsius': celsius}
 
 
 def _rounded(values: ArrayLike) -> list[float | None]:

@@ -38,9 +38,9 @@ const OtherCharts = (() => {
     host.append(heading, controls);
     const u = Chart.create(host, {
       label: `Noise density of the ${sensor.sensor}; arrow keys move from point to point`,
-      height: 300,
+      height: 322,
       zoomY: true,
-      x: { log: true, range: () => [frequency[0] / 1.2, frequency[frequency.length - 1] * 1.2] },
+      x: { log: true, range: () => [frequency[0] / 1.2, frequency[frequency.length - 1] * 1.2], label: 'frequency [Hz]' },
       y: { log: true, range: rangeY },
       series, describe,
     }, columns());
@@ -50,91 +50,139 @@ const OtherCharts = (() => {
       axes.forEach((a, i) => [1, 2].forEach((j) => u.setSeries(2 * i + j, { show: shown.has(a.name) })));
     }));
     host.append(element('p', { class: 'note' },
-      'Root of the one-sided power spectral density over frequency [Hz] (Welch 1967); dashed: what the fit makes. '
+      'Root of the one-sided power spectral density (Welch 1967); dashed: what the fit makes. '
       + 'Its flat part is √2 N, the noise density of datasheets.'));
     tell();
     return { units(next) { system = next; tell(); u.setData(columns()); } };
   }
 
-  function hatch(context, from, to, top, height, ink) {
+  const WHY = { motion: 'left out: the IMU moved', stuck: 'left out: an axis showed one value', '': 'left out of the evidence' };
+  const HATCHES = { motion: 'moved', stuck: 'bad', '': 'left-out' };
+
+  // Slanting lines: to the right where the IMU moved, to the left for any other reason.
+  function hatch(context, from, to, top, height, why) {
     const ratio = devicePixelRatio;
     context.save();
     context.beginPath();
-    context.rect(from, top, Math.max(to - from, ratio), height);
+    context.rect(from, top, Math.max(to - from, 2 * ratio), height);
     context.clip();
-    context.strokeStyle = ink;
+    for (const [veil, ink] of [[0.75, 'paper'], [0.15, HATCHES[why]]]) {
+      context.globalAlpha = veil;
+      context.fillStyle = colour(ink);
+      context.fillRect(from, top, Math.max(to - from, 2 * ratio), height);
+    }
+    context.globalAlpha = 1;
+    context.strokeStyle = colour(HATCHES[why]);
     context.lineWidth = ratio;
-    for (let x = from - height; x < to; x += 7 * ratio) {
+    for (let x = from - height; x < to + ratio; x += 7 * ratio) {
       context.beginPath();
-      context.moveTo(x, top + height);
-      context.lineTo(x + height, top);
+      context.moveTo(x, why === 'motion' ? top + height : top);
+      context.lineTo(x + height, why === 'motion' ? top : top + height);
       context.stroke();
     }
     context.restore();
   }
 
-  function signal(host, sensor, units) {
+  // Time as it is drawn: in minutes, or in hours where there are many.
+  const clock = (seconds) => (seconds[seconds.length - 1] > 7200 ? [3600, 'h'] : [60, 'min']);
+
+  function signal(host, sensor, units, warmth) {
     const { time, axes, leftOut, gaps, starts } = sensor.signal;
     let system = units;
-    const long = time[time.length - 1] > 7200;
-    const [scale, name] = long ? [3600, 'h'] : [60, 'min'];
-    const hours = time.map((t) => t / scale);
-    const outside = (t) => leftOut.some(([from, to]) => t >= from && t <= to);
+    const [scale, name] = clock(time);
+    const shownTime = time.map((t) => t / scale);
+    const excluded = (i) => leftOut.find(([from, to]) => time[i] < to && (i + 1 < time.length ? time[i + 1] : Infinity) > from);
     const made = [];
     host.append(element('h3', {}, 'Raw signal'));
-    for (const a of axes) {
+    axes.forEach((a, row) => {
       const label = a.name.split('_').pop();
+      const last = row === axes.length - 1;
       const unit = () => sensor.units[system].signal;
-      const columns = () => [hours, a.low, a.high].map((c, i) => (i ? c.map((v) => (v === null ? null : v * unit()[1])) : c));
-      // The evidence fills the picture; a knock that was left out may leave it.
-      const counted = time.map((t, i) => (outside(t) ? [] : [a.low[i], a.high[i]])).flat().filter((v) => v !== null);
-      const reach = counted.reduce((most, v) => Math.max(most, Math.abs(v)), 0) || 1;
+      const columns = () => [shownTime, a.low, a.high].map((c, i) => (i ? c.map((v) => (v === null ? null : v * unit()[1])) : c));
       const heading = element('p', { class: 'row' });
       const tell = () => { heading.textContent = `${label} about ${number(a.middle * unit()[1])} ${unit()[0]}`; };
       host.append(heading);
       const u = Chart.create(host, {
         label: `Raw signal of ${a.name}`,
-        height: 118,
-        sync: `signal-${sensor.sensor}`,
+        height: last ? 140 : 118,
+        sync: 'signal',
         padding: [4, 14, 0, 0],
-        x: { axis: { size: 26 } },
-        y: { range: () => [-1.15 * reach * unit()[1], 1.15 * reach * unit()[1]], axis: { space: 24, values: (chart, s) => s.map((v) => number(v, 3).replace(/(\.\d*?)0+$/, '$1').replace(/\.$/, '')) } },
+        x: { axis: { size: 26 }, label: last ? `time [${name}]` : '' },
+        // The evidence fills the picture; a knock that was left out may leave it.
+        y: { range: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], axis: { space: 24, values: plain } },
         series: [
           { label: 'low', stroke: () => colour(label), width: 0.6, points: { show: false } },
           { label: 'high', stroke: () => colour(label), width: 0.6, points: { show: false } },
         ],
         bands: [{ series: [2, 1], fill: () => colour(label) }],
-        below(chart) {
+        above(chart) {
           const { ctx, bbox } = chart;
           const at = (t) => Math.min(Math.max(chart.valToPos(t / scale, 'x', true), bbox.left), bbox.left + bbox.width);
-          for (const [from, to] of gaps) {
+          for (const [from, to] of gaps) {  // over the line that joins its two sides
             ctx.fillStyle = colour('gap');
             ctx.fillRect(at(from), bbox.top, Math.max(at(to) - at(from), devicePixelRatio), bbox.height);
           }
           ctx.fillStyle = colour('ink-2');
           for (const start of starts.slice(1)) ctx.fillRect(at(start), bbox.top, devicePixelRatio, bbox.height);
-        },
-        above(chart) {
-          const { ctx, bbox } = chart;
-          const at = (t) => Math.min(Math.max(chart.valToPos(t / scale, 'x', true), bbox.left), bbox.left + bbox.width);
-          for (const [from, to] of leftOut) hatch(ctx, at(from), at(to), bbox.top, bbox.height, colour('left-out'));
+          for (const [from, to, why] of leftOut) hatch(ctx, at(from), at(to), bbox.top, bbox.height, why);
         },
         describe(chart, i) {
           const [what, factor] = unit();
-          const why = outside(time[i]) ? [['left out of the evidence', null]] : [];
-          return [[`${number(hours[i])} ${name}`, null], [`${label}  ${number(a.low[i] * factor, 3)}..${number(a.high[i] * factor, 3)} ${what}`, colour(label)], ...why];
+          const out = excluded(i);
+          const celsius = warmth ? nearest(warmth, time[i]) : null;
+          return [
+            [`${number(shownTime[i])} ${name}`, null],
+            [`${label}  ${number(a.low[i] * factor, 3)}..${number(a.high[i] * factor, 3)} ${what}`, colour(label)],
+            ...(celsius === null ? [] : [[`${number(celsius, 3)} °C`, null]]),
+            ...(out ? [[WHY[out[2]], null]] : []),
+          ];
         },
       }, columns());
       tell();
       made.push((next) => { system = next; tell(); u.setData(columns()); });
-    }
-    const said = [`Lowest and highest sample of each short span, over time [${name}].`];
-    if (leftOut.length) said.push('Hatched: left out of the evidence (motion, warm-up or a stuck value).');
+    });
+    const said = ['Lowest and highest sample of each short span.'];
+    const reasons = new Set(leftOut.map(([, , why]) => why));
+    if (reasons.has('motion')) said.push('Hatched upwards: left out because the IMU moved.');
+    if (reasons.has('stuck')) said.push('Hatched downwards, red: left out because an axis showed one value.');
+    if (reasons.has('')) said.push('Hatched downwards, grey: left out (warm-up, or another rate).');
     if (gaps.length) said.push('Grey: no samples.');
     if (starts.length > 1) said.push('Upright lines: the next recording begins.');
     host.append(element('p', { class: 'note' }, said.join(' ')));
     return { units(next) { made.forEach((update) => update(next)); } };
   }
 
-  return { spectrum, signal };
+  const plain = (chart, splits) => splits.map((s) => number(s, 3).replace(/(\.\d*?)0+$/, '$1').replace(/\.$/, ''));
+
+  // The reading that was taken nearest to a time.
+  function nearest({ time, celsius }, at) {
+    let best = null;
+    let distance = Infinity;
+    time.forEach((t, i) => {
+      if (celsius[i] !== null && Math.abs(t - at) < distance) [best, distance] = [celsius[i], Math.abs(t - at)];
+    });
+    return best;
+  }
+
+  function temperature(host, warmth, end) {
+    const [scale, name] = clock([end]);
+    const known = warmth.celsius.filter((v) => v !== null);
+    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const room = Math.max(0.08 * (high - low), 0.2);
+    const shownTime = warmth.time.map((t) => t / scale);
+    host.append(element('h3', {}, `Temperature, °C: ${number(low, 3)} to ${number(high, 3)}`));
+    Chart.create(host, {
+      label: 'Temperature; arrow keys move from point to point',
+      height: 150,
+      sync: 'signal',
+      padding: [4, 14, 0, 0],
+      x: { axis: { size: 26 }, label: `time [${name}]`, range: () => [0, end / scale] },
+      y: { range: () => [low - room, high + room], axis: { space: 24, values: plain } },
+      series: [{ label: 'temperature', stroke: () => colour('ink'), width: 1.3, points: { show: false } }],
+      describe: (chart, i) => [[`${number(shownTime[i])} ${name}`, null], [`${number(warmth.celsius[i])} °C`, null]],
+    }, [shownTime, warmth.celsius]);
+    host.append(element('p', { class: 'note' }, `Of ${warmth.source}. It enters no number; a bias often follows it.`));
+  }
+
+  return { spectrum, signal, temperature };
 })();

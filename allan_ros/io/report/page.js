@@ -11,17 +11,21 @@
 
   document.documentElement.classList.add('scripted');
   for (const sensor of data.sensors) {
-    const host = document.querySelector(`.charts[data-sensor=${sensor.sensor}]`);
     if (sensor.axes.some((a) => a.adev && a.adev.some((v) => v > 0))) {
-      host.hidden = false;
-      const place = (kind) => {
+      const place = (kind, where) => {
+        const host = document.querySelector(`.charts.${where}[data-sensor=${sensor.sensor}]`);
         const made = element('div', { class: `chart ${kind}` });
+        host.hidden = false;
         host.append(made);
         return made;
       };
-      charts.push(AllanChart.create(place('allan'), sensor, chosen()));
-      if (sensor.signal) charts.push(OtherCharts.signal(place('signal'), sensor, chosen()));
-      if (sensor.spectrum) charts.push(OtherCharts.spectrum(place('spectrum'), sensor, chosen()));
+      charts.push(AllanChart.create(place('allan', 'curve'), sensor, chosen()));
+      if (sensor.signal) {
+        charts.push(OtherCharts.signal(place('signal', 'rest'), sensor, chosen(), data.warmth));
+        const { time } = sensor.signal;
+        if (data.warmth) OtherCharts.temperature(place('warmth', 'rest'), data.warmth, time[time.length - 1]);
+      }
+      if (sensor.spectrum) charts.push(OtherCharts.spectrum(place('spectrum', 'rest'), sensor, chosen()));
     }
     copyButtons(document.querySelector(`.copy[data-sensor=${sensor.sensor}]`), sensor);
   }

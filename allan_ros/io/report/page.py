@@ -24,7 +24,7 @@ from ..outline import Outline
 from ..results import AxisResult, Results
 from ..shown import duration_text, significant
 from .background import background, recorded_on
-from .chart_data import sensor_charts, to_script
+from .chart_data import sensor_charts, to_script, warmth_chart
 from .tables import coefficient_table, datasheet_table, former_table
 from .verdict import Verdict, verdict_of
 from .words import SENSOR_NAMES
@@ -108,7 +108,7 @@ def render_report(results: Results, beside: Beside, units: str) -> str:
         ]
         for run, former in beside.former.items():
             body += former_table(sensor, axes, run, former, comparisons[run])
-        body.append('</section>')
+        body.append(f'<div class="charts rest" data-sensor="{sensor}" hidden></div></section>')
     body += [
         '<section id="background"><h2>Recording and method</h2>',
         *background(results, {**beside.method, 'fit': f'method {results.method}'}),
@@ -148,7 +148,7 @@ def _data(results: Results, beside: Beside, sensors: Sequence[str], units: str) 
         sensor_charts(results, sensor, references, beside.former, beside.spectra, beside.outline)
         for sensor in sensors
     ]
-    return to_script({'units': units, 'sensors': charts})
+    return to_script({'units': units, 'warmth': warmth_chart(beside.outline), 'sensors': charts})
 
 
 def _with_datasheet(results: Results) -> list[Comparison]:
@@ -189,7 +189,7 @@ def _header(
     )
     yield (
         f'<nav aria-label="Sections"><div><a href="#verdict">Verdict</a>{links}'
-        '<a href="#background">Recording</a></div><fieldset class="switch"><legend>Units</legend>'
+        '<a href="#background">Data</a></div><fieldset class="switch"><legend>Units</legend>'
         f'{switch}</fieldset></nav>'
     )
 
@@ -213,29 +213,39 @@ def _findings_section(findings: Sequence[Finding]) -> Iterator[str]:
     yield '<section id="findings"><h2>Findings</h2>'
     pressing = [finding for finding in findings if finding.severity != 'info']
     notes = [finding for finding in findings if finding.severity == 'info']
-    yield from map(_finding_block, pressing)
+    yield from _finding_blocks(pressing)
     if len(notes) > FOLDED:
         yield f'<details><summary>{len(notes)} notes</summary>'
-        yield from map(_finding_block, notes)
+        yield from _finding_blocks(notes)
         yield '</details>'
     else:
-        yield from map(_finding_block, notes)
+        yield from _finding_blocks(notes)
     yield '</section>'
 
 
-def _finding_block(finding: Finding) -> str:
-    where = f'<b>{escape(", ".join(finding.axes))}</b> ' if finding.axes else ''
-    return (
-        f'<div class="finding {finding.severity}"><p><span class="severity">{finding.severity}'
-        f'</span> {where}{escape(finding.message)}</p>'
-        f'<p class="remedy">{escape(finding.remedy)}</p></div>'
-    )
+def _finding_blocks(findings: Sequence[Finding]) -> Iterator[str]:
+    """Yield the findings, those that ask for the same together."""
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for finding in findings:
+        alike.setdefault((finding.severity, finding.remedy), []).append(finding)
+    for (severity, remedy), several in alike.items():
+        said = ''.join(
+            f'<p>{_where(finding.axes)}{escape(finding.message)}</p>' for finding in several
+        )
+        yield (
+            f'<div class="finding {severity}"><span class="severity">{severity}</span><div>{said}'
+            f'<p class="remedy">{escape(remedy)}</p></div></div>'
+        )
+
+
+def _where(axes: Sequence[str]) -> str:
+    return f'<b>{escape(", ".join(axes))}</b> ' if axes else ''
 
 
 def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], beside: Beside) -> Iterator[str]:
     name = SENSOR_NAMES[sensor]
     yield f'<section id="{sensor}" class="sensor"><h2>{name}</h2>'
-    yield f'<div class="charts" data-sensor="{sensor}" hidden></div>'
+    yield f'<div class="charts curve" data-sensor="{sensor}" hidden></div>'
     if sensor in beside.pictures:
         yield (
             f'<figure class="static" role="img" aria-label="Allan deviation of the {sensor}">'

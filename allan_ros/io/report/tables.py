@@ -26,7 +26,11 @@ MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 
 
 def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
-    """Yield the table of the five terms, a column an axis."""
+    """Yield the table of the five terms, a column an axis; a remark where none is known at all."""
+    noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
+    if all(c.value is None and c.upper95 is None for c in noise):
+        yield '<p class="note">Nothing could be measured: neither a value nor a limit.</p>'
+        return
     yield '<div class="scroll"><table class="coefficients"><thead><tr><th scope="col">term</th>'
     yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
     for term in TERMS:
@@ -66,7 +70,10 @@ def datasheet_table(
             else '<td></td>'
             for axis in axes
         )
-        rows.append(f'<tr>{_term_heading(sensor, term, f"stated {stated}")}{cells}</tr>')
+        heading = _term_heading(
+            sensor, term, f'stated <span class="nowrap">{escape(stated)}</span>'
+        )
+        rows.append(f'<tr>{heading}{cells}</tr>')
     if rows:
         name = comparison.datasheet.name
         yield from _comparison_table(f'Beside the datasheet of {name}', axes, rows)
@@ -113,7 +120,7 @@ def _then(axis: str, term: str, former: Results) -> str:
     """Return what a coefficient was in an earlier run."""
     coefficient = former.axes[axis].fit.noise[term]
     value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
-    return f'<small>then {value}</small>'
+    return f'<small>then <span class="nowrap">{value}</span></small>'
 
 
 def _comparison_table(
@@ -153,9 +160,10 @@ def _coefficient_cell(axis: str, term: str, coefficient: Coefficient) -> str:
     return f'<td class="{coefficient.status}">{in_units(shown)}</td>'
 
 
-def _term_heading(sensor: str, term: str, said: str = '') -> str:
+def _term_heading(sensor: str, term: str, html: str = '') -> str:
+    """Return the heading of a term's row; ``html`` stands in place of its name."""
     units = in_units(lambda system: escape(pretty_unit(shown_unit(sensor, term, system).name)))
-    what = escape(said or TERM_NAMES[sensor][term])
+    what = html or escape(TERM_NAMES[sensor][term])
     return f'<th scope="row">{term} <em>{units}</em><small>{what}</small></th>'
 
 

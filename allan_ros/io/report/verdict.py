@@ -24,11 +24,17 @@ Light = Literal['good', 'caution', 'bad']
 WORDS: dict[Light, str] = {'good': 'Good', 'caution': 'With care', 'bad': 'Not good'}
 """Light -> the word beside it: colour alone says nothing to many."""
 
+UNCOMPARED, UNMEASURED = 'Nothing wrong found', 'Not measured'
+"""Instead of 'Good' where nothing says what would be good, of 'Not good' where nothing is known."""
+
 FOR_FILTERS = ('N', 'B', 'K')
 """The terms that filters take; Q and R are asked for by few."""
 
 ODD_AXIS = 2.0
 """Axes of one sensor differ by less in N; more is worth a look at that axis."""
+
+NO_STEP = ('file_left_out',)
+"""Findings after which there is nothing to do."""
 
 LISTED = 3
 """How many coefficients are named before the rest is only counted."""
@@ -69,7 +75,7 @@ def verdict_of(results: Results, comparisons: Sequence[Comparison], units: str) 
     light = _light(results, comparisons)
     return Verdict(
         light,
-        WORDS[light],
+        _word(light, results, comparisons),
         ' '.join(_fine(results, comparisons, units)),
         ' '.join(_long_enough(results)),
         tuple(dict.fromkeys(_steps(results, comparisons))),
@@ -95,6 +101,12 @@ def _light(results: Results, comparisons: Sequence[Comparison]) -> Light:
     return 'caution' if 'warning' in severities else 'good'
 
 
+def _word(light: Light, results: Results, comparisons: Sequence[Comparison]) -> str:
+    if not measured(results):
+        return UNMEASURED
+    return UNCOMPARED if light == 'good' and not comparisons else WORDS[light]
+
+
 def _fine(results: Results, comparisons: Sequence[Comparison], units: str) -> Iterator[str]:
     """Yield the sentences that answer whether the IMU is fine."""
     if not measured(results):
@@ -102,8 +114,8 @@ def _fine(results: Results, comparisons: Sequence[Comparison], units: str) -> It
         return
     if not comparisons:
         yield (
-            'Nothing to hold it against: name its datasheet with --sensor, or an earlier run with '
-            '--baseline.'
+            'It cannot be told from these numbers alone: name its datasheet with --sensor, or an '
+            'earlier run with --baseline.'
         )
     for reference in dict.fromkeys(c.reference for c in comparisons):
         yield _against(results, [c for c in comparisons if c.reference == reference], units)
@@ -127,10 +139,11 @@ def _against(results: Results, comparisons: Sequence[Comparison], units: str) ->
     if unsettled:
         named = [f'{c.term} of {_axis(c.axis)}' for c in unsettled[:LISTED]]
         more = f' and {len(unsettled) - LISTED} more' if len(unsettled) > LISTED else ''
+        within = len(comparisons) - len(unsettled)
+        answer = 'Yes, as far as this record shows' if within else 'It is not settled'
         return (
-            f'As far as this record shows: {len(comparisons) - len(unsettled)} of '
-            f'{len(comparisons)} numbers are surely within {reference}, none is surely above; not '
-            f'settled {"is" if len(unsettled) == 1 else "are"} {_and(named)}{more}.'
+            f'{answer}: {within} of {len(comparisons)} numbers are surely within {reference}, none '
+            f'is surely above; open {"is" if len(unsettled) == 1 else "are"} {_and(named)}{more}.'
         )
     return f'Yes: all {len(comparisons)} numbers are surely within {reference}.'
 
@@ -223,26 +236,39 @@ def time_to_show(results: Results) -> float | None:
 
 def _steps(results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
     """Yield what to do next, the most pressing first."""
+    wait = time_to_show(results)
     for severity in ('error', 'warning'):
         remedies: dict[str, list[Finding]] = {}
         for finding in results.findings:
-            if finding.severity == severity:
+            settled = finding.id in NO_STEP or (finding.id == 'short' and wait is not None)
+            if finding.severity == severity and not settled:
                 remedies.setdefault(finding.remedy, []).append(finding)
         for remedy, findings in remedies.items():
             axes = dict.fromkeys(axis for finding in findings for axis in finding.axes)
-            where = f' ({", ".join(_axis(axis) for axis in axes)})' if axes else ''
+            where = f' ({_axes_text(tuple(axes), results)})' if axes else ''
             yield f'{_sentence(remedy)}{where}.'
-    wait = time_to_show(results)
     if wait is not None:
         yield f'Record about {about(wait)} at rest, warmed up, if a filter needs what is hidden.'
     if not comparisons and measured(results):
         yield 'Hold it against its datasheet: --sensor NAME ("allan sensors" lists them).'
-    if measured(results):
+    if _light(results, comparisons) != 'bad':
         yield 'Hand the numbers to a filter: "allan export results.json --to openvins".'
 
 
 def _axis(axis: str) -> str:
     return f'{sensor_of(axis)} {axis.rsplit("_", 1)[1]}'
+
+
+def _axes_text(axes: Sequence[str], results: Results) -> str:
+    """Return axes by name, or by sensor where all of one are meant."""
+    if set(axes) == set(results.axes):
+        return 'all axes'
+    words: list[str] = []
+    for sensor, where in SENSORS.items():
+        have = [axis for axis in AXES[where] if axis in results.axes]
+        named = [axis for axis in have if axis in axes]
+        words += [sensor] if len(named) == len(have) > 1 else map(_axis, named)
+    return ', '.join(words)
 
 
 def _and(words: Sequence[str]) -> str:
