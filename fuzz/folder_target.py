@@ -10,7 +10,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from .damage import any_bytes, damaged_json
+from .damage import any_bytes, as_utf8, damaged_json
 from .harness import Target
 from .mcap_target import IMU_TYPE, Plan, build
 from .reading import MESSAGES, read_and_check
@@ -71,12 +71,13 @@ def _splits(which: int) -> bytes:
 def _folders(draw: Any) -> tuple[bytes, bytes | None]:
     """Draw metadata, and the second split (None: missing)."""
     metadata = (
-        damaged_json([METADATA], 4).map(lambda text: text.encode('utf-8', 'surrogatepass'))
-        | damaged_json([METADATA], 4).map(lambda text: text.encode('utf-8', 'surrogatepass'))
+        damaged_json([METADATA], 2).map(as_utf8)
+        | damaged_json([METADATA], 4).map(as_utf8)
         | st.sampled_from(YAML_TRICKS).map(str.encode)
         | any_bytes([b'rosbag2_bagfile_information:\n  relative_file_paths:\n    - a_0.mcap\n'])
     )
-    return draw(metadata), draw(st.none() | st.just(_splits(1)) | any_bytes([_splits(1)]))
+    whole = st.just(_splits(1))
+    return draw(metadata), draw(st.none() | whole | whole | any_bytes([_splits(1)]))
 
 
 def check(made: tuple[bytes, bytes | None], folder: Path) -> bool:

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 import tempfile
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +25,7 @@ COLUMNS = {
     'messages': ('id', 'topic_id', 'timestamp', 'data'),
     'message_definitions': ('topic_type', 'encoding', 'encoded_message_definition'),
 }
+FILE_HEAD, INNER, LEAF = 100, 5, 13
 KEY = 'id INTEGER PRIMARY KEY'
 USUAL = 'CREATE TABLE messages({key}, topic_id INTEGER, timestamp INTEGER, data BLOB){end}'
 ODD_STATEMENTS = (
@@ -84,6 +87,24 @@ def seeds() -> tuple[bytes, ...]:
                 connection.execute('COMMIT')
             found.append(path.read_bytes())
     return tuple(found)
+
+
+def boundaries(data: bytes) -> Iterator[int]:
+    """Yield where each page of a whole file begins, and each cell of those that hold rows.
+
+    The head of a b-tree page is at 0, after the head of the file on the first one; from byte 8 or,
+    on an inner page, 12 on stand the places of its cells (https://sqlite.org/fileformat2.html).
+    """
+    (size,) = struct.unpack_from('>H', data, 16)
+    for page in range(0, len(data), size):
+        yield page
+        head = page + (FILE_HEAD if page == 0 else 0)
+        if data[head] in (INNER, LEAF):
+            (cells,) = struct.unpack_from('>H', data, head + 3)
+            first = head + (12 if data[head] == INNER else 8)
+            places = struct.unpack_from(f'>{cells}H', data, first)
+            yield from sorted(page + place for place in places)
+    yield len(data)
 
 
 CELLS = st.none() | signed.map(lambda i: (i + 2**63) % 2**64 - 2**63) | floats | texts

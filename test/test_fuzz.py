@@ -1,0 +1,78 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Some two hundred damaged inputs, always the same; `make fuzz` tries more of them, and others."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, seed, settings
+
+from allan_ros.core.errors import AllanError
+from allan_ros.io.recordings import open_recordings
+from fuzz import documents_target, mcap_target, ros1_target, sqlite3_target
+from fuzz.reading import MESSAGES, read_and_check
+from fuzz.targets import TARGETS
+
+INPUTS = {'mcap': 30, 'sqlite3': 30, 'ros1': 40, 'folder': 30, 'tables': 40, 'imu': 4}
+INPUTS |= {'documents': 12}
+"""Target -> how many inputs; the one of the nodes starts processes, and is for `make fuzz`."""
+
+WHOLE: dict[str, tuple[bytes, Callable[[bytes], Iterator[int]]]] = {
+    'bag.mcap': (mcap_target.seeds()[0], mcap_target.boundaries),
+    'bag.db3': (sqlite3_target.seeds()[0], sqlite3_target.boundaries),
+    'run.bag': (ros1_target.seeds()[0], ros1_target.boundaries),
+}
+
+
+@pytest.mark.parametrize('name', INPUTS)
+def test_damaged_inputs_are_refused_in_a_line_or_valid(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(documents_target, 'FITTED', 1000)  # fits are tried elsewhere, and slow
+    target, tally = TARGETS[name](), {True: 0, False: 0}
+
+    @seed(1)
+    @settings(
+        max_examples=INPUTS[name],
+        database=None,
+        phases=(Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(target.inputs)
+    def each(value: Any) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            tally[target.check(value, Path(folder))] += 1
+
+    each()
+    assert sum(tally.values()) == INPUTS[name]
+    assert min(tally.values()) > 0, 'all are refused, or none: the inputs try nothing'
+
+
+@pytest.mark.parametrize('name', WHOLE)
+def test_a_bag_cut_at_any_record_reads_or_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
+    data, boundaries = WHOLE[name]
+    places = sorted(set(boundaries(data)))
+    assert len(places) > MESSAGES  # one for each message at least
+    path = tmp_path / name
+    held = []
+    for place in places:
+        path.write_bytes(data[:place])
+        read_and_check(path)
+        held.append(messages_in(path))
+    assert held == sorted(held) and held[-1] == MESSAGES
+    path.write_bytes(data[: places[-2]])
+    assert messages_in(path) > 0 or name == 'bag.db3'
+
+
+def messages_in(path: Path) -> int:
+    """Return how many messages a file still gives; 0 where it is refused."""
+    try:
+        (recording,) = open_recordings([path])
+        return sum(len(batch) for batch in recording.batches())
+    except AllanError:
+        return 0
