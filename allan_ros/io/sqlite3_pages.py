@@ -49,8 +49,10 @@ KIND_BYTES = 4
 """The head of a row up to the serial type of the blob: its own size, id, topic, time."""
 READ_BYTES = 1 << 20
 """Leaves are read about so many bytes at a time: they stay in the cache."""
-PADDING = WORD
-"""Bytes behind what is read, so that a few may be taken from the last cell too."""
+CELL_HEAD = 4 * WORD
+"""Bytes of a cell that hold all but the message: size and id, head of the row, topic, time."""
+PADDING = CELL_HEAD
+"""Bytes behind what is read, so that so many may be taken from the last cell too."""
 
 
 Bytes = NDArray[np.uint8]
@@ -145,12 +147,14 @@ class MessagePages:
             When what comes next is no plain row.
         """
         at_a_time = max(1, READ_BYTES // self._page_bytes)
+        waiting = np.empty(0, np.int64)
         for leaves in self._leaves(self._root, MOST_DEPTH):
-            for first in range(0, len(leaves), at_a_time):
-                try:
-                    yield self._rows_of(leaves[first : first + at_a_time])
-                except IndexError as error:
-                    raise Unusual('a cell lies outside its page') from error
+            waiting = np.append(waiting, leaves)
+            while len(waiting) >= at_a_time:
+                yield self._rows_of(waiting[:at_a_time])
+                waiting = waiting[at_a_time:]
+        if len(waiting):
+            yield self._rows_of(waiting)
 
     def _leaves(self, number: int, depth: int) -> Iterator[NDArray[np.int64]]:
         """Yield the numbers of the leaves below a page in order, those of one parent together."""
@@ -188,17 +192,30 @@ class MessagePages:
 
     def _rows_of(self, leaves: NDArray[np.int64]) -> Rows:
         """Return the rows of some leaves."""
-        data, pages = self._pages(leaves)
+        try:
+            return self._parsed(*self._pages(leaves))
+        except IndexError as error:
+            raise Unusual('a cell lies outside its page') from error
+
+    def _parsed(self, data: Bytes, pages: NDArray[np.int64]) -> Rows:
+        """Return the rows of the leaves that begin at these bytes."""
         start, page_end = self._cells(data, pages)
-        header = start + _varints_bytes(data, start)
-        head = gathered(data, header, np.dtype('<u8'))
+        # what is looked at several times is brought together, to stay near at hand
+        heads = gathered(data, start, np.dtype((np.void, CELL_HEAD))).view(np.uint8)
+        cell = np.arange(len(start)) * CELL_HEAD
+        header = cell + _varints_bytes(heads, cell)
+        head = gathered(heads, header, np.dtype('<u8'))
         kind = head & (2 ** (8 * KIND_BYTES) - 1)
         columns = np.empty((4, len(start)), np.int64)
-        for value in [int(kind[0])] if (kind == kind[0]).all() else np.unique(kind).tolist():
-            chosen = slice(None) if kind[0] == value and (kind == value).all() else kind == value
-            columns[:, chosen] = _columns(data, header[chosen], head[chosen], value)
+        if (kind == kind[0]).all():
+            columns[:] = _columns(heads, header, head, int(kind[0]))
+        else:
+            for value in np.unique(kind).tolist():
+                chosen = kind == value
+                columns[:, chosen] = _columns(heads, header[chosen], head[chosen], value)
         topics, record_ns, blob, length = columns
-        return Rows(_id_of(data, int(start[-1])), topics, record_ns, data, blob, length, page_end)
+        blob += start - cell
+        return Rows(_id_of(heads[cell[-1] :]), topics, record_ns, data, blob, length, page_end)
 
     def _pages(self, leaves: NDArray[np.int64]) -> tuple[Bytes, NDArray[np.int64]]:
         """Return the bytes of leaves, and where in them each begins."""
@@ -284,10 +301,10 @@ def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int
     return values
 
 
-def _id_of(data: Bytes, start: int) -> int:
-    """Return the id of the row in the cell that begins there: the second varint (section 1.6)."""
+def _id_of(cell: Bytes) -> int:
+    """Return the id of the row in a cell: its second varint (section 1.6)."""
     value, varints = 0, 0
-    for byte in data[start : start + WORD].tolist():
+    for byte in cell[: 2 * WORD].tolist():
         value = value << 7 | byte & 0x7F
         if byte < 0x80:
             varints += 1
