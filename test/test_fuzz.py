@@ -18,8 +18,8 @@ from fuzz import documents_target, mcap_target, ros1_target, sqlite3_target
 from fuzz.reading import MESSAGES, read_and_check
 from fuzz.targets import TARGETS
 
-INPUTS = {'mcap': 30, 'sqlite3': 30, 'ros1': 40, 'folder': 30, 'tables': 40, 'imu': 4}
-INPUTS |= {'documents': 12}
+INPUTS = {'mcap': 20, 'sqlite3': 30, 'ros1': 40, 'folder': 30, 'tables': 40, 'imu': 3}
+INPUTS |= {'documents': 8}
 """Target -> how many inputs; the one of the nodes starts processes, and is for `make fuzz`."""
 
 WHOLE: dict[str, tuple[bytes, Callable[[bytes], Iterator[int]]]] = {
