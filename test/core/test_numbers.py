@@ -186,9 +186,10 @@ def test_the_engine_is_right_to_rounding(noise: list[float], offset: float) -> N
     spread = float(np.abs(y - y[0]).max())
     for m, stride, found in zip(sums.m.tolist(), sums.stride.tolist(), sums.sum_sq[:, 0]):
         exact = exactly(fractions, m, stride)
-        # of each d the rounding of the running sums; the offset has no part in it
-        allowed = len(y) * (4 * np.finfo(float).eps * len(y) * spread) ** 2
-        assert abs(float(exact) - found) <= 1e-12 * float(exact) + allowed + 1e-300
+        # each d is off by the rounding of the running sums, in which the offset has no part
+        off, number = 4 * np.finfo(float).eps * len(y) * spread, len(y)
+        allowed = 2.0 * off * np.sqrt(number * float(exact)) + number * off**2
+        assert abs(float(exact) - found) <= 1e-15 * number * float(exact) + allowed + 1e-300
 
 
 def test_of_whole_numbers_the_engine_loses_nothing() -> None:
