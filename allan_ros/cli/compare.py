@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
 from ..core.fit import METHODS
+from ..io.plot_style import PictureSettings
 from .console import Console, width, wrapped
+from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
     from ..io.results import Results
@@ -85,14 +87,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default='datasheet',
         help='units shown (default datasheet)',
     )
+    add_settings(parser, 'pictures', PictureSettings)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
+    from ..io.plot_style import load_style
     from ..io.run_comparison import Subject, compare_runs, comparison_document, labels_of
     from ..io.sensors import load_sensor
 
     console = Console.of(args)
+    pictures = settings_of(PictureSettings, args)
+    load_style(pictures.plot_style)
     if not args.margin >= 0.0:
         raise AllanError(f'--margin {args.margin:g}: give 0 or more')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
@@ -115,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         from ..io.compare_files import write_comparison
 
-        written = write_comparison(args.output, comparison, args.units)
+        written = write_comparison(args.output, comparison, args.units, pictures)
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
 

@@ -19,6 +19,7 @@ from .atomic import write_atomic
 from .compare_words import headline, ratio_text, verdict_text
 from .datasheet_comparison import VERDICT_TEXT
 from .documents import to_json
+from .plot_style import PictureSettings, load_style
 from .result_files import made_folder
 from .run_comparison import Pair, RunComparison, comparison_document
 from .shown import interval_text, shown_unit, value_text
@@ -32,19 +33,23 @@ CSV_COLUMNS = (
 
 
 def write_comparison(
-    folder: str | os.PathLike[str], comparison: RunComparison, units: str = 'datasheet'
+    folder: str | os.PathLike[str],
+    comparison: RunComparison,
+    units: str = 'datasheet',
+    pictures: PictureSettings = PictureSettings(),
 ) -> list[Path]:
     """Write comparison.json, .md and .csv and a picture of each sensor, and return their paths.
 
     Raises
     ------
     AllanError
-        When the folder cannot be made or written.
+        When the folder cannot be made or written, or the style of the pictures is unknown.
     """
     # Heavy to import, and a table needs no pictures until here.
     from .compare_plot import comparison_figure
-    from .plots import to_png
+    from .plots import to_form
 
+    style = load_style(pictures.plot_style)
     place = made_folder(Path(folder))
     contents: dict[str, str | bytes] = {
         'comparison.json': to_json(comparison_document(comparison)),
@@ -52,9 +57,11 @@ def write_comparison(
         'comparison.csv': csv_table(comparison),
     }
     for sensor in SENSORS:
-        figure = comparison_figure(comparison, sensor, units)
-        if figure is not None:
-            contents[f'compare_{sensor}.png'] = to_png(figure)
+        figure = comparison_figure(comparison, sensor, units, style)
+        if figure is None:
+            continue
+        for form in pictures.plot_format:
+            contents[f'compare_{sensor}.{form}'] = to_form(figure, form, style)
     for name, content in contents.items():
         write_atomic(place / name, content)
     return [place / name for name in contents]

@@ -9,18 +9,22 @@ so that the picture is as legible to the colour-blind and in grey.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from ..core.batch import AXES, SENSORS
-from .plots import RC
+from .plot_style import STYLES
+from .plots import FOOT_IN, LEFT_IN, MARGIN_IN, NARROW_IN, RC, SMALL, log_axes, tick_text
+from .results import AxisCurve
 from .run_comparison import RunComparison, Subject
-from .shown import shown_unit
+from .shown import pretty_unit, shown_unit
 
 RUN_STYLES = (
     ('#000000', 'o', '-'),
@@ -32,13 +36,25 @@ RUN_STYLES = (
 )
 """Colour, marker and dashes of each run; a seventh begins anew."""
 
-WIDTH_IN, ROW_IN, HEAD_IN, FOOT_IN = 10.0, 2.6, 0.8, 0.5
-"""Size of the picture in inches: its width, the height of an axis, what is above and below."""
+HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.55
+"""Inches above the panels, of each row of the legend there, and between the panels of an axis."""
+
+LEGEND_COLUMNS = {True: 4, False: 2}
+"""Runs in a row of the legend, by whether the picture is wide."""
+
+MARK_EVERY = 6
+"""Points between two marks of a curve; those of the next run stand one further on."""
 
 BAND_OPACITY = 0.18
 """Of the 68.3 % limits about a curve."""
 
-RATIO_TICKS = ((1.1, 1.2), (1.2, 1.5, 2.0), (2.0, 5.0, 10.0), (10.0, 100.0, 1000.0))
+RATIO_TICKS = (
+    (1.1, 1.2),
+    (1.2, 1.5, 2.0),
+    (2.0, 5.0, 10.0),
+    (3.0, 10.0, 30.0),
+    (10.0, 100.0, 1000.0),
+)
 """Labelled ratios above 1, and below it as one over them, by how far the axis reaches."""
 
 OFFSET = 1.05
@@ -46,53 +62,97 @@ OFFSET = 1.05
 
 
 def comparison_figure(
-    comparison: RunComparison, sensor: str, units: str = 'datasheet'
+    comparison: RunComparison,
+    sensor: str,
+    units: str = 'datasheet',
+    style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
     """Return the figure of one sensor, a row for each axis; None where no run has its curves.
 
-    On the left the deviations with their 68.3 % limits; on the right their ratio to the first run
-    with 95 % intervals, filled where it is more than chance.
+    On the left the deviations with their 68.3 % limits; on the right, where the picture is wide,
+    their ratio to the first run with 95 % intervals, filled where it is more than chance.
+
+    Parameters
+    ----------
+    style : mapping
+        Settings of matplotlib; its ``figure.figsize`` is that of a picture of three axes.
     """
     runs = comparison.runs
     axes = [a for a in AXES[SENSORS[sensor]] if any(_has_curve(run, a) for run in runs)]
     if not axes:
         return None
-    with rc_context(RC):
-        height = ROW_IN * len(axes) + HEAD_IN + FOOT_IN
-        figure = Figure(figsize=(WIDTH_IN, height))
-        columns = 2 if comparison.pairs else 1
+    with rc_context({**RC, **style}):
+        width, height = rcParams['figure.figsize']
+        wide = width >= NARROW_IN
+        rows = math.ceil(len(runs) / LEGEND_COLUMNS[wide])
+        head = HEAD_IN + LEGEND_ROW_IN * rows
+        row = (height - head - FOOT_IN) / len(AXES[SENSORS[sensor]])
+        height = head + FOOT_IN + row * len(axes)
+        figure = Figure(figsize=(width, height))
+        with_ratios = bool(comparison.pairs) and wide
+        room = width - LEFT_IN - MARGIN_IN
         panels = figure.subplots(
             len(axes),
-            columns,
+            2 if with_ratios else 1,
             squeeze=False,
-            sharex=True,
+            sharex='col',
             gridspec_kw={
-                'left': 0.09,
-                'right': 0.98,
+                'left': LEFT_IN / width,
+                'right': 1.0 - MARGIN_IN / width,
                 'bottom': FOOT_IN / height,
-                'top': 1.0 - HEAD_IN / height,
-                'wspace': 0.22,
-                'hspace': 0.14,
+                'top': 1.0 - head / height,
+                'wspace': BETWEEN_IN / ((room - BETWEEN_IN) / 2.0),
+                'hspace': 0.08,
             },
         )
-        for row, axis in zip(panels, axes):
-            _draw_curves(row[0], axis, comparison, units)
-            if comparison.pairs:
-                _draw_ratios(row[1], axis, comparison)
+        for of_axis, axis in zip(panels, axes):
+            _draw_curves(of_axis[0], axis, comparison, units)
+            if with_ratios:
+                _draw_ratios(of_axis[1], axis, comparison)
         for panel in panels[-1]:
             panel.set_xlabel('averaging time τ [s]')
-        handles, labels = _legend(panels[0][0], comparison)
-        name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
-        figure.suptitle(name, fontsize=11, y=1.0 - 0.08 / height, va='top')
-        figure.legend(
-            handles,
-            labels,
-            loc='upper center',
-            bbox_to_anchor=(0.5, 1.0 - 0.3 / height),
-            ncol=min(len(labels), 4),
-            frameon=False,
-        )
+        _head(figure, comparison, sensor, with_ratios, LEGEND_COLUMNS[wide])
     return figure
+
+
+def _head(
+    figure: Figure, comparison: RunComparison, sensor: str, with_ratios: bool, columns: int
+) -> None:
+    """Write what is shown, and the names of the runs."""
+    width, height = figure.get_size_inches()
+    left, top = LEFT_IN / width, 1.0 - 0.09 / height
+    name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
+    figure.text(left, top, name, va='top', weight='bold', size='large')
+    if with_ratios:
+        right, said = 1.0 - MARGIN_IN / width, 'ratio filled: more than chance'
+        figure.text(right, top - 0.04 / height, said, va='top', ha='right', size=SMALL)
+    handles = []
+    for i, run in enumerate(comparison.runs):
+        colour, marker, dashes = RUN_STYLES[i % len(RUN_STYLES)]
+        handles.append(
+            Line2D(
+                *([], []),
+                color=colour,
+                marker=marker,
+                linestyle=dashes,
+                markersize=4.0,
+                linewidth=1.1,
+                label=run.label,
+            )
+        )
+    legend = figure.legend(
+        handles=handles,
+        loc='upper left',
+        bbox_to_anchor=(left, top - 0.2 / height),
+        borderaxespad=0.0,
+        borderpad=0.0,
+        ncol=min(len(handles), columns),
+        handlelength=3.2,
+        fontsize=SMALL,
+        frameon=False,
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def _has_curve(run: Subject, axis: str) -> bool:
@@ -100,37 +160,36 @@ def _has_curve(run: Subject, axis: str) -> bool:
 
 
 def _draw_curves(panel: Axes, axis: str, comparison: RunComparison, units: str) -> None:
-    """Draw the deviation of one axis of every run, and what a datasheet states of it."""
+    """Draw the deviation of one axis of every run, each with its own marks."""
     unit = shown_unit(axis, 'B', units)
+    known: list[tuple[int, AxisCurve]] = []
     for i, run in enumerate(comparison.runs):
-        curve = run.results.axes[axis].curve if _has_curve(run, axis) else None
-        if curve is None:
-            continue
+        curve = run.results.axes[axis].curve if axis in run.results.axes else None
+        if curve is not None and np.any(curve.adev > 0.0):
+            known.append((i, curve))
+    panel.set_ylabel(f'{axis.replace("_", " ")}  [{pretty_unit(unit.name)}]')
+    if not known:
+        panel.text(0.5, 0.5, 'no noise to show', ha='center', transform=panel.transAxes)
+        panel.set_yticks([])
+        return
+    adevs = np.concatenate([curve.adev[curve.adev > 0.0] for _, curve in known]) * unit.factor
+    taus = np.concatenate([curve.tau for _, curve in known])
+    log_axes(panel, (taus.min() / 1.3, taus.max() * 1.3), (0.6 * adevs.min(), 1.8 * adevs.max()))
+    for i, curve in known:
         colour, marker, dashes = RUN_STYLES[i % len(RUN_STYLES)]
-        low, high = (np.nan_to_num(limit, nan=0.0) for limit in (curve.ci_low, curve.ci_high))
-        known = (low > 0.0) & (high > 0.0)
-        panel.fill_between(
-            curve.tau[known],
-            low[known] * unit.factor,
-            high[known] * unit.factor,
-            color=colour,
-            alpha=BAND_OPACITY,
-            linewidth=0,
+        low, high = (
+            np.where(v > 0.0, unit.factor * v, np.nan) for v in (curve.ci_low, curve.ci_high)
         )
+        panel.fill_between(curve.tau, low, high, color=colour, alpha=BAND_OPACITY, linewidth=0)
         panel.plot(
-            curve.tau,
-            curve.adev * unit.factor,
+            *(curve.tau, curve.adev * unit.factor),
             color=colour,
             linestyle=dashes,
             marker=marker,
             markersize=3.0,
-            markevery=8,
-            linewidth=1.2,
+            markevery=(i * MARK_EVERY // len(RUN_STYLES), MARK_EVERY),
+            linewidth=1.0,
         )
-    panel.set_xscale('log')
-    panel.set_yscale('log')
-    panel.set_ylabel(f'{axis.replace("_", " ")} [{unit.name}]')
-    panel.grid(True, which='major', alpha=0.3, linewidth=0.5)
 
 
 def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
@@ -147,10 +206,10 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
                 yerr=[[d.ratio - d.ci95[0]], [d.ci95[1] - d.ratio]],
                 color=colour,
                 marker=marker,
-                markersize=5.0,
+                markersize=4.0,
                 markerfacecolor=colour if d.verdict in ('higher', 'lower') else 'white',
-                capsize=2.0,
-                linewidth=1.0,
+                capsize=1.5,
+                linewidth=0.9,
             )
     panel.set_xscale('log')
     panel.set_yscale('log')
@@ -161,16 +220,8 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
     panel.yaxis.set_major_locator(FixedLocator([*(1.0 / t for t in ticks), 1.0, *ticks]))
     panel.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f'{ratio:.3g}'))
     panel.yaxis.set_minor_locator(NullLocator())
-    panel.set_ylabel(f'ratio to {comparison.runs[0].label}')
-    panel.grid(True, which='major', alpha=0.3, linewidth=0.5)
-
-
-def _legend(panel: Axes, comparison: RunComparison) -> tuple[list[Line2D], list[str]]:
-    handles = []
-    for i in range(len(comparison.runs)):
-        colour, marker, dashes = RUN_STYLES[i % len(RUN_STYLES)]
-        [line] = panel.plot(
-            [], [], color=colour, marker=marker, markersize=4.0, linestyle=dashes, linewidth=1.2
-        )
-        handles.append(line)
-    return handles, [run.label for run in comparison.runs]
+    panel.set_ylabel(f'ratio to {comparison.runs[0].label}').set_parse_math(False)
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda tau, _: tick_text(tau)))
+    panel.xaxis.set_minor_locator(NullLocator())
+    panel.set_axisbelow(True)
+    panel.grid(True, which='major', color=rcParams['grid.color'], linewidth=0.5)

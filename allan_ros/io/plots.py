@@ -248,7 +248,12 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
         return
     ink = rcParams['text.color']
     adev, low, high = (unit.factor * a for a in (curve.adev, curve.ci_low, curve.ci_high))
-    _log_axes(panel, curve, unit)
+    positive = positive * unit.factor
+    log_axes(
+        panel,
+        (curve.tau[0] / 1.3, curve.tau[-1] * 1.3),
+        (0.45 * positive.min(), 1.8 * positive.max()),
+    )
     panel.fill_between(curve.tau, low, high, color=ink, alpha=0.2, lw=0)
     panel.plot(
         *(curve.tau, adev, 'o'), ms=2.6, mfc=rcParams['axes.facecolor'], mec=ink, mew=0.6,
@@ -304,16 +309,17 @@ def _draw_parts(
     return [*lines, *(Line2D([], [], ls='', label=text) for text in hidden)]
 
 
-def _log_axes(panel: Axes, curve: AxisCurve, unit: ShownUnit) -> None:
-    """Make both axes logarithmic, with a fine grid drawn as one piece: ticks of it would cost
-    more time than all the rest of the picture."""
-    adev = curve.adev[curve.adev > 0.0] * unit.factor
-    reach = (curve.tau[0] / 1.3, curve.tau[-1] * 1.3), (0.45 * adev.min(), 1.8 * adev.max())
+def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
+    """Make both axes logarithmic, from and to these values.
+
+    The fine grid is drawn as one piece: ticks of it would cost more time than all the rest of the
+    picture.
+    """
     panel.set_xscale('log')
     panel.set_yscale('log', nonpositive='mask')
-    panel.set_xlim(*reach[0])
-    panel.set_ylim(*reach[1])
-    for direction, limits in zip((panel.xaxis, panel.yaxis), reach):
+    panel.set_xlim(*across)
+    panel.set_ylim(*up)
+    for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
         direction.set_major_locator(LogLocator(numticks=9))
         direction.set_minor_locator(NullLocator())
         decades = np.arange(np.floor(np.log10(limits[0])), np.ceil(np.log10(limits[1])))
@@ -322,13 +328,13 @@ def _log_axes(panel: Axes, curve: AxisCurve, unit: ShownUnit) -> None:
         labelled = np.isin(fine, 10.0**decades)
         if labelled.sum() < 2:  # less than two decades: the twos and fives help
             direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        direction.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
-        across = direction is panel.xaxis
+        direction.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
+        is_x = direction is panel.xaxis
         ends = [0.0, 1.0]
         panel.add_collection(
             LineCollection(
-                [[(v, e) if across else (e, v) for e in ends] for v in fine],
-                transform=panel.get_xaxis_transform() if across else panel.get_yaxis_transform(),
+                [[(v, e) if is_x else (e, v) for e in ends] for v in fine],
+                transform=panel.get_xaxis_transform() if is_x else panel.get_yaxis_transform(),
                 colors=rcParams['grid.color'],
                 linewidths=np.where(labelled, 0.6, 0.25),
                 zorder=0.5,
@@ -337,7 +343,7 @@ def _log_axes(panel: Axes, curve: AxisCurve, unit: ShownUnit) -> None:
         )
 
 
-def _tick(value: float) -> str:
+def tick_text(value: float) -> str:
     """Return the label of a tick: plain where that is short, else as a power of ten."""
     if 1e-3 <= value < 1e5:
         return f'{value:g}'

@@ -15,8 +15,10 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import Coefficient
 from allan_ros.io.compare_files import CSV_COLUMNS, csv_table, markdown, write_comparison
+from allan_ros.io.compare_plot import comparison_figure
 from allan_ros.io.compare_words import headline
 from allan_ros.io.documents import results_to_document, to_json
+from allan_ros.io.plot_style import STYLES, PictureSettings
 from allan_ros.io.results import Results
 from allan_ros.io.run_comparison import (
     Subject,
@@ -85,6 +87,22 @@ def test_runs_without_a_common_axis_are_refused(small_results: Results) -> None:
         AllanError, match=r'b has accel_x, .* where a has gyro_x, .*: they share no'
     ):
         compare_runs([Subject('a', gyro), Subject('b', accel)])
+
+
+def test_pictures_come_in_any_form_and_a_narrow_one_has_no_ratios(
+    small_results: Results, tmp_path: Path
+) -> None:
+    runs = [Subject(f'run_$_{i}', small_results) for i in range(3)]
+    comparison = compare_runs(runs)
+    paths = write_comparison(tmp_path, comparison, pictures=PictureSettings(('pdf',), 'column'))
+    assert [p.name for p in paths if p.suffix == '.pdf'] == [
+        'compare_gyro.pdf',
+        'compare_accel.pdf',
+    ]
+    for style, panels in (('page', 6), ('column', 3)):
+        figure = comparison_figure(comparison, 'gyro', style=STYLES[style])
+        assert figure is not None and len(figure.axes) == panels
+        assert '°/h' in figure.axes[0].get_ylabel()
 
 
 def test_the_files_say_the_same(small_results: Results, tmp_path: Path) -> None:

@@ -1,0 +1,78 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""False alarms of `allan compare`: pairs of runs of equal noise, and how many show a difference.
+
+    python bench/bench_compare.py                           20 pairs, a minute or two
+    python bench/bench_compare.py --pairs 200 --seed 2026   the count in docs/compare.md
+
+Each pair is two simulated runs of the six axes of one IMU; every sample goes through the engine,
+every fit is that of `allan analyze`, every comparison that of `allan compare`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+
+import numpy as np
+from bench_accuracy import clopper_pearson
+
+from allan_ros.core.batch import AXES
+from allan_ros.core.differences import FAMILY_ERROR
+from allan_ros.core.engine import RunningAllan
+from allan_ros.core.presets import PRESETS
+from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.terms import NoiseTerms
+from allan_ros.core.units import from_datasheet, sensor_of
+from allan_ros.io.results import Provenance, Results, analyse_sums
+from allan_ros.io.run_comparison import Subject, compare_runs
+
+RATE = 50.0
+"""Hz."""
+
+TRUTH = {
+    axis: NoiseTerms(**{t: from_datasheet(t, sensor_of(axis), v) for t, v in terms.items()})
+    for axis, terms in PRESETS['paper'].items()
+}
+
+
+def simulated_run(seconds: float, rng: np.random.Generator) -> Results:
+    """Return the results of one run."""
+    n = round(seconds * RATE)
+    rows = np.stack([simulate_axis(n, 1.0 / RATE, TRUTH[axis], rng) for axis in AXES], axis=1)
+    engine = RunningAllan(axes=AXES)
+    engine.update(rows, 0, round((n - 1) * 1e9 / RATE))
+    engine.end_segment()
+    return analyse_sums([engine.sums], Provenance())
+
+
+def main() -> None:
+    """Draw the pairs and print how many were told apart, by what."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--pairs', type=int, default=20)
+    parser.add_argument('--minutes', type=float, nargs=2, default=(60.0, 60.0), metavar='M')
+    parser.add_argument('--seed', type=int, default=0)
+    args = parser.parse_args()
+    alarms, compared = 0, []
+    by_what: Counter[str] = Counter()
+    for pair in range(args.pairs):
+        rng = np.random.default_rng([args.seed, pair])
+        runs = [
+            Subject(name, simulated_run(60.0 * minutes, rng))
+            for name, minutes in zip(('first', 'second'), args.minutes)
+        ]
+        (found,) = compare_runs(runs).pairs
+        compared.append(sum(d.p is not None for d in found.differences))
+        alarms += bool(found.beyond)
+        by_what.update(d.quantity for d in found.beyond)
+        print(f'\r{alarms} of {pair + 1}', end='', flush=True)
+    low, high = clopper_pearson(alarms, args.pairs)
+    print(
+        f'\r{alarms} of {args.pairs} pairs of equal noise are told apart, '
+        f'{alarms / args.pairs:.1%} ({low:.1%} to {high:.1%}), {FAMILY_ERROR:.0%} allowed; '
+        f'{min(compared)} to {max(compared)} comparisons each; by {dict(by_what)}'
+    )
+
+
+if __name__ == '__main__':
+    main()
