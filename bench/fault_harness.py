@@ -134,8 +134,18 @@ class Stream:
         self._context.shutdown()
 
     def begin(self) -> None:
-        """Start to publish."""
-        time.sleep(2.0)  # the subscriber may not have found this one yet
+        """Start to publish, once the subscriber knows of this publisher too."""
+        from rclpy.executors import SingleThreadedExecutor
+
+        from allan_ros.nodes.handshake import Handshake
+
+        handshake = Handshake(self._node, self._publisher)
+        executor = SingleThreadedExecutor(context=self._context)
+        executor.add_node(self._node)
+        while not handshake.update():
+            executor.spin_once(0.05)
+        executor.shutdown()
+        handshake.close()
         self._thread.start()
 
     def end(self) -> None:

@@ -8,6 +8,7 @@ import math
 import os
 import re
 import signal
+import struct
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -18,8 +19,8 @@ from pathlib import Path
 from fault_harness import Row, Trial, fault
 from online_nodes import Client, Process
 
-FAKETIME = Path('/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1')
-"""Of the Debian and Ubuntu package faketime."""
+SHIFTED_CLOCK = Path(__file__).with_name('shifted_clock.c')
+"""What is preloaded into a node whose wall clock is to be set."""
 
 BUSY = 'while True: pass'
 BUSY_PROCESSES = 4
@@ -89,30 +90,23 @@ def _saved_again(trial: Trial, name: str) -> Row:
 @fault()
 def wall_clock_forward(client: Client, folder: Path) -> Row:
     """The clock of the node's machine steps, stamps do not."""
-    return _wall_clock(client, folder, 'forward', '+3600')
+    return _wall_clock(client, folder, 'forward', 3600)
 
 
 @fault()
 def wall_clock_back(client: Client, folder: Path) -> Row:
     """The same, back."""
-    return _wall_clock(client, folder, 'back', '-3600')
+    return _wall_clock(client, folder, 'back', -3600)
 
 
-def _wall_clock(client: Client, folder: Path, where: str, offset: str) -> Row:
-    if not FAKETIME.exists():
-        raise SystemExit(f'{FAKETIME} is missing: install the package faketime')
-    clock = folder / 'clock'
-    clock.write_text('+0\n')
-    env = {
-        'LD_PRELOAD': str(FAKETIME),
-        'FAKETIME_TIMESTAMP_FILE': str(clock),
-        'FAKETIME_NO_CACHE': '1',
-        'FAKETIME_DONT_FAKE_MONOTONIC': '1',
-    }
-    trial = Trial(client, folder, env=env)
-    with trial.fault():
-        clock.write_text(f'{offset}\n')
-    return trial.row(f'clock of the node set {where} by 1 h (libfaketime)')
+def _wall_clock(client: Client, folder: Path, where: str, shift_s: int) -> Row:
+    library, clock = folder / 'shifted_clock.so', folder / 'clock'
+    subprocess.run(['cc', '-O', '-shared', '-fPIC', '-o', library, SHIFTED_CLOCK], check=True)
+    clock.write_bytes(struct.pack('=q', 0))
+    trial = Trial(client, folder, env={'LD_PRELOAD': str(library), 'SHIFTED_CLOCK': str(clock)})
+    with trial.fault(), clock.open('r+b') as file:
+        file.write(struct.pack('=q', shift_s))
+    return trial.row(f'clock of the node set {where} by 1 h')
 
 
 @fault()

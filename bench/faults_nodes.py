@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that die: SIGKILL, and the same command again some seconds later."""
+"""Nodes that die: SIGKILL, and the same command again some seconds later; and one too many."""
 
 from __future__ import annotations
 
@@ -165,3 +165,15 @@ def kill_player(client: Client, folder: Path) -> Row:
         f'{hearing.grew_since(ended) - ended:.1f} s',
         ', '.join(map(str, codes)),
     )
+
+
+@fault()
+def second_node(client: Client, folder: Path) -> Row:
+    """Somebody starts another node with the same checkpoint."""
+    trial = Trial(client, folder)
+    with trial.fault():
+        other = start('accumulator', ros=(f'checkpoint.path:={trial.checkpoint}',))
+        trial.spin(DOWN_S)
+        code = other.end(signal.SIGINT)
+    row = trial.row(f'a second node on the same checkpoint for {DOWN_S:.0f} s')
+    return replace(row, exits=f'{row.exits}, {code}')

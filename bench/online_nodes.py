@@ -70,9 +70,13 @@ class Process:
         return int(found[1]) / 1024 if found else float('nan')
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal and return the exit code."""
+        """Send a signal and return the exit code; one that does not end is killed."""
         self.popen.send_signal(number)
-        return self.popen.wait(60)
+        try:
+            return self.popen.wait(60)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            return self.popen.wait()
 
 
 def start(
