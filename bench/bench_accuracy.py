@@ -48,8 +48,12 @@ class Scenario:
     truth : NoiseTerms
     rate, seconds : float
         In Hz and s.
+    seed : int
+        What its draws begin from; it stays whatever scenarios come and go.
     segments : int
-        Into how many equal ones the record is cut.
+        Into how many the record is cut.
+    at_random : bool
+        Whether it is cut at random instants instead of into equal segments.
     line : (amplitude, frequency)
         A sinusoid beside the noise: its amplitude over the white noise per sample, and Hz.
     gauss_markov : (share, correlation time)
@@ -59,7 +63,9 @@ class Scenario:
     truth: NoiseTerms
     rate: float
     seconds: float
+    seed: int
     segments: int = 1
+    at_random: bool = False
     line: tuple[float, float] = (0.0, 1.0)
     gauss_markov: tuple[float, float] = (0.0, 1.0)
 
@@ -82,12 +88,19 @@ class Scenario:
             y += share**0.5 * white * lfilter([1.0], [1.0, -keep], steps)
         return y
 
+    def cuts(self, rng: np.random.Generator) -> np.ndarray:
+        """Return the first sample of every segment but the first."""
+        n = round(self.rate * self.seconds)
+        if self.at_random:
+            return np.sort(rng.choice(np.arange(1, n), self.segments - 1, replace=False))
+        return np.cumsum([len(part) for part in np.array_split(np.arange(n), self.segments)])[:-1]
+
     def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
         """Return the sums of as many independent records as axes."""
         rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
         engine = RunningAllan(axes=AXES[:axes])
         start = 0
-        for part in np.array_split(rows, self.segments):
+        for part in np.split(rows, self.cuts(rng)):
             period = 1e9 / self.rate
             engine.update(part, round(start * period), round((start + len(part) - 1) * period))
             engine.end_segment()
@@ -100,22 +113,32 @@ X = gyro(Q=0.138, N=0.242, B=5.237, K=31.807, R=76.242)
 Y = gyro(Q=0.124, N=0.168, B=4.972, K=8.169, R=11.068)
 Z = gyro(Q=0.100, N=0.245, B=6.058, K=50.568, R=66.250)
 HOUR = 3600.0
+DAY = 24 * HOUR
+# The month of bench/soak_month.py, cut by every drive and knock, at a rate that is enough.
+MONTH = gyro(N=0.172, K=6.19)
+WITH_FLICKER = replace(MONTH, B=from_datasheet('B', 'gyro', 1.24))
 SCENARIOS = {
-    'table1_x': Scenario(X, 100.0, 2 * HOUR),
-    'table1_y': Scenario(Y, 100.0, 2 * HOUR),
-    'table1_z': Scenario(Z, 100.0, 2 * HOUR),
-    'white': Scenario(gyro(N=0.242), 100.0, 2 * HOUR),
-    'no_walk': Scenario(gyro(N=0.242, B=5.237), 100.0, 2 * HOUR),
-    'no_flicker': Scenario(gyro(N=0.242, K=31.807), 100.0, 2 * HOUR),
-    'no_ramp': Scenario(replace(X, R=0.0), 100.0, 2 * HOUR),
-    'ramp_no_walk': Scenario(replace(X, K=0.0), 100.0, 2 * HOUR),
-    'quantised': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR),
-    'five_minutes': Scenario(X, 100.0, 300.0),
-    'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR),
-    'six_segments': Scenario(X, 100.0, 2 * HOUR, 6),
-    'line_slow': Scenario(X, 100.0, 2 * HOUR, line=(0.03, 0.02)),
-    'line_fast': Scenario(X, 100.0, 2 * HOUR, line=(0.03, 0.2)),
-    'gauss_markov': Scenario(X, 100.0, 2 * HOUR, gauss_markov=(0.01, 10.0)),
+    'table1_x': Scenario(X, 100.0, 2 * HOUR, 10),
+    'table1_y': Scenario(Y, 100.0, 2 * HOUR, 11),
+    'table1_z': Scenario(Z, 100.0, 2 * HOUR, 12),
+    'white': Scenario(gyro(N=0.242), 100.0, 2 * HOUR, 14),
+    'no_walk': Scenario(gyro(N=0.242, B=5.237), 100.0, 2 * HOUR, 6),
+    'no_flicker': Scenario(gyro(N=0.242, K=31.807), 100.0, 2 * HOUR, 4),
+    'no_ramp': Scenario(replace(X, R=0.0), 100.0, 2 * HOUR, 5),
+    'ramp_no_walk': Scenario(replace(X, K=0.0), 100.0, 2 * HOUR, 8),
+    'quantised': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR, 7),
+    'five_minutes': Scenario(X, 100.0, 300.0, 0),
+    'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR, 13),
+    'six_segments': Scenario(X, 100.0, 2 * HOUR, 9, segments=6),
+    'line_slow': Scenario(X, 100.0, 2 * HOUR, 3, line=(0.03, 0.02)),
+    'line_fast': Scenario(X, 100.0, 2 * HOUR, 2, line=(0.03, 0.2)),
+    'gauss_markov': Scenario(X, 100.0, 2 * HOUR, 1, gauss_markov=(0.01, 10.0)),
+    'month': Scenario(MONTH, 1.0, 30 * DAY, 15, segments=2600, at_random=True),
+    'month_flicker': Scenario(WITH_FLICKER, 1.0, 30 * DAY, 16, segments=2600, at_random=True),
+    'month_whole': Scenario(WITH_FLICKER, 1.0, 30 * DAY, 17),
+    'month_gauss_markov': Scenario(
+        MONTH, 1.0, 30 * DAY, 18, segments=2600, at_random=True, gauss_markov=(0.04, 100.0)
+    ),
 }
 
 
@@ -173,7 +196,7 @@ def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
         if file and file.exists():
             yield pickle.loads(file.read_bytes())
             continue
-        seed = [sorted(SCENARIOS).index(scenario), block]
+        seed = [SCENARIOS[scenario].seed, block]
         sums = SCENARIOS[scenario].draw(np.random.default_rng(seed), len(AXES))
         if file:
             file.write_bytes(pickle.dumps(sums))

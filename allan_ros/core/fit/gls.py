@@ -10,12 +10,12 @@ import numpy as np
 
 from ..findings import Finding
 from ..sums import AllanSums
-from .evidence import Evidence
+from .evidence import Evidence, Table
 from .explain import explain, explain_nothing, joined
 from .extra import GaussMarkovTerm
 from .frame import Chosen, choose_frame
 from .intervals import PowerInterval, power_interval
-from .model import RANDOM_TERMS, to_si
+from .model import RANDOM_TERMS, Floats, to_si
 from .ramp_interval import RampInterval, ramp_interval
 from .search import Candidate
 from .solve import K, N, Q, solve
@@ -51,8 +51,9 @@ def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> tuple[AxisFit, list
     if len(table.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(evidence, axis, constant)
     intervals = [power_interval(table, t, power, frame.misfit) for t in range(len(power))]
+    values = _consistent(table, power, intervals, frame.misfit)
     noise = {
-        name: _coefficient(name, float(power[t]), intervals[t], tau0)
+        name: _coefficient(name, float(values[t]), intervals[t], tau0)
         for t, name in enumerate(RANDOM_TERMS)
     }
     if chosen.filtered or frame.m_min > 1:
@@ -61,12 +62,30 @@ def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> tuple[AxisFit, list
         # A q that cannot be told from 0 nearly doubles the error of N; its interval keeps q.
         others = tuple(t for t in range(len(power)) if t != Q)
         alone = solve(table, power, columns=others, misfit=frame.misfit)
-        noise['N'] = _coefficient('N', float(alone[N]), intervals[N], tau0)
+        value = _consistent(table, alone, intervals, frame.misfit)[N]
+        noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
     ramp = ramp_interval(evidence, axis, chosen.fit, intervals[K].upper)
     noise['R'] = _ramp(ramp, tau0)
     gauss_markov, sinusoid = _extras(chosen, intervals[len(RANDOM_TERMS) :], tau0)
     fit = AxisFit(noise, frame.misfit, frame.m_min, chosen.first.z, gauss_markov, sinusoid)
     return fit, explain(evidence, axis, chosen, fit, ramp, tau0)
+
+
+def _consistent(
+    table: Table, power: Floats, intervals: list[PowerInterval], misfit: float
+) -> Floats:
+    """Return the powers, those outside of their interval replaced by what the interval is about.
+
+    Intervals leave q its sign, values do not. Where a negative q matters, in one record of a
+    hundred, a value without it would lie outside and claim to be exact on one side.
+    """
+    seen = [t for t, i in enumerate(intervals) if i.observable]
+    outside = [t for t in seen if not intervals[t].low < power[t] < intervals[t].high]
+    if not outside:
+        return power
+    out = power.copy()
+    out[outside] = solve(table, power, signed=True, misfit=misfit)[outside]
+    return out
 
 
 def _coefficient(name: str, power: float, interval: PowerInterval, tau0: float) -> Coefficient:

@@ -23,9 +23,6 @@ JITTER = 1e-4
 """Added to the correlation matrix of the table before it is factored: neighbouring factors are
 almost one and the same number, and the covariance is only known to about this."""
 
-MAX_JITTER = 1e3
-"""With so much added any correlations can be factored; what still cannot are none."""
-
 TOLERANCE = 1e-3
 """Relative change of the powers at which the iteration stops: far below their errors."""
 
@@ -66,23 +63,21 @@ class Whitening:
         Raises
         ------
         AllanError
-            When it is no covariance at all, whatever is added: it holds NaN.
+            When it is no covariance at all.
         """
         deviation = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(deviation, deviation)
-        jitter = JITTER
-        while jitter < MAX_JITTER:
-            correlation[np.diag_indices_from(correlation)] = 1.0 + jitter
-            try:
-                lower = np.linalg.cholesky(correlation)
-            except np.linalg.LinAlgError:
-                jitter *= 10.0
-            else:
-                return cls(lower, deviation)
-        raise AllanError(
-            'these sums follow no noise that can be computed: their numbers span too much, or '
-            'are damaged; accumulate anew'
-        )
+        try:
+            lower = _factor(correlation)
+        except np.linalg.LinAlgError:
+            lower = np.full_like(correlation, np.nan)
+        # What holds NaN is factored into NaN by some builds of LAPACK, refused by others.
+        if not np.isfinite(lower).all():
+            raise AllanError(
+                'these sums follow no noise that can be computed: their numbers span too much, or '
+                'are damaged; accumulate anew'
+            )
+        return cls(lower, deviation)
 
     def apply(self, columns: Floats) -> Floats:
         """Return columns of table values in units of unit covariance."""
@@ -96,6 +91,22 @@ class Whitening:
     def scatter(self, contrast: Floats) -> Floats:
         """Return the covariance of the table with that sum."""
         return np.asarray(self.lower @ contrast * self.deviation)
+
+
+def _factor(correlation: Floats) -> Floats:
+    """Return the factor of a correlation matrix with `JITTER` on its diagonal.
+
+    Powers far from those that the ramps' weights were made for, as are tried at the far end of an
+    interval, make the covariance less the ramps slightly indefinite: then that of the nearest
+    matrix with no eigenvalue below 0 (Higham, LAA 103, 1988).
+    """
+    jitter = JITTER * np.eye(len(correlation))
+    try:
+        return np.asarray(np.linalg.cholesky(correlation + jitter), float)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(correlation)
+        nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return np.asarray(np.linalg.cholesky(nearest + jitter), float)
 
 
 def solve(

@@ -107,6 +107,16 @@ def test_opposite_ramps_of_two_spans_are_no_walk():
     assert noise_of(sums_of(*spans))['K'].status == 'not_observable'
 
 
+def test_no_value_stands_at_the_end_of_its_interval():
+    """A record, one of a hundred, whose q is far below zero by chance: N without it is low."""
+    rng = np.random.default_rng(12)
+    y = [simulate_axis(8000, TAU0, NoiseTerms(N=1e-3), rng) for _ in range(6)][5]
+    noise = noise_of(sums_of(y))
+    assert noise['Q'].status == 'not_observable'
+    low, high = noise['N'].ci95
+    assert 0.8 < (noise['N'].value - low) / (high - noise['N'].value) < 1.2
+
+
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """20 records of 10 min: of 95 % intervals, 7 or more misses happen once in 30,000 times."""
     truth = NoiseTerms(N=1e-3, B=4e-4, K=1.5e-4)

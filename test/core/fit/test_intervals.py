@@ -5,10 +5,11 @@ import pytest
 from scipy import special
 
 from allan_ros.core.engine import RunningAllan
+from allan_ros.core.errors import AllanError
 from allan_ros.core.fit.evidence import Evidence
 from allan_ros.core.fit.intervals import Score, cross, normal_deviate, power_interval
 from allan_ros.core.fit.point import point_fit
-from allan_ros.core.fit.solve import B, K, N
+from allan_ros.core.fit.solve import JITTER, B, K, N, Whitening, weights_at
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 
@@ -78,3 +79,30 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
     assert not interval.observable
     assert interval.low == 0.0
     assert 0.0 < interval.upper < np.inf
+
+
+@pytest.mark.parametrize('factor', [30.0, 1e4])
+def test_a_walk_held_far_off_still_has_a_covariance(fit, factor):
+    """The ramps' weights are not made for it: what is indefinite of it is left out, no more."""
+    power = fit.power * np.array([1.0, 1.0, 1.0, factor])
+    covariance = weights_at(fit.table, power, 0.0)
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation)
+    assert np.linalg.eigvalsh(correlation)[0] < -JITTER
+    lower = Whitening.of(covariance).lower
+    change = lower @ lower.T - correlation
+    assert np.linalg.norm(change, 2) == pytest.approx(
+        JITTER - np.linalg.eigvalsh(correlation)[0], rel=1e-6
+    )
+
+
+def test_a_term_held_further_off_is_further_off(fit):
+    score = Score(fit.table, K, fit.power)
+    z = [score(fit.power[K] * factor) for factor in (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3)]
+    assert np.all(np.diff(z) < 0.0)
+
+
+@pytest.mark.parametrize('wrong', [np.nan, np.inf, 1e30])
+def test_what_is_no_covariance_is_refused(wrong):
+    with np.errstate(all='ignore'), pytest.raises(AllanError, match='accumulate anew'):
+        Whitening.of(np.array([[1.0, wrong, 0.0], [wrong, 1.0, 0.0], [0.0, 0.0, 1.0]]))
