@@ -99,6 +99,26 @@ def test_the_layouts_name_what_the_monitor_publishes(graph, still_imu, viewers: 
         assert ('accel' in name) == (path == 'Accelerometers')
 
 
+def test_plotjuggler_can_lay_out_what_the_file_says(viewers: Path) -> None:
+    root = ElementTree.parse(viewers / 'plotjuggler.xml').getroot()
+    tabs = root.findall('tabbed_widget/Tab')
+    assert len(tabs) == 3 and {len(tab.findall('Container/DockSplitter')) for tab in tabs} == {1}
+    for splitter in root.iter('DockSplitter'):
+        # it makes as many panes as are counted, and takes a size for each
+        assert splitter.attrib['orientation'] in ('|', '-')
+        assert len(splitter) == int(splitter.attrib['count'])
+        assert len(splitter.attrib['sizes'].split(';')) == len(splitter)
+        assert {child.tag for child in splitter} <= {'DockSplitter', 'DockArea'}
+    for area in root.iter('DockArea'):
+        assert area.attrib['name'] and area.find('plot/curve') is not None
+
+
+def test_foxglove_names_its_panels(viewers: Path) -> None:
+    for name, config in foxglove_configs(viewers).items():
+        titled = {'foxglovePanelTitle', 'lichtblickPanelTitle'} & set(config)
+        assert len(titled) == (0 if name.startswith('Tab!') else 2), name
+
+
 @pytest.mark.parametrize(
     ('name', 'path'),
     [
