@@ -124,6 +124,8 @@ class NoiseFloor:
         # an axis that is stuck says nothing of its noise
         quiet = _quantile(block.variance, QUIET)
         quiet = np.where(quiet > 0.0, quiet, self.variance)
+        if (quiet > self.variance / RELEARN_RATIO**2).all():
+            return None  # the common case: no scale is below, either
         new = replace(self, variance=quiet)
         if not (RELEARN_RATIO**2 * new.scale < self.scale).any():
             return None
@@ -147,7 +149,7 @@ class NoiseFloor:
             rest = block if still.all() else block[still]
             recent = _quantile(rest.variance, QUIET)
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
-            return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
+            return NoiseFloor(variance, self.step, _quantile(rest.mean, 0.5), self.lsb)
         if turning:
             # a steady rate for a whole block is a bias that jumped, or was learned in a turn
             return replace(self, mean=_quantile(block.mean, 0.5))

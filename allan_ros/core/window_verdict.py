@@ -86,7 +86,8 @@ def judge_windows(
     """
     limits = _Limits.of(floor, size, motion_ratio, rate_limit)
     previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
-    step = np.abs(np.diff(np.concatenate([previous, windows.mean], axis=1), axis=1))
+    means = np.concatenate([previous, windows.mean], axis=1)
+    step = np.abs(means[:, 1:] - means[:, :-1])
     restless = windows.variance > LEAVE_SHARE**2 * limits.variance
     knocked = (windows.peak > limits.peak) | (step > limits.step)
     turning = np.abs(windows.mean - floor.mean[:, None]) > limits.turn
