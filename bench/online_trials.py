@@ -14,11 +14,14 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
+from doc_table import DocTable
 from online_nodes import RELIABLE, Client, node, start
 
 from allan_ros.core.accumulator import ImuAccumulator
@@ -31,6 +34,10 @@ from allan_ros.io.writing import write_recording
 
 GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
 START_NS = 10**18
+KILLS = 'kill', 'after', 'samples in the checkpoint', 'lost by it', 'that is'
+RESTART_S = 12.0
+"""What a restart may take, until the first checkpoint, on a busy machine."""
+
 BEST_EFFORT = 10
 """How often the bag is played to a subscription that asks for nothing again."""
 
@@ -48,11 +55,7 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
         keep[rng.integers(0, len(whole), 30)] = False  # lost samples that are bridged
         batch = ImuBatch(whole.stamps_ns[keep], whole.samples[keep], frame_id='imu')
         write_recording(bag, [batch])
-        offline = ImuAccumulator()
-        for piece in open_recordings([bag])[0].batches():
-            offline.update(piece)
-        offline.end()
-        expected = [sums_to_document(s) for s in offline.result().sums]
+        expected = _offline(open_recordings([bag])[0].batches())
         client = Client()
         plays = [('1', RELIABLE), ('50', RELIABLE), ('0', RELIABLE), *[('50', ())] * BEST_EFFORT]
         for speed, ros in plays:
@@ -67,13 +70,25 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
                 keys = ('received', 'sent before', 'lost on the way')
                 received, before, lost = (int(client.value('input', key)) for key in keys)
             sums = json.loads(checkpoint.read_text())['sums']
+            unseen = len(batch) - received - lost - before
+            verdict = f'bit-identical: {sums == expected}'
+            if unseen and not lost + before:
+                verdict += f', to those without the end: {sums == _offline([batch[:received]])}'
             print(
                 f'speed {speed:>2}, {"reliable" if ros else "best effort"}: {len(batch)} played, '
                 f'{received} received, {lost} said to be lost, {before} sent before the first, '
-                f'{len(batch) - received - lost - before} unseen; '
-                f'{len(sums[0]["segments"])} segments, bit-identical: {sums == expected}',
+                f'{unseen} unseen; {len(sums[0]["segments"])} segments, {verdict}',
                 flush=True,
             )
+
+
+def _offline(batches: Iterable[ImuBatch]) -> list[dict[str, Any]]:
+    """Return the sums of batches as they are saved."""
+    accumulator = ImuAccumulator()
+    for batch in batches:
+        accumulator.update(batch)
+    accumulator.end()
+    return [sums_to_document(s) for s in accumulator.result().sums]
 
 
 def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
@@ -83,8 +98,9 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
         f'qos_overrides./imu/data.publisher.{p}' for p in ('history:=keep_last', 'depth:=5000')
     ]
     rng = random.Random(4)
-    pauses = [rng.uniform(3.0, 6.0) for _ in range(count)]
-    length_s = (sum(pauses) + 4.0 * count + 10.0) * speed
+    pauses = [rng.uniform(0.0, 4.0) for _ in range(count)]
+    length_s = (sum(pauses) + RESTART_S * count) * speed
+    held = [0]
     with tempfile.TemporaryDirectory() as folder:
         bag, checkpoint = Path(folder) / 'bag', Path(folder) / 'sums.json'
         batches = list(simulate_imu(length_s, rate, GYRO, ACCEL, start_ns=START_NS))
@@ -92,34 +108,42 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
         ros = (RELIABLE[0], f'checkpoint.path:={checkpoint}', 'checkpoint.period:=0.5')
         accumulator = start('accumulator', ros=ros)
         with node('player', str(bag), '--rate', str(speed), ros=forgetful) as player:
-            print(f'{"kill":>4} {"after":>7} {"samples in the checkpoint":>26}')
-            for number, pause in enumerate(pauses, 1):
-                time.sleep(pause + 2.0)
-                accumulator.end(signal.SIGKILL)
-                held = _samples(checkpoint)
-                print(f'{number:>4} {pause + 2.0:5.1f} s {held:>26}', flush=True)
-                accumulator = start('accumulator', ros=ros)
-            while player.popen.poll() is None:
-                time.sleep(0.5)
-        time.sleep(2.0)
+            for pause in [*pauses, 0.0]:
+                while _samples(checkpoint) <= held[-1]:
+                    if player.popen.poll() is not None:
+                        raise SystemExit(f'the recording is too short: {len(held) - 1} kills')
+                    time.sleep(0.05)
+                time.sleep(pause)
+                if len(held) <= count:
+                    accumulator.end(signal.SIGKILL)
+                    held.append(_samples(checkpoint))
+                    accumulator = start('accumulator', ros=ros)
         accumulator.end()
         document = json.loads(checkpoint.read_text())
-        total = sums_from_document(document['sums'][0])
     # the sums of the surviving spans of the bag, each a segment of its own, in one uncut run
-    stamps = np.concatenate([b.stamps_ns for b in batches])
-    samples = np.concatenate([b.samples for b in batches])
+    total = sums_from_document(document['sums'][0])
+    whole, spans = ImuBatch.concatenated(batches), document['segments']
     expected = RunningAllan(total.identity, AXES)
-    for span in document['segments']:
-        first = int(np.searchsorted(stamps, span['start_ns']))
+    ends, kept = {0: 0}, 0  # samples that were kept -> where in the bag the last of them is
+    for span in spans:
+        first = int(np.searchsorted(whole.stamps_ns, span['start_ns']))
         rows = slice(first, first + span['samples'])
-        expected.update(samples[rows], int(stamps[rows][0]), int(stamps[rows][-1]))
+        expected.update(whole.samples[rows], *(int(whole.stamps_ns[rows][i]) for i in (0, -1)))
         expected.end_segment()
+        kept += span['samples']
+        ends[kept] = rows.stop
+    starts = sorted(int(np.searchsorted(whole.stamps_ns, span['start_ns'])) for span in spans)
+    table = DocTable('kills', KILLS)
+    for number, (pause, samples) in enumerate(zip(pauses, held[1:]), 1):
+        end = ends[samples]  # a checkpoint that is no sum of whole spans would be a fault of ours
+        lost = next(first for first in starts if first >= end) - end
+        cells = f'{pause:.1f} s', str(samples), str(lost), f'{lost / rate / speed:.1f} s'
+        table.put((str(number), *cells))
+        print(number, *cells, sep=' | ')
     worst = float(np.max(np.abs(total.sum_sq / expected.sums.sum_sq - 1.0)))
-    lost = len(stamps) - total.samples
     print(
-        f'{len(stamps)} samples played, {total.samples} in {total.segment_count} segments of the '
-        f'final sums, {lost} between a checkpoint and the restart '
-        f'({lost / rate / speed / count:.2f} s of wall time a kill)\n'
+        f'{total.samples} samples in {total.segment_count} segments of the final sums, '
+        f'{document["counts"]["bridged"]} of them interpolated for messages lost on the way; '
         f'counts equal those of the surviving spans: '
         f'{bool(np.array_equal(total.count, expected.sums.count))}; '
         f'largest relative difference of the sums: {worst:.1e}'

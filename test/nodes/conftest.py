@@ -167,7 +167,11 @@ class Graph:
         return next((v.value for v in pairs if v.key == key or v.key.startswith(f'{key} [')), None)
 
     def summary(self) -> str:
-        return '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
+        """Return every status, and all that is known of the inputs."""
+        known = (v for name, s in self.statuses.items() if name.endswith('input') for v in s.values)
+        counts = ', '.join(f'{v.key} {v.value}' for v in known)
+        said = '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
+        return f'{said} ({counts})'
 
     def override(self, **parameters: Any) -> None:
         """Give the client node parameters, as a launch file does; for what it makes from now on."""
@@ -191,8 +195,7 @@ class Graph:
         from allan_ros.nodes.handshake import Handshake
 
         handshake = Handshake(self.node, publisher, wanted)
-        self.until(handshake.update)
-        assert not handshake.silent()
+        self.until(lambda: handshake.update() and not handshake.silent())
         handshake.close()
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:
@@ -249,6 +252,17 @@ class Graph:
         from std_srvs.srv import Trigger
 
         return self.ask(Trigger, service, Trigger.Request())
+
+    def model_of(self, samples: int) -> dict[str, Any]:
+        """Let the monitor fit so many samples and return its model: fits on the way are of fewer.
+
+        It fits no more by itself after that, until more samples come.
+        """
+        models = self.latched('/allan_monitor/noise_model')
+        self.until(lambda: self.value('input', 'used') == str(samples))
+        self.call('/allan_monitor/save')  # which hands the sums of all to the fit
+        self.until(lambda: self.call('/allan_monitor/fit').success)
+        return self.until(lambda: models and models[-1]['samples'] == samples and models[-1])
 
     def latched(self, topic: str) -> list[dict[str, Any]]:
         """Subscribe to a latched String topic and return the list its documents go to."""

@@ -35,7 +35,7 @@ def test_the_plot_is_drawn_for_who_subscribes_and_not_before(graph, still_imu):
     image = pytest.importorskip('matplotlib.image')
     monitor = graph.start('monitor', **QUICK)
     graph.send(graph.publisher(), still_imu(6000))
-    graph.until(lambda: (s := graph.status('gyro x')) and s.message[0] == 'N')
+    graph.model_of(6000)
     loaded = Path(f'/proc/{monitor.popen.pid}/maps')
     assert 'matplotlib' not in loaded.read_text()
     pictures = subscribe(graph)

@@ -251,14 +251,10 @@ def test_a_relay_to_itself_is_refused(graph):
 def test_the_monitor_relays_what_it_measures(graph, still_imu):
     monitor = graph.start('monitor', **QUICK, **{'relay.enabled': True, 'publish.sums_period': 0.5})
     received = raw(graph)
-    models = graph.latched('/allan_monitor/noise_model')
     publisher = graph.publisher()
     batch = still_imu(6000)
     graph.send(publisher, batch)
-    graph.until(lambda: graph.value('input', 'used') == '6000')
-    assert graph.call('/allan_monitor/save').message  # there the sums of all are handed on
-    graph.until(lambda: graph.call('/allan_monitor/fit').success)
-    model = graph.until(lambda: models and models[-1]['samples'] == 6000 and models[-1])
+    model = graph.model_of(6000)
     variance = model['axes']['gyro_x']['white_std_per_sample'] ** 2
     graph.until(
         lambda: (
