@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Long runs: what grows, what is lost, what the results become.
 
-    python bench/bench_soak.py month       a month at 200 Hz as fast as it goes, about 10 min
+    python bench/bench_soak.py month       a month at 200 Hz as fast as it goes, 10 to 25 min
     python bench/bench_soak.py live        30 min at 1 kHz through DDS into allan_monitor
     python bench/bench_soak.py live 600    the same for so many seconds
 

@@ -26,6 +26,7 @@ from allan_ros.core.accumulator import Accumulation, ImuAccumulator
 from allan_ros.core.batch import AXES, ImuBatch
 from allan_ros.core.health import Counts
 from allan_ros.core.simulate import LEVEL
+from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.documents import sums_file_to_document
 from allan_ros.io.results import Provenance, analyse_sums
 from allan_ros.nodes.checkpointing import CheckpointKeeper
@@ -180,10 +181,9 @@ def _save_and_read(keeper: CheckpointKeeper, path: Path, known: Accumulation) ->
     total = keeper.total(known.sums, provenance)
     if not keeper.save(total):
         raise SystemExit(f'not saved: {keeper.findings}')
-    read = CheckpointKeeper(str(path), logging.getLogger('soak'))
+    read = Checkpoint(str(path))
     took = time.process_time() - at
     written = sums_file_to_document(*total)['sums']
     if sums_file_to_document(read.sums, Provenance())['sums'] != json.loads(json.dumps(written)):
         raise SystemExit('the checkpoint does not read as what was written')
-    read.close()
     return took
