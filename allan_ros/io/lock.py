@@ -41,7 +41,8 @@ class PathLock:
         """
         while self._handle is None:
             try:
-                handle = os.open(self._mark, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW, 0o644)
+                # not for writing: that would keep a file system from being remounted read-only
+                handle = os.open(self._mark, os.O_CREAT | os.O_RDONLY | os.O_NOFOLLOW, 0o644)
             except OSError as error:
                 raise unwritable(self._path, error) from error
             try:
@@ -57,8 +58,7 @@ class PathLock:
                 continue
             self._handle = handle
             with contextlib.suppress(OSError):  # a full disk: then nobody can be named
-                os.truncate(handle, 0)
-                os.pwrite(handle, f'{os.getpid()}\n'.encode(), 0)
+                self._mark.write_text(f'{os.getpid()}\n')
         return ''
 
     def release(self) -> None:
