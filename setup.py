@@ -58,6 +58,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/config/fastdds', glob('config/fastdds/*')),
         (f'share/{PACKAGE}/config/filters', glob('config/filters/*.yaml')),
         (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
         (f'share/{PACKAGE}/config/sros2', glob('config/sros2/*')),

@@ -67,6 +67,18 @@ def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path
     assert graph.until(lambda: graph.value('input', 'lost on the way')) == '0'
 
 
+def test_deep_shared_memory_holds_what_comes_at_once(graph, monkeypatch):
+    """Best effort, and more at once than Fast DDS holds by default, but less than the profile."""
+    profile = Path(__file__).resolve().parents[2] / 'config' / 'fastdds' / 'deep_shared_memory.xml'
+    for name in ('FASTDDS', 'FASTRTPS'):  # the second is that of Fast DDS 2
+        monkeypatch.setenv(f'{name}_DEFAULT_PROFILES_FILE', str(profile))
+    graph.start('accumulator', **{'publish.diagnostics_period': 0.2})
+    player = graph.start('player', '--simulate', '10', '--frequency', '300', '--rate', '0')
+    assert player.wait() == 0, player.output
+    graph.until(lambda: graph.value('input', 'received') == '3000')
+    assert graph.value('input', 'lost on the way') == '0'
+
+
 def test_it_publishes_its_sums_and_health(graph, still_imu):
     graph.start('accumulator', **FAST)
     documents = graph.latched('/allan_accumulator/sums')
