@@ -231,7 +231,7 @@ def _nanoseconds(
         if not INT64.min <= value <= INT64.max:
             raise AllanError(
                 f'{path}: line {numbers[row]}, column {column + 1}: the time {cell.strip()} does '
-                'not fit the years a stamp can hold: state the unit of the stamps (s, ms, us, ns)'
+                'not fit the years a stamp can hold: say its unit by --stamp-unit (s, ms, us, ns)'
             )
         result[row] = value
     return result

@@ -138,7 +138,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         (f'{HEADER}1,{ROW}\nnoon,{ROW}\n', {}, "line 3, column 1 (t): 'noon' is not a number"),
         (f'{HEADER}1,{ROW}\n2,1,2,3\n3,{ROW}\n', {}, 'line 3 has 4 columns, 7 expected'),
         (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
-        (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'state the unit of the stamps'),
+        (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'say its unit by --stamp-unit'),
         (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate with --rate'),
