@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -29,6 +30,15 @@ FORM = {
 """Element -> its attributes and what it holds (policy 0.2.0; actions we have none)."""
 
 
+WORDS = {'publish': 'out', 'subscribe': 'in', 'reply': 'reply'}
+"""How the policy says it -> how the tables of the docs do."""
+
+EVERY_NODE = re.compile(
+    'in clock|out rosout|.*parameter.*|reply ~/get_type_description'
+    '|in ~/noise_model'  # the relay in the monitor hears the monitor
+)
+
+
 def test_the_policy_is_of_the_documented_form() -> None:
     root = ET.parse(POLICY).getroot()
     assert (root.tag, root.get('version')) == ('policy', '0.2.0')
@@ -42,6 +52,39 @@ def test_the_policy_is_of_the_documented_form() -> None:
             assert element.text and '*' not in element.text  # nothing is allowed wholesale
     paths = [enclave.get('path') for enclave in root.iter('enclave')]
     assert len(paths) == 6 == len(set(paths))
+
+
+def test_the_tables_of_the_docs_are_what_the_policy_says() -> None:
+    """The policy is held against the running nodes, so the tables are too."""
+    text = (ROOT / 'docs' / 'online.md').read_text()
+    told: dict[str, set[tuple[str, str]]] = {}
+    for names, _, uses, _ in rows(text, '| topic |'):
+        for how, nodes in (use.split(':') for use in uses.split(';')):
+            for node in nodes.split(','):
+                told.setdefault(node.strip(), set()).update((how.strip(), n) for n in names)
+    for names, nodes, _ in rows(text, '| service |'):
+        for node in nodes.split(','):
+            told.setdefault(node.strip(), set()).update(('reply', n) for n in names)
+    assert told == {node: allowed(node) for node in told} and len(told) == 6
+
+
+def rows(text: str, head: str) -> list[list]:
+    """Return the rows of a table: the names in its first column, and the other columns."""
+    table = text[text.index(head) :].partition('\n\n')[0].splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip('|').split('|')] for line in table]
+    return [[re.findall('`/?(.*?)`', first), *others] for first, *others in cells]
+
+
+def allowed(node: str) -> set[tuple[str, str]]:
+    """Return what the policy allows to a node, without what every node has."""
+    enclave = ET.parse(POLICY).getroot().find(f".//enclave[@path='/allan_ros/allan_{node}']")
+    return {
+        (WORDS[how], element.text)
+        for group in enclave.iter()
+        for how in WORDS.keys() & group.keys()
+        for element in group
+        if not EVERY_NODE.fullmatch(f'{WORDS[how]} {element.text}')
+    }
 
 
 def test_the_policy_is_what_the_nodes_use(ros_domain: int) -> None:
