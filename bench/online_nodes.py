@@ -20,6 +20,9 @@ TICKS = os.sysconf('SC_CLK_TCK')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
 
+ANSWER_S = 10.0
+"""A service that has not answered by then is asked again."""
+
 RELIABLE = (
     'qos_overrides./imu/data.subscription.reliability:=reliable',
     'qos_overrides./imu/data.subscription.history:=keep_all',
@@ -152,12 +155,17 @@ class Client:
         return publisher
 
     def call(self, service: str) -> Any:
-        """Call a Trigger service and return its response."""
+        """Call a Trigger service that may be called twice, and return its response.
+
+        An answer is lost to a client that the node has not found yet: then it is asked again.
+        """
         from std_srvs.srv import Trigger
 
         client = self.node.create_client(Trigger, service)
         client.wait_for_service()
-        future = client.call_async(Trigger.Request())
-        while not future.done():
-            self.spin(0.1)
-        return future.result()
+        while True:
+            future, since = client.call_async(Trigger.Request()), time.monotonic()
+            while time.monotonic() - since < ANSWER_S:
+                if future.done():
+                    return future.result()
+                self.spin(0.1)

@@ -23,6 +23,7 @@ RELIABLE = [
 """With these a full queue makes the player wait, so that nothing is lost at any speed."""
 
 PATIENCE_S = 300.0
+ANSWER_S = 10.0
 
 
 def play(bag: Path, folder: Path, sensor: str) -> int:
@@ -83,9 +84,12 @@ def _fit() -> None:
         client = node.create_client(Trigger, f'/allan_monitor/{service}')
         if not client.wait_for_service(PATIENCE_S):
             raise TimeoutError(service)
-        future = client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE_S)
-        return future.result()
+        while time.monotonic() < deadline:  # a node answers nobody whom it has not found yet
+            future = client.call_async(Trigger.Request())
+            rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_S)
+            if future.done():
+                return future.result()
+        raise TimeoutError(service)
 
     saved = call('save')
     while not call('fit').success and time.monotonic() < deadline:
