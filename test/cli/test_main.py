@@ -156,7 +156,7 @@ def test_what_a_user_can_mend_is_one_line_and_exit_1(
 def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
     endless = tmp_path / 'endless.mcap'
     process = subprocess.Popen(
-        [*ALLAN, 'simulate', str(endless), '--preset', 'paper', '--hours', '100'],
+        [*ALLAN, 'simulate', str(endless), '--preset', 'paper', '--hours', '20'],
         stderr=subprocess.PIPE,
         text=True,
     )
