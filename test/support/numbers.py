@@ -1,11 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a number in a document may be."""
+"""What a number in a document may be, and sums whose numbers are extreme."""
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
+
+import numpy as np
+
+from allan_ros.core.batch import AXES, LARGEST
+from allan_ros.core.sums import AllanSums
+
+from .sums import sums_of
+
+NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
+"""What no text of ours says."""
 
 SIGNED = {'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'}
 """Fields whose numbers may be below zero."""
@@ -23,3 +34,27 @@ def check_numbers(value: Any, key: str = '') -> None:
         assert type(value) in (bool, int, float), f'{key} is a {type(value).__name__}'
         assert math.isfinite(value), f'{key} is {value}'
         assert value >= 0 or key in SIGNED, f'{key} is {value}'
+
+
+def noisy_sums(n: int = 1000) -> AllanSums:
+    """Return sums of axes with tiny, common, huge, walking, rounded and steep noise."""
+    noise = np.random.default_rng(8).uniform(-1.0, 1.0, (n, 6))
+    noise *= (1e-36, 1e-3, LARGEST, 1e-20, 1.0, 1e12)
+    noise[:, 3] = noise[:, 3].cumsum()
+    noise[:, 4] = np.diff(noise[:, 4], prepend=0.0)
+    noise[:, 5] += 1e12 * np.arange(n)
+    return sums_of(noise, cuts=(n // 3,), axes=AXES)
+
+
+def noiseless_sums(n: int = 400) -> AllanSums:
+    """Return sums of axes that are constant, subnormal, knocked, stepped, steep, alternating."""
+    i = np.arange(n)
+    columns = (
+        np.full(n, 9.8),
+        1e-310 * (i % 3),
+        1.0 * (i == 7),
+        1e-9 * (i > 9),
+        1e15 * i,
+        (-1.0) ** i,
+    )
+    return sums_of(np.column_stack(columns), cuts=(n // 3,), axes=AXES)
