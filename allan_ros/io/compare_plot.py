@@ -27,16 +27,16 @@ from .run_comparison import RunComparison, Subject
 from .shown import pretty_unit, shown_unit
 
 RUN_STYLES = (
-    ('#000000', 'o', '-'),
+    ('', 'o', '-'),
     ('#D55E00', 's', '--'),
     ('#0072B2', '^', '-.'),
     ('#009E73', 'D', ':'),
     ('#CC79A7', 'v', (0, (5, 1, 1, 1, 1, 1))),
     ('#E69F00', 'P', (0, (8, 2))),
 )
-"""Colour, marker and dashes of each run; a seventh begins anew."""
+"""Colour ('' for that of the text), marker and dashes of each run; a seventh begins anew."""
 
-HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.55
+HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.45
 """Inches above the panels, of each row of the legend there, and between the panels of an axis."""
 
 LEGEND_COLUMNS = {True: 4, False: 2}
@@ -124,11 +124,13 @@ def _head(
     name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
     figure.text(left, top, name, va='top', weight='bold', size='large')
     if with_ratios:
-        right, said = 1.0 - MARGIN_IN / width, 'ratio filled: more than chance'
-        figure.text(right, top - 0.04 / height, said, va='top', ha='right', size=SMALL)
+        right = 1.0 - MARGIN_IN / width
+        said = f'right: ratio to {comparison.runs[0].label}, filled where more than chance'
+        text = figure.text(right, top - 0.04 / height, said, va='top', ha='right', size=SMALL)
+        text.set_parse_math(False)
     handles = []
     for i, run in enumerate(comparison.runs):
-        colour, marker, dashes = RUN_STYLES[i % len(RUN_STYLES)]
+        colour, marker, dashes = _look(i)
         handles.append(
             Line2D(
                 *([], []),
@@ -151,8 +153,14 @@ def _head(
         fontsize=SMALL,
         frameon=False,
     )
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    for name_of_run in legend.get_texts():
+        name_of_run.set_parse_math(False)
+
+
+def _look(run: int) -> tuple[str, str, Any]:
+    """Return colour, marker and dashes of a run."""
+    colour, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
+    return colour or rcParams['text.color'], marker, dashes
 
 
 def _has_curve(run: Subject, axis: str) -> bool:
@@ -176,7 +184,7 @@ def _draw_curves(panel: Axes, axis: str, comparison: RunComparison, units: str) 
     taus = np.concatenate([curve.tau for _, curve in known])
     log_axes(panel, (taus.min() / 1.3, taus.max() * 1.3), (0.6 * adevs.min(), 1.8 * adevs.max()))
     for i, curve in known:
-        colour, marker, dashes = RUN_STYLES[i % len(RUN_STYLES)]
+        colour, marker, dashes = _look(i)
         low, high = (
             np.where(v > 0.0, unit.factor * v, np.nan) for v in (curve.ci_low, curve.ci_high)
         )
@@ -194,9 +202,9 @@ def _draw_curves(panel: Axes, axis: str, comparison: RunComparison, units: str) 
 
 def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
     """Draw the ratio of the deviations to those of the first run, with 95 % intervals."""
-    panel.axhline(1.0, color=RUN_STYLES[0][0], linewidth=0.8)
+    panel.axhline(1.0, color=rcParams['text.color'], linewidth=0.8)
     for i, pair in enumerate(comparison.pairs, 1):
-        colour, marker, _ = RUN_STYLES[i % len(RUN_STYLES)]
+        colour, marker, _ = _look(i)
         for d in pair.differences:
             if d.axis != axis or d.tau is None or d.ratio is None or d.ci95 is None:
                 continue
@@ -207,7 +215,9 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
                 color=colour,
                 marker=marker,
                 markersize=4.0,
-                markerfacecolor=colour if d.verdict in ('higher', 'lower') else 'white',
+                markerfacecolor=colour
+                if d.verdict in ('higher', 'lower')
+                else rcParams['axes.facecolor'],
                 capsize=1.5,
                 linewidth=0.9,
             )
@@ -220,7 +230,6 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
     panel.yaxis.set_major_locator(FixedLocator([*(1.0 / t for t in ticks), 1.0, *ticks]))
     panel.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f'{ratio:.3g}'))
     panel.yaxis.set_minor_locator(NullLocator())
-    panel.set_ylabel(f'ratio to {comparison.runs[0].label}').set_parse_math(False)
     panel.xaxis.set_major_formatter(FuncFormatter(lambda tau, _: tick_text(tau)))
     panel.xaxis.set_minor_locator(NullLocator())
     panel.set_axisbelow(True)

@@ -375,11 +375,11 @@ def _draw_signal(panel: Axes, axis: str, outline: Outline, units: str) -> None:
         *(outline.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
     )
     for start, end in outline.gaps:
-        panel.axvspan(start / scale, end / scale, fc='0.88', lw=0)
+        panel.axvspan(start / scale, end / scale, fc=rcParams['grid.color'], lw=0)
     for start, end, why in outline.left_out:
         span, hatch = (start / scale, end / scale), HATCHES[why == 'motion']
         panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=VEIL, lw=0)
-        panel.axvspan(*span, fc='none', ec='0.3', hatch=2 * hatch, lw=0)
+        panel.axvspan(*span, fc='none', ec=rcParams['text.color'], hatch=2 * hatch, lw=0)
     for start in outline.starts[1:]:
         panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
     reach = ABOVE_SIGNAL * unit.factor * float(outline.reach[column])
