@@ -22,6 +22,7 @@ from allan_ros.io.plots import as_element, sensor_figure, to_form
 from allan_ros.io.report import Beside, render_report
 from allan_ros.io.results import Results
 from allan_ros.io.sensors import load_sensor
+from allan_ros.io.temperature import TemperatureTrace
 
 MAX_BYTES = 2_000_000
 """Of a page: light enough for a mail and a phone."""
@@ -47,7 +48,9 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     assert spectrum is not None
     results = replace(small_results, identity=ImuIdentity(HOSTILE, ''))
     results = results.held_against(load_sensor('adis16475-3'), 0.1)
-    outline = outline_of([envelope], [Span(int(stamps[5000]), 15_000, 300.0)], 1000)
+    warmth = TemperatureTrace('/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400))
+    spans = [Span(int(stamps[5000]), 15_000, 300.0, 'motion')]
+    outline = outline_of([envelope], spans, 1000, {}, [warmth])
     figures = {s: sensor_figure(results, s, outline) for s in ('gyro', 'accel')}
     pictures = {s: as_element(to_form(f, 'svg')) for s, f in figures.items() if f is not None}
     beside = Beside(pictures, outline, [spectrum], {'May': small_results}, 0.1, {'command': 'x'})
@@ -75,7 +78,8 @@ def test_the_page_draws_and_nothing_leaves_it(
     browser.requests.clear()
     browser.open(page, width, dark)
     canvases = browser.evaluate('document.querySelectorAll("canvas").length')
-    assert canvases == 2 * (1 + 3 + 1)  # of each sensor: curve, three signals, spectrum
+    # of each sensor: curve, three signals, temperature, spectrum
+    assert canvases == 2 * (1 + 3 + 1 + 1)
     for i in range(canvases):
         browser.wait_for(
             INK.replace('CANVAS', f'document.querySelectorAll("canvas")[{i}]') + ' > 9'
@@ -107,6 +111,20 @@ def test_hovering_and_keys_tell_the_numbers(browser: Chromium, page: Path) -> No
         '(document.querySelector(".allan .plot"))'
     )
     assert 'τ 0.02000 s' in browser.evaluate('document.querySelector(".allan .spoken").textContent')
+
+
+def test_what_is_left_out_is_told_with_its_temperature(browser: Chromium, page: Path) -> None:
+    browser.open(page, 1280)
+    said = browser.evaluate('document.querySelector(".chart.signal > .note").textContent')
+    assert 'left out because the IMU moved' in said
+    heading = browser.evaluate('document.querySelector(".chart.warmth h3").textContent')
+    assert heading == 'Temperature, °C: 20.0 to 31.0'
+    browser.evaluate(
+        '(box => { box.focus(); box.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"})); })'
+        '(document.querySelector(".signal .plot"))'
+    )
+    spoken = browser.evaluate('document.querySelector(".signal .spoken").textContent')
+    assert spoken.endswith('20.0 °C, left out: the IMU moved')
 
 
 def test_axes_and_parts_are_switched(browser: Chromium, page: Path) -> None:
