@@ -110,7 +110,7 @@ class ClockStage:
             if blocks < 1:
                 break
             if self._are_even(blocks * BLOCK):
-                self._step_forward(blocks * BLOCK, np.ones(blocks * BLOCK, np.int64))
+                self._step_forward(blocks * BLOCK)
                 continue
             runs += self._view(first)
             runs += self._judge(blocks * BLOCK)
@@ -276,16 +276,21 @@ class ClockStage:
         close()
         return runs
 
-    def _step_forward(self, n: int, advance: NDArray[np.int64]) -> None:
-        """Move the judged samples into the past, follow the period."""
+    def _step_forward(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
+        """Move the judged samples into the past, follow the period; None: one index a sample."""
         begin, end = self._past, self._past + n
-        cuts = np.flatnonzero(advance == 0)
-        self._since_cut = self._since_cut + n if not len(cuts) else n - int(cuts[-1])
-        self._since_cut = min(self._since_cut, self._reach)
         last = int(self._index[-1]) if len(self._index) else -1
-        index = np.concatenate([self._index, last + np.cumsum(advance)])
-        self._track(self._stamps[begin:end], index[len(self._index) :], bool(len(cuts)))
-        self._index = index[-self._reach :]
+        since_cut, cut = self._since_cut + n, False
+        if advance is None:
+            index = np.arange(last + 1, last + 1 + n)
+        else:
+            index = last + np.cumsum(advance)
+            cuts = np.flatnonzero(advance == 0)
+            if cut := bool(len(cuts)):
+                since_cut = n - int(cuts[-1])
+        self._since_cut = min(since_cut, self._reach)
+        self._track(self._stamps[begin:end], index, cut)
+        self._index = np.concatenate([self._index, index[-self._reach :]])[-self._reach :]
         self._past = end
 
     def _forget(self) -> None:
