@@ -19,7 +19,7 @@ endif
 # The matrices of a fit are small: threads only wait for each other, and tests run side by side.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-floor lint format bench fuzz faults soak docs pictures clean
+.PHONY: help venv demo test test-floor lint format bench fuzz faults soak audit docs pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -54,6 +54,10 @@ faults: $(VENV)/.ready  ## put faults into running nodes (half an hour; all of t
 
 soak: $(VENV)/.ready  ## a month as fast as it goes, half an hour as it comes
 	$(VENV)/bin/python bench/bench_soak.py
+
+audit: $(VENV)/.ready  ## list what is installed with its licences, ask PyPI for vulnerabilities
+	$(VENV)/bin/python -m pip install --quiet --editable '.[audit]'
+	$(VENV)/bin/python scripts/audit.py
 
 docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 	$(VENV)/bin/python scripts/reference.py

@@ -62,6 +62,7 @@ setup(
         (f'share/{PACKAGE}/config/filters', glob('config/filters/*.yaml')),
         (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
         (f'share/{PACKAGE}/config/sros2', glob('config/sros2/*')),
+        (f'share/{PACKAGE}/config/sros2', glob('config/sros2/*.xml')),
         (f'share/{PACKAGE}/config/viewers', glob('config/viewers/*')),
     ],
     python_requires='>=3.10',
@@ -76,6 +77,7 @@ setup(
         'zstandard>=0.18',  # reads the same without it, more slowly
     ],
     extras_require={
+        'audit': ['pip-audit>=2.7'],
         'dask': [DASK],
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
