@@ -57,6 +57,12 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors_of(target), link
 
 
+def test_the_index_leads_to_every_page() -> None:
+    index = (ROOT / 'docs' / 'README.md').read_text()
+    pages = [page.name for page in PAGES[1:] if page.name != 'README.md']
+    assert [name for name in pages if f']({name})' not in index] == []
+
+
 @pytest.mark.parametrize('page', PAGES, ids=named)
 def test_commands_are_understood(page: Path) -> None:
     for verb, *words in commands_of(page):
