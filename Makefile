@@ -65,6 +65,7 @@ docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 
 pictures: $(VENV)/.ready  ## draw the pictures of docs/ anew
 	$(VENV)/bin/python scripts/pictures.py docs/images
+	$(VENV)/bin/python scripts/report_pictures.py docs/images
 
 test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy and scipy
 	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) test/core test/io test/cli

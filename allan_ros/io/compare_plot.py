@@ -36,7 +36,7 @@ RUN_STYLES = (
 )
 """Colour ('' for that of the text), marker and dashes of each run; a seventh begins anew."""
 
-HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.45
+HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.52
 """Inches above the panels, of each row of the legend there, and between the panels of an axis."""
 
 LEGEND_COLUMNS = {True: 4, False: 2}

@@ -1,0 +1,73 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of what the tool itself shows: the report in a browser, and a comparison of runs.
+
+usage: report_pictures.py FOLDER
+
+The IMU is that of `allan simulate --preset paper`. On Tuesday a fan runs beside it, somebody moves
+it, and the recorder loses half a minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from allan_ros.cli.main import main as allan
+
+BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
+
+WINDOW = (1120, 1560)
+"""Pixels of the page that are shown: the verdict, and the gyro's curve and coefficients."""
+
+RUNS = {
+    'monday': ['--seed', '1'],
+    'tuesday': [
+        *('--seed', '2', '--vibration-gyro', '8e-5', '--vibration-frequency', '0.4'),
+        *('--motion', '1500:60', '--gaps', '2600:30'),
+    ],
+}
+"""Name of a run -> what is simulated in it."""
+
+
+def photograph(page: Path, picture: Path, scratch: Path) -> None:
+    """Take a picture of the top of a page."""
+    browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if browser is None:
+        sys.exit(f'no browser here: install one of {", ".join(BROWSERS)}')
+    size = ','.join(map(str, WINDOW))
+    how = ['--headless', '--no-sandbox', '--disable-gpu', '--no-first-run', '--hide-scrollbars']
+    how += [f'--user-data-dir={scratch}', f'--window-size={size}', f'--screenshot={picture}']
+    subprocess.run([browser, *how, page.as_uri()], check=True, capture_output=True)
+
+
+def main() -> int:
+    """Make the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('folder', type=Path)
+    folder = parser.parse_args().folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as made:
+        scratch = Path(made)
+        for run, how in RUNS.items():
+            bag, results = str(scratch / f'{run}.npz'), str(scratch / run)
+            for words in (
+                ['simulate', bag, '--preset', 'paper', '--hours', '1', *how],
+                ['analyze', bag, '-o', results, '-q', '--sensor', 'adis16475-3'],
+            ):
+                if code := allan(words):
+                    return code
+        allan(['compare', *(str(scratch / run) for run in RUNS), '-o', str(scratch), '-q'])
+        shutil.copy(scratch / 'compare_gyro.png', folder / 'compare.png')
+        photograph(scratch / 'tuesday/report.html', folder / 'report.png', scratch / 'browser')
+    for name in ('report.png', 'compare.png'):
+        print(f'{folder / name}: {(folder / name).stat().st_size / 1000:.0f} kB')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
