@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
@@ -13,6 +14,13 @@ from .parts import Job, Part, accumulate
 
 CONNECT_S = 10.0
 """Seconds to wait for a scheduler."""
+
+ASK_S = 30.0
+"""Seconds between two looks whether anybody is there to work; what was made arrives in less."""
+
+ALONE_S = 120.0
+"""Seconds without a single worker after which none is waited for: a cluster that starts dead ones
+anew takes some seconds, on a busy machine a minute."""
 
 
 def on_cluster(
@@ -29,7 +37,8 @@ def on_cluster(
     Raises
     ------
     AllanError
-        When Dask is not installed, nobody answers at the address, or a job raised it.
+        When Dask is not installed, nobody answers at the address or works there, or a job raised
+        it.
     """
     try:
         from distributed import Client, KilledWorker
@@ -50,7 +59,7 @@ def on_cluster(
         doubtful: list[Job] = []
         for job, future in zip(jobs, futures):
             try:
-                part: Part = future.result()
+                part = _made(client, future)
             except KilledWorker:
                 doubtful.append(job)
                 continue
@@ -59,7 +68,26 @@ def on_cluster(
         # a worker takes with it what waits there too: only alone it shows which job is deadly
         for job in doubtful:
             try:
-                outcomes[job] = client.submit(work, job, pure=False).result()
+                outcomes[job] = _made(client, client.submit(work, job, pure=False))
             except KilledWorker:
                 outcomes[job] = finding('recording_lost', path=job.path)
     yield from (outcomes[job] for job in jobs)
+
+
+def _made(client: Any, future: Any) -> Part:
+    """Return what became of a job, however long it takes, as long as there are workers."""
+    from distributed import TimeoutError as Unfinished
+
+    alone = 0.0
+    while alone < ALONE_S:
+        try:
+            made: Part = future.result(timeout=ASK_S)
+            return made
+        except Unfinished:
+            if future.status == 'error':  # its own: a disk far away, perhaps
+                raise
+            alone = 0.0 if client.nthreads() else alone + ASK_S
+    raise AllanError(
+        f'the cluster at {client.scheduler.address} has no worker: start some that have '
+        'allan_ros, or look into their logs for why they ended'
+    )

@@ -73,7 +73,11 @@ def cluster() -> Iterator[Any]:
     """Yield a cluster of two worker processes, in which a second death loses a job."""
     distributed = pytest.importorskip('distributed')
     dask = pytest.importorskip('dask')
-    settings = {'distributed.scheduler.allowed-failures': 1}
+    settings = {
+        'distributed.scheduler.allowed-failures': 1,
+        # on a busy machine a worker takes longer to come back than the cluster waits for it
+        'distributed.deploy.lost-worker-timeout': '10 minutes',
+    }
     with dask.config.set(settings), distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as local:  # fmt: skip
@@ -133,3 +137,15 @@ def test_a_scheduler_that_does_not_answer_is_said(
     monkeypatch.setattr('allan_ros.cli.cluster.CONNECT_S', 0.5)
     with pytest.raises(AllanError, match='no Dask scheduler answers at tcp://127'):
         list(on_cluster(jobs_of(recordings), 'tcp://127.0.0.1:9', Console()))
+
+
+def test_a_cluster_without_workers_is_not_waited_for(
+    recordings: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip('distributed')
+    monkeypatch.setattr('allan_ros.cli.cluster.ASK_S', 0.1)
+    monkeypatch.setattr('allan_ros.cli.cluster.ALONE_S', 0.2)
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, dashboard_address=None
+    ) as empty, pytest.raises(AllanError, match='has no worker: start some'):  # fmt: skip
+        list(on_cluster(jobs_of(recordings[:1]), empty.scheduler_address, Console()))
