@@ -4,7 +4,7 @@
 
 Drivers that put a slower accelerometer into every gyro message repeat its last sample, or fill the
 missing half with zeros. Both would be read as noise that is not there (a 250 Hz accelerometer held
-on 400 Hz stamps reads N half again too high), so such a sensor gets a lane of its own with only its
+on 400 Hz stamps reads N 5 % too high), so such a sensor gets a lane of its own with only its
 own samples.
 """
 
