@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The engine against arithmetic that does not round, written into docs/reliability.md.
 
-A float64 about 9.8 is a whole number of 2^-49, so the sums of such samples can be had in whole numbers
-of any length, and what the engine says differs from them by its rounding alone.
+A float64 about 9.8 is a whole number of 2^-49, so the sums of such samples can be had in whole
+numbers of any length, and what the engine says differs from them by its rounding alone.
 """
 
 from __future__ import annotations
