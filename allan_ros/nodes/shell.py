@@ -16,7 +16,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -57,9 +57,12 @@ def run(
     # writing of a checkpoint, and rclpy's would shut the graph down before the node has finished.
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stop.set())
-    rclpy.init(
-        args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO
-    )
+    given = None if args is None else list(args)
+    try:
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # of rcl: a missing keystore, an argument it does not know
+        get_logger(name).fatal(f'{name} stops: {one_line(str(error))}')
+        return 1
     executor = SingleThreadedExecutor()
     try:
         node = make_node(stop)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -93,3 +94,18 @@ def test_the_policy_is_what_the_nodes_use(ros_domain: int) -> None:
     command = [sys.executable, str(script), '--check', *nodes]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_without_its_enclave_a_node_says_which_and_ends(ros_domain: int, tmp_path: Path) -> None:
+    secured = {
+        'ROS_SECURITY_ENABLE': 'true',
+        'ROS_SECURITY_STRATEGY': 'Enforce',
+        'ROS_SECURITY_KEYSTORE': str(tmp_path),
+        'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
+    }
+    command = [sys.executable, '-m', 'allan_ros.nodes.relay']
+    command += ['--ros-args', '--enclave', '/allan_ros/allan_imu_relay']
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **secured})
+    said = done.stdout + done.stderr
+    assert done.returncode == 1, said
+    assert f'{tmp_path}/enclaves/allan_ros/allan_imu_relay' in said and 'Traceback' not in said
