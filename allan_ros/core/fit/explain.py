@@ -77,7 +77,9 @@ def _shape_findings(
     if fit.m_min > 1:
         hint = ''
         if chosen.hint is not None:
-            hint = f' (vibration at {chosen.hint.extra.shape / tau0:.3g} Hz)'
+            # A slow filter bends the shortest averages as a line does: then it may be either.
+            either = ', or a low-pass filter' if chosen.filtered else ''
+            hint = f' (vibration at {chosen.hint.extra.shape / tau0:.3g} Hz{either})'
         elif chosen.filtered:
             hint = ' (a low-pass filter)'
         found.append(finding('short_averages', name, tau=fit.m_min * tau0, hint=hint))

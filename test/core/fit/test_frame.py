@@ -59,6 +59,13 @@ def test_first_order_filter_costs_q_but_not_n(noise):
     assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
 
 
+def test_a_slow_filter_is_not_called_a_vibration_alone(noise):
+    keep = np.exp(-2.0 * np.pi * 5.0 / RATE)
+    axis, findings = fit_of(lfilter([1.0 - keep], [1.0, -keep], noise))
+    assert axis.m_min > 1
+    assert 'low-pass filter' in findings['short_averages'].message
+
+
 @pytest.mark.parametrize('hertz', [0.1, 2.0])
 def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz):
     line = 0.08 * WHITE * np.sin(2.0 * np.pi * hertz / RATE * np.arange(SAMPLES))
