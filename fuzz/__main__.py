@@ -7,13 +7,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from .harness import CURRENT, Tally, Watch, run_target
+from .harness import CURRENT, FORKED_SECONDS, Tally, Watch, run_target
 from .targets import TARGETS
 
 EXIT_CRASHES = 1
@@ -21,8 +23,8 @@ EXIT_CRASHES = 1
 HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest, s', 'memory, MB')
 """Memory is what the process grew by after its first inputs."""
 
-GRACE_S = 60.0
-"""How much longer than it was given a target may take: to warm up, and to shrink what it found."""
+GRACE_S = FORKED_SECONDS + 60.0
+"""How much longer than it was given a target may take: to warm up, for the last input, to shrink."""
 
 
 def main() -> int:
@@ -64,18 +66,27 @@ def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally
     """Run one target apart, so that its limits and its end are its own."""
     command = [sys.executable, '-m', 'fuzz', '--here', name]
     command += ['--seconds', str(seconds), '--seed', str(number)] + ['--shrink'] * shrink
-    with tempfile.NamedTemporaryFile('r', errors='replace') as current:
-        environment = {**os.environ, CURRENT: current.name}
+    with tempfile.TemporaryDirectory(prefix='allan_fuzz.') as folder:
+        current = Path(folder, 'current')
         process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, CURRENT: str(current), 'TMPDIR': folder},
+            start_new_session=True,
         )
         try:
             out, said = process.communicate(timeout=seconds + GRACE_S)
         except subprocess.TimeoutExpired:
             process.kill()
             out, said = '', f'hung in code that heeds no signal\n{process.communicate()[1]}'
+        finally:  # and what it started
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
         if process.returncode or not out.strip():
-            said = f'ended with {process.returncode}: {said[-2000:]}\n  {current.read()[:2000]}'
+            last = current.read_text(errors='replace')[:2000] if current.exists() else 'no input'
+            said = f'ended with {process.returncode}: {said[-2000:]}\n  {last}'
             return Tally(name, crashes={'process': said})
     return Tally(**json.loads(out.strip().splitlines()[-1]))
 
