@@ -24,7 +24,7 @@ HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest
 """Memory is what the process grew by after its first inputs."""
 
 GRACE_S = FORKED_SECONDS + 60.0
-"""How much longer than it was given a target may take: to warm up, for the last input, to shrink."""
+"""How much longer than it was given a target may take: to warm up, the last input, to shrink."""
 
 
 def main() -> int:

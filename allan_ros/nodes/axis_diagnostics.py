@@ -190,7 +190,7 @@ def _summary(view: AxisView, evidence: float) -> str:
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')
-    known = f'{", ".join(shown)} from {duration_text(evidence)} of evidence'
+    known = f'{", ".join(shown) or "no coefficient"} from {duration_text(evidence)} of evidence'
     upcoming = _next_term(view, view.result, evidence)
     return f'{known}; {upcoming}' if upcoming else known
 

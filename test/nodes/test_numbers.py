@@ -23,6 +23,7 @@ from allan_ros.nodes.diagnostics import InputView, input_status
 
 
 def check_status(status: DiagnosticStatus) -> None:
+    assert status.message[:1].strip()
     for said in (status.message, *(f'{v.key}: {v.value}' for v in status.values)):
         assert not NO_NUMBER.search(said), said
 
