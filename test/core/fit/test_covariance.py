@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from allan_ros.core.fit import forget
 from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
 from allan_ros.core.fit.model import DIFFERENCE, avar_terms, phase_covariance
 from allan_ros.core.grid import counts, grid_for
@@ -65,3 +66,12 @@ def test_covariance_of_long_records_is_positive():
             c[i, j] = c[j, i] = pairs.squares[n]
             d = np.sqrt(np.diag(c))
             assert np.linalg.eigvalsh(c / np.outer(d, d)).min() > -2e-4
+
+
+def test_what_is_forgotten_is_made_anew():
+    import allan_ros.core.fit.evidence  # noqa: F401  (which remembers; a method loads it)
+
+    before = pair_sums(1000)
+    forget()
+    assert pair_sums.cache_info().currsize == 0
+    assert np.array_equal(pair_sums(1000).squares, before.squares)
