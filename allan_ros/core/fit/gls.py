@@ -24,6 +24,9 @@ from .values import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseFit, Sinusoid
 LEAST_FACTORS = 5
 """With no more averaging factors than terms a table says nothing of the terms."""
 
+AT_AN_END = 1e-9
+"""A value this close to an end of its interval, relative, stands on it: the rest is rounding."""
+
 
 def fit_gls(sums: AllanSums) -> NoiseFit:
     """Return the five terms of every axis with 95 % intervals and verdicts.
@@ -79,8 +82,9 @@ def _consistent(
     Intervals leave q its sign, values do not. Where a negative q matters, in one record of a
     hundred, a value without it would lie outside and claim to be exact on one side.
     """
-    seen = [t for t, i in enumerate(intervals) if i.observable]
-    outside = [t for t in seen if not intervals[t].low < power[t] < intervals[t].high]
+    above, below = 1.0 + AT_AN_END, 1.0 - AT_AN_END
+    seen = [(t, each) for t, each in enumerate(intervals) if each.observable]
+    outside = [t for t, i in seen if not above * i.low < power[t] < below * i.high]
     if not outside:
         return power
     out = power.copy()
