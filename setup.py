@@ -12,6 +12,8 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'allan_ros'
 DASK = 'distributed>=2022.2'
+README = Path(__file__).resolve().with_name('README.md')
+"""Beside the real file: `colcon build --symlink-install` runs a link to it in its build folder."""
 
 
 def ros_wheels(distro):
@@ -37,7 +39,7 @@ setup(
     author='the allan_ros authors',
     maintainer='the allan_ros authors',
     maintainer_email='maintainers@users.noreply.h-seed-d8235d04.example',
-    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description=README.read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     keywords=['Allan variance', 'IMU', 'noise', 'ROS 2', 'robotics'],
     classifiers=[

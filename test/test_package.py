@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -67,6 +68,14 @@ def test_metadata_is_where_colcon_reads_it() -> None:
     # Either of these breaks `colcon build` or its --symlink-install.
     assert '[project]' not in (ROOT / 'pyproject.toml').read_text(encoding='utf-8')
     assert 'python_requires' not in (ROOT / 'setup.cfg').read_text(encoding='utf-8')
+
+
+def test_metadata_is_read_through_the_link_that_colcon_makes(tmp_path: Path) -> None:
+    pytest.importorskip('setuptools')
+    (tmp_path / 'setup.py').symlink_to(ROOT / 'setup.py')
+    command = [sys.executable, 'setup.py', '--version']
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.stdout.split()[-1:] == [allan_ros.__version__], ended.stderr
 
 
 def test_every_console_script_is_there() -> None:
