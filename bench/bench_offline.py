@@ -34,6 +34,8 @@ PLAIN = 100_000
 """Messages of the bag on which the plain reader is run: it takes 10 us and more for each."""
 CHUNK_HEAD = 8 + 8 + 8 + 4 + 4 + 4 + 8
 """Bytes before the data of a chunk: times, size, CRC, 'zstd' with its length, length."""
+RECORDINGS = 2
+"""Recordings that are read one after the other, and at the same time."""
 MESSAGE_BYTES = 31 + 324
 """An Imu in a chunk, head and payload (frame_id ``imu_link``)."""
 STORAGES = {'mcap zstd': ('mcap', 'chunk'), 'sqlite3': ('sqlite3', 'none')}
@@ -166,6 +168,38 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
             print(f'| {name} | {messages / 1e6:g} M | {cells} |', flush=True)
 
 
+def spread(path: Path, processes: int) -> None:
+    """Read a bag `RECORDINGS` times, as ``allan analyze --jobs`` reads as many bags."""
+    from allan_ros.cli.console import Console
+    from allan_ros.cli.parts import Job, in_processes, in_turn
+    from allan_ros.core.settings import SegmenterSettings
+    from allan_ros.io.recordings import ReadOptions
+
+    jobs = [Job(str(path), ReadOptions(), SegmenterSettings(), '')] * RECORDINGS
+    console = Console(quiet=True)
+    parts = in_turn(jobs, console) if processes == 1 else in_processes(jobs, processes, console)
+    for _ in parts:
+        pass
+
+
+def show_jobs(folder: Path, messages: int, rounds: int) -> None:
+    print(f'\n| {RECORDINGS} recordings of {messages / 1e6:g} M messages | wall, s | CPU, s |')
+    print('|---|---|---|')
+    costs: dict[tuple[str, int], list[tuple[float, float]]] = {}
+    for _ in range(rounds):
+        for name in STORAGES:
+            path = bag(folder, name, messages)
+            for processes in (1, RECORDINGS):
+                before, begin = os.times(), time.perf_counter()
+                spread(path, processes)
+                wall, after = time.perf_counter() - begin, os.times()
+                cpu = sum(after[:4]) - sum(before[:4])
+                costs.setdefault((name, processes), []).append((wall, cpu))
+    for (name, processes), runs in costs.items():
+        wall, cpu = (statistics.median(column) for column in zip(*runs))
+        print(f'| {name} --jobs {processes} | {wall:.2f} | {cpu:.2f} |', flush=True)
+
+
 def show_start(rounds: int) -> None:
     print('\n| start-up | CPU, s |')
     print('|---|---|')
@@ -194,6 +228,7 @@ def main() -> None:
         folder = args.keep or Path(passing)
         show_reading(folder, args.rounds)
         show_table(folder, [SHORT, LONG] if args.full else [SHORT], args.rounds)
+        show_jobs(folder, LONG if args.full else SHORT, args.rounds)
     show_start(args.rounds)
 
 
