@@ -104,8 +104,14 @@ class Stream:
         What was sent.
     """
 
-    def __init__(self, topic: str = 'imu/data', frame_id: str = 'imu', seed: int = 1) -> None:
-        self.topic, self.frame_id = topic, frame_id
+    def __init__(
+        self,
+        topic: str = 'imu/data',
+        frame_id: str = 'imu',
+        seed: int = 1,
+        subscribers: int = 1,
+    ) -> None:
+        self.topic, self.frame_id, self._subscribers = topic, frame_id, subscribers
         self.change: Callable[[ImuBatch], ImuBatch] = healthy
         self.made = self.sent = 0
         self.truth: list[ImuBatch] = []
@@ -134,12 +140,12 @@ class Stream:
         self._context.shutdown()
 
     def begin(self) -> None:
-        """Start to publish, once the subscriber knows of this publisher too."""
+        """Start to publish, once the subscribers know of this publisher too."""
         from rclpy.executors import SingleThreadedExecutor
 
         from allan_ros.nodes.handshake import Handshake
 
-        handshake = Handshake(self._node, self._publisher)
+        handshake = Handshake(self._node, self._publisher, self._subscribers)
         executor = SingleThreadedExecutor(context=self._context)
         executor.add_node(self._node)
         while not handshake.update():

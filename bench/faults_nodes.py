@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fault_harness import Hearing, Row, Trial, fault
+from fault_harness import Hearing, Row, Stream, Trial, fault
 from online_nodes import Client, Process, node, start
 
 DOWN_S = 8.0
@@ -111,7 +111,7 @@ def kill_relay(client: Client, folder: Path) -> Row:
     client.node.create_subscription(Imu, 'imu/data_with_covariance', on_imu, QoSProfile(depth=1000))
     remap = ('noise_model:=/allan_monitor/noise_model',)
     watch, relay = Watch(folder), start('relay', remap=remap)
-    trial = Trial(client, folder, (QUICK_SUMS,))
+    trial = Trial(client, folder, (QUICK_SUMS,), stream=lambda: Stream(subscribers=2))
     trial.hearing.until(lambda: bool(filled) and filled[-1][1])
     with trial.fault():
         relay.end(signal.SIGKILL)
@@ -173,6 +173,7 @@ def second_node(client: Client, folder: Path) -> Row:
     trial = Trial(client, folder)
     with trial.fault():
         other = start('accumulator', ros=(f'checkpoint.path:={trial.checkpoint}',))
+        trial.hearing.until(lambda: bool(trial.hearing.first_since(trial.began)[1]))
         trial.spin(DOWN_S)
         code = other.end(signal.SIGINT)
     row = trial.row(f'a second node on the same checkpoint for {DOWN_S:.0f} s')
