@@ -65,7 +65,7 @@ def test_files_for_filters_hold_numbers_or_are_refused(results: Results) -> None
 def test_findings_and_pictures_need_no_excuse(results: Results) -> None:
     assert not any(NO_NUMBER.search(str(found)) for found in results.findings)
     with warnings.catch_warnings():
-        warnings.simplefilter('error')
+        warnings.simplefilter('error', RuntimeWarning)
         for sensor in ('gyro', 'accel'):
             figure = sensor_figure(results, sensor)
             assert figure is not None and to_png(figure)
