@@ -240,6 +240,8 @@ def _round(
     try:
         test()
     except Exception as error:
+        while getattr(error, 'exceptions', ()):  # what failed once and not again stands inside
+            error = error.exceptions[0]
         where = f'{_place(error)}: {type(error).__name__}: {error!s:.200}'
         key = where.partition(':')[0] + type(error).__name__
         tally.crashes.setdefault(key, f'{where}\n  seed {number}, input {drawn!r:.2000}')

@@ -182,5 +182,7 @@ class Fields:
 def _shown(value: object) -> str:
     if isinstance(value, (dict, list)):
         return f'a {type(value).__name__} of {len(value)}'
+    if isinstance(value, float) and math.isinf(value):
+        return 'a number beyond 1.8e308'
     text = repr(value if not isinstance(value, str) else value[:40])
     return text if len(text) <= 40 else f'{text[:37]}...'

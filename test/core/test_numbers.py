@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.numbers import check_numbers
+from support.numbers import NO_NUMBER, check_numbers
 from support.sums import sums_of
 
 from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.batch import AXES, LARGEST, ImuBatch
 from allan_ros.core.curve import allan_curve
 from allan_ros.core.edf import edf
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fields import Fields
 from allan_ros.core.fit import METHODS, fit_noise
 from allan_ros.core.grid import MAX_LEVELS, counts, grid, grid_for
 from allan_ros.core.recent import RecentView
@@ -93,6 +95,13 @@ def test_what_no_imu_measures_is_dropped_and_counted(huge: float) -> None:
     for sums in known.sums:
         check_numbers(sums_to_document(sums))
         assert np.nanmax(sums.avar) < 10.0
+
+
+@pytest.mark.parametrize('huge', [np.inf, -np.inf, 10**400])
+def test_a_refusal_tells_of_a_number_without_being_none(huge: float) -> None:
+    with pytest.raises(AllanError, match='a text is expected') as error:
+        Fields({'name': huge}, 'sums').text('name')
+    assert not NO_NUMBER.search(str(error.value))
 
 
 # --- counts -------------------------------------------------------------------------------------
