@@ -121,6 +121,7 @@ SCENARIOS = {
     'table1_x': Scenario(X, 100.0, 2 * HOUR, 10),
     'table1_y': Scenario(Y, 100.0, 2 * HOUR, 11),
     'table1_z': Scenario(Z, 100.0, 2 * HOUR, 12),
+    'table1_z_5hz': Scenario(Z, 5.0, 2 * HOUR, 777),
     'white': Scenario(gyro(N=0.242), 100.0, 2 * HOUR, 14),
     'no_walk': Scenario(gyro(N=0.242, B=5.237), 100.0, 2 * HOUR, 6),
     'no_flicker': Scenario(gyro(N=0.242, K=31.807), 100.0, 2 * HOUR, 4),
