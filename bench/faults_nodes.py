@@ -171,10 +171,21 @@ def kill_player(client: Client, folder: Path) -> Row:
 def second_node(client: Client, folder: Path) -> Row:
     """Somebody starts another node with the same checkpoint."""
     trial = Trial(client, folder)
+
+    def told() -> tuple[float, str]:
+        """Return when it was told, and its words: at its start a node has more to say."""
+        return next((x for x in trial.hearing.said if 'kept by' in x[1]), (math.nan, ''))
+
     with trial.fault():
         other = start('accumulator', ros=(f'checkpoint.path:={trial.checkpoint}',))
-        trial.hearing.until(lambda: bool(trial.hearing.first_since(trial.began)[1]))
+        trial.hearing.until(lambda: bool(told()[1]))
         trial.spin(DOWN_S)
         code = other.end(signal.SIGINT)
     row = trial.row(f'a second node on the same checkpoint for {DOWN_S:.0f} s')
-    return replace(row, exits=f'{row.exits}, {code}')
+    said_s, words = told()
+    return replace(
+        row,
+        said=words.replace(f'{folder}/', '') or 'nothing',
+        delay=f'{said_s - trial.began:.1f} s',
+        exits=f'{row.exits}, {code}',
+    )
