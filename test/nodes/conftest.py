@@ -42,9 +42,9 @@ PATIENCE_S = 60.0
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give the graphs to one worker, for two at a time starve each other, and a second chance.
 
-    On a loaded machine a graph that knows itself may still fall silent for longer than anyone
-    waits: one or two of the seventy met that in a run. It is told as a rerun, and fails if it
-    happens thrice.
+    None is known to need it: what failed at random met a subscription of the test before, or judged
+    a fit that was on its way. But one failure on a machine that is busier than any tried would
+    throw away the work of all. It is told as a rerun, and fails if it happens thrice.
     """
     for item in items:
         if item.path.parent == Path(__file__).parent:

@@ -76,6 +76,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, fil
         lambda: (s := graph.status('parameters of /imu_filter')) and s.level == WARN and s
     )
     assert '/imu_filter is not there: start it' in absent.message
+    graph.model_of(6000)
     filter_node()
     # not atomic: one may be read as set while the next is not yet
     graph.until(lambda: 'set gain, densities' in graph.status('parameters of /imu_filter').message)
