@@ -78,7 +78,7 @@ class Rows:
     _data: Bytes
     _start: NDArray[np.int64]
     _length: NDArray[np.int64]
-    _page_end: NDArray[np.int64]
+    _page_end: NDArray[np.int64]  # 0 where a row goes on in other pages
 
     def block(self, ids: set[int]) -> Block:
         """Return the messages of these topics in the order of their record time.
@@ -215,6 +215,8 @@ class MessagePages:
                 columns[:, chosen] = _columns(heads, header[chosen], head[chosen], value)
         topics, record_ns, blob, length = columns
         blob += start - cell
+        row_bytes = blob + length - (header + start - cell)
+        page_end[row_bytes > self._usable - LEAST_OVER] = 0
         return Rows(_id_of(heads[cell[-1] :]), topics, record_ns, data, blob, length, page_end)
 
     def _pages(self, leaves: NDArray[np.int64]) -> tuple[Bytes, NDArray[np.int64]]:
