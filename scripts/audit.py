@@ -59,9 +59,11 @@ def _requirements(distribution: metadata.Distribution) -> Iterator[str]:
 def licence(distribution: metadata.Distribution) -> str:
     """Return the name of a licence, from where packages of several ages put it."""
     about = distribution.metadata
+    # by get_all, for what is not there is an error in newer readers of metadata, None in others
     classifiers = [c for c in about.get_all('Classifier') or () if c.startswith(CLASSIFIER)]
-    named = [about['License-Expression'], about['License'], *classifiers]
-    short = [n.removeprefix(CLASSIFIER) for n in named if n and len(n) <= LONGEST_LICENCE]
+    named = [*(about.get_all('License-Expression') or ()), *(about.get_all('License') or ())]
+    named += [classifier.removeprefix(CLASSIFIER) for classifier in classifiers]
+    short = [name for name in named if name and len(name) <= LONGEST_LICENCE]
     return short[0] if short else 'see the package'
 
 

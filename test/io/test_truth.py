@@ -49,7 +49,7 @@ def test_truth_comes_back_to_the_last_bit(tmp_path):
         ('gyros: {N: 1}', "'gyros' is unknown, use gyro, accel or gyro_x"),
         ('gyro: {n: 1}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
         ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number, not below 0'),
-        ('gyro: {N: .inf}', r'gyro.N is inf: a number within'),
+        ('gyro: {N: .inf}', r'gyro.N is a number beyond 1.8e308: a number within'),
         ('gyro: {N: {value: 1}}', r'gyro.N: unit is missing'),
         ('gyro: {N: {value: 1, unit: ug}}', r"gyro.N: unit 'ug' does not fit"),
         ('gyro: 3', r'gyro is 3: an object is expected'),
