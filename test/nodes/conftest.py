@@ -42,9 +42,9 @@ PATIENCE_S = 60.0
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give the graphs to one worker, for two at a time starve each other, and a second chance.
 
-    None is known to need it: what failed at random met a subscription of the test before, or judged
-    a fit that was on its way. But one failure on a machine that is busier than any tried would
-    throw away the work of all. It is told as a rerun, and fails if it happens thrice.
+    What failed at random met a subscription of the test before, or judged a fit that was on its
+    way, and was mended. Still one of a hundred may fail on a machine with ten times the work it can
+    do, and that would throw away the work of all. It is told as a rerun, and fails the third time.
     """
     for item in items:
         if item.path.parent == Path(__file__).parent:
