@@ -19,8 +19,8 @@ FILES = sorted(PACKAGE.rglob('*.py'))
 
 FORBIDDEN_CALLS = {
     'eval', 'exec', 'compile', '__import__', 'os.system', 'os.popen', 'tempfile.mktemp',
-    'yaml.full_load', 'yaml.unsafe_load', 'yaml.safe_load', 'np.load', 'numpy.load',
-    'np.fromfile', 'marshal.loads', 'shelve.open',
+    'yaml.load', 'yaml.full_load', 'yaml.unsafe_load', 'yaml.safe_load',
+    'np.load', 'numpy.load', 'np.fromfile', 'marshal.loads', 'shelve.open',
 }  # fmt: skip
 FORBIDDEN_IMPORTS = {'pickle', 'marshal', 'shelve', 'dill', 'cloudpickle', 'telnetlib', 'ftplib'}
 
@@ -35,8 +35,6 @@ def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
 def test_nothing_from_outside_is_executed(path: Path) -> None:
     for name, call in calls(path):
         assert name not in FORBIDDEN_CALLS
-        if name == 'yaml.load':
-            assert [ast.unparse(a) for a in call.args[1:]] == ['_Loader'], 'no safe loader'
         given = {k.arg for k in call.keywords}
         assert 'allow_pickle' not in given
         assert not (name.startswith('subprocess.') and 'shell' in given)

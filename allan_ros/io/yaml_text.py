@@ -41,7 +41,10 @@ def parse_yaml(text: str) -> Any:
     yaml.YAMLError
         When it is none, nests too deep, or has merge keys.
     """
+    loader = _Loader(text)
     try:
-        return yaml.load(text, _Loader)
+        return loader.get_single_data()
     except RecursionError:
         raise yaml.YAMLError('it nests too deep') from None
+    finally:
+        loader.dispose()
