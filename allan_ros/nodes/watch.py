@@ -33,8 +33,8 @@ SETTLE_S = 1.5
 PATIENCE_S = 10.0
 """How long ``--once`` waits for a first status."""
 
-LONELY_S = 3.0
-"""Silence after which it says what to check."""
+LONELY_S = 8.0
+"""Silence after which it says what to check: a node started at the same time needs some seconds."""
 
 EXIT_NOTHING = 1
 """Nothing was heard of any node."""
