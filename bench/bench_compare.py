@@ -3,7 +3,7 @@
 """False alarms of `allan compare`: pairs of runs of equal noise, and how many show a difference.
 
     python bench/bench_compare.py                           20 pairs, a minute or two
-    python bench/bench_compare.py --pairs 127 --seed 2026   a part of the count in docs/compare.md
+    python bench/bench_compare.py --pairs 200 --seed 2026   the count in docs/compare.md, 8 min
 
 Each pair is two simulated runs of the six axes of one IMU; every sample goes through the engine,
 every fit is that of `allan analyze`, every comparison that of `allan compare`.
