@@ -70,10 +70,3 @@ def to_si(term: str, power: float, tau0: float) -> float:
     if term == 'R':
         return power / tau0
     return math.sqrt(max(power, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])
-
-
-def to_power(term: str, value: float, tau0: float) -> float:
-    """Return the power (or ramp) in sample units of a coefficient in SI units."""
-    if term == 'R':
-        return value * tau0
-    return float(value / math.pow(tau0, TAU0_EXPONENT[term])) ** 2
