@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .edf import CI_LEVEL, chi_squared_limits, edf
+from .edf import chi_squared_limits, edf
 from .errors import AllanError
 from .grid import counts
 from .noise_type import noise_types_of_avar
@@ -33,12 +33,11 @@ class AllanCurve:
     n : (factors,) int64 array
         Second differences in each point.
     adev, ci_low, ci_high : (factors, axes) float64 arrays
-        Deviation and its chi-squared limits of level `ci_level`, in the unit of the samples.
+        Deviation and its chi-squared limits of level `edf.CI_LEVEL`, in the unit of the samples.
     edf : (factors, axes) float64 array
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
         Exponent alpha of S ~ f^alpha they were counted for: 2 (Q), 1, 0 (N), -1 (B), -2 (K, R).
-    ci_level : float
     """
 
     axes: tuple[str, ...]
@@ -50,7 +49,6 @@ class AllanCurve:
     ci_high: Floats
     edf: Floats
     noise_type: NDArray[np.int64]
-    ci_level: float = CI_LEVEL
 
 
 def sample_period(sums: AllanSums) -> float:

@@ -17,6 +17,7 @@ from typing import Any
 
 from .. import __version__
 from ..core.batch import AXES, MAX_NAME
+from ..core.edf import CI_LEVEL
 from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import Finding
@@ -34,9 +35,6 @@ from .results import AxisCurve, AxisResult, Provenance, Results
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'
-
-CURVE_CI_LEVEL = 0.683
-"""Confidence of the limits on a curve: one sigma, as NIST SP 1065 tabulates them."""
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 """Sample periods: stamps are in ns, and a sample in thirty years is none."""
@@ -321,7 +319,7 @@ def _curve_to_document(curve: AxisCurve) -> dict[str, Any]:
         'adev': [_finite(v) for v in curve.adev],
         'ci_low': [_finite(v) for v in curve.ci_low],
         'ci_high': [_finite(v) for v in curve.ci_high],
-        'ci_level': CURVE_CI_LEVEL,
+        'ci_level': CI_LEVEL,
     }
 
 
