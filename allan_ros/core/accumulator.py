@@ -116,11 +116,13 @@ class ImuAccumulator:
         now.end()
         lanes = now._present.lanes
         longest = now._longest()
+        sums = tuple(sums for sums, _ in longest)
+        health = now._health(state, sums)
         return Accumulation(
-            tuple(sums for sums, _ in longest),
+            sums,
             tuple(lane.sums for lane in lanes if lane.sums.samples),
-            now._health(state),
-            now._findings(),
+            health,
+            now._findings(health, sums),
             tuple(lanes[0].spans) if lanes else (),
             tuple(spectrum for _, spectrum in longest if spectrum is not None),
         )
@@ -159,8 +161,8 @@ class ImuAccumulator:
                 chosen.append(best[axis])
         return tuple(chosen)
 
-    def _health(self, state: State) -> StreamHealth:
-        frame, longest = self._present, self._longest()
+    def _health(self, state: State, longest: tuple[AllanSums, ...]) -> StreamHealth:
+        frame = self._present
         counts = Counts(received=self._received)
         for each in (self._forgotten, *(frame.counts for frame in self._frames.values())):
             counts.add(each)
@@ -174,16 +176,17 @@ class ImuAccumulator:
             frame.last_ns,
             'record' if frame.use_record else 'header',
             frame.identity.frame_id,
-            longest[0].sums.identity.frame_id if longest else frame.identity.frame_id,
+            longest[0].identity.frame_id if longest else frame.identity.frame_id,
             self._frame_changes,
         )
 
-    def _findings(self) -> tuple[Finding, ...]:
+    def _findings(
+        self, health: StreamHealth, longest: tuple[AllanSums, ...]
+    ) -> tuple[Finding, ...]:
         frames = self._frames.values()
         found = [note for frame in frames for note in frame.notes]
         if self._frame_note is not None:
             found.append(self._frame_note)
         relearned = sum(lane.relearned for frame in frames for lane in frame.lanes)
-        longest = tuple(sums for sums, _ in self._longest())
-        found += stream_findings(self._health('still'), longest, self._settings, relearned)
+        found += stream_findings(health, longest, self._settings, relearned)
         return tuple(dict.fromkeys(found))
