@@ -12,6 +12,7 @@ every fit is that of `allan analyze`, every comparison that of `allan compare`.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 
 import numpy as np
@@ -55,6 +56,7 @@ def main() -> None:
     args = parser.parse_args()
     alarms, compared = 0, []
     by_what: Counter[str] = Counter()
+    shown = sys.stderr.isatty()  # progress is for eyes, and not for files
     for pair in range(args.pairs):
         rng = np.random.default_rng([args.seed, pair])
         runs = [
@@ -65,10 +67,13 @@ def main() -> None:
         compared.append(sum(d.p is not None for d in found.differences))
         alarms += bool(found.beyond)
         by_what.update(d.quantity for d in found.beyond)
-        print(f'\r{alarms} of {pair + 1}', end='', flush=True)
+        if shown:
+            print(f'\r{alarms} of {pair + 1}', end='', file=sys.stderr, flush=True)
+    if shown:
+        print('\r', end='', file=sys.stderr, flush=True)
     low, high = clopper_pearson(alarms, args.pairs)
     print(
-        f'\r{alarms} of {args.pairs} pairs of equal noise are told apart, '
+        f'{alarms} of {args.pairs} pairs of equal noise are told apart, '
         f'{alarms / args.pairs:.1%} ({low:.1%} to {high:.1%}), {FAMILY_ERROR:.0%} allowed; '
         f'{min(compared)} to {max(compared)} comparisons each; by {dict(by_what)}'
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stream to put faults into, and a trial that notes what they cost and what was said of them."""
+"""A trial of a fault: what it cost, and what was said of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import math
 import re
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,20 +18,13 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np
+from offline_run import offline_sums
 from online_nodes import Client, Process, start
+from still_stream import Stream, healthy
 
-from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.batch import ImuBatch
-from allan_ros.core.simulate import LEVEL
-from allan_ros.core.sums_document import sums_from_document, sums_to_document
-from allan_ros.io.imu_cdr import encode_imus
+from allan_ros.core.sums_document import sums_from_document
 
-RATE_HZ = 200.0
-PERIOD_NS = round(1e9 / RATE_HZ)
-BLOCK = 20
-"""Samples that a fault is given at a time: a tenth of a second."""
-STD = [7e-4] * 3 + [1.1e-2] * 3
 HEALTHY_S = 12.0
 """Evidence before a fault, in s: rate and noise floor are learned, and sums are there."""
 AFTER_S = 5.0
@@ -88,100 +80,6 @@ def fault(
         return function
 
     return enter
-
-
-class Stream:
-    """Publishes a still IMU, each sample when it is due, in a thread and with a ROS context of
-    its own.
-
-    Attributes
-    ----------
-    change : callable
-        What a fault makes of each block before it is sent; set it and put `healthy` back.
-    made, sent : int
-        Samples before and after ``change``.
-    truth : list of ImuBatch
-        What was sent.
-    """
-
-    def __init__(
-        self,
-        topic: str = 'imu/data',
-        frame_id: str = 'imu',
-        seed: int = 1,
-        subscribers: int = 1,
-    ) -> None:
-        self.topic, self.frame_id, self._subscribers = topic, frame_id, subscribers
-        self.change: Callable[[ImuBatch], ImuBatch] = healthy
-        self.made = self.sent = 0
-        self.truth: list[ImuBatch] = []
-        self.silent = False
-        self._rng = np.random.default_rng(seed)
-        self._stop = threading.Event()
-        self.open()
-        self._thread = threading.Thread(target=self._work, daemon=True)
-
-    def open(self) -> None:
-        """Make the participant and wait until a subscriber has found it."""
-        import rclpy
-        from rclpy.qos import QoSProfile
-        from sensor_msgs.msg import Imu
-
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node('driver', context=self._context)
-        self._publisher = self._node.create_publisher(Imu, self.topic, QoSProfile(depth=1000))
-        while not self._publisher.get_subscription_count():
-            time.sleep(0.02)
-
-    def close(self) -> None:
-        """Destroy the participant; samples go nowhere until it is opened again."""
-        self._node.destroy_node()
-        self._context.shutdown()
-
-    def begin(self) -> None:
-        """Start to publish, once the subscribers know of this publisher too."""
-        from rclpy.executors import SingleThreadedExecutor
-
-        from allan_ros.nodes.handshake import Handshake
-
-        handshake = Handshake(self._node, self._publisher, self._subscribers)
-        executor = SingleThreadedExecutor(context=self._context)
-        executor.add_node(self._node)
-        while not handshake.update():
-            executor.spin_once(0.05)
-        executor.shutdown()
-        handshake.close()
-        self._thread.start()
-
-    def end(self) -> None:
-        """Stop publishing."""
-        self._stop.set()
-        self._thread.join()
-
-    def _work(self) -> None:
-        began, start_ns = time.monotonic(), time.time_ns()
-        while not self._stop.is_set():
-            stamps = start_ns + (self.made + np.arange(BLOCK)) * PERIOD_NS
-            noise = self._rng.standard_normal((BLOCK, 6)) * STD + np.array(LEVEL)
-            due = began + self.made / RATE_HZ
-            self.made += BLOCK
-            block = self.change(ImuBatch(stamps, noise, frame_id=self.frame_id))
-            if self.silent:
-                time.sleep(max(0.0, due + BLOCK / RATE_HZ - time.monotonic()))
-                continue
-            for i, payload in enumerate(encode_imus(block, 'cdr')):
-                wait = due + i * BLOCK / len(block) / RATE_HZ - time.monotonic()
-                if wait > 0:
-                    time.sleep(wait)
-                self._publisher.publish(bytes(payload))
-            self.sent += len(block)
-            self.truth.append(block)
-
-
-def healthy(block: ImuBatch) -> ImuBatch:
-    """Return the block as it is."""
-    return block
 
 
 class Hearing:
@@ -357,10 +255,6 @@ class Trial:
         text = f'{made - kept} of {made}' + (f' ({", ".join(reasons)})' if reasons else '')
         if not same:
             return text
-        offline = ImuAccumulator()
-        for block in self.stream.truth:
-            offline.update(block)
-        offline.end()
-        expected = json.loads(json.dumps([sums_to_document(s) for s in offline.result().sums]))
-        verdict = 'the same, bit for bit' if document['sums'] == expected else 'NOT THE SAME'
+        equal = document['sums'] == offline_sums(self.stream.truth)
+        verdict = 'the same, bit for bit' if equal else 'NOT THE SAME'
         return f'{text}; sums against the offline run: {verdict}'

@@ -11,8 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fault_harness import Hearing, Row, Stream, Trial, fault
+from fault_harness import Hearing, Row, Trial, fault
 from online_nodes import Client, Process, node, start
+from still_stream import Stream
 
 DOWN_S = 8.0
 """How long a killed node stays away: somebody has to notice."""

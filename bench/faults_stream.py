@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from fault_harness import Row, Stream, Trial, fault
+from fault_harness import Row, Trial, fault
 from online_nodes import Client
+from still_stream import Stream
 
 from allan_ros.core.batch import ImuBatch
 
@@ -88,7 +89,7 @@ def _loss(client: Client, folder: Path, share: float) -> Row:
 
     def some(block: ImuBatch) -> ImuBatch:
         keep = rng.random(len(block)) >= share
-        return ImuBatch(block.stamps_ns[keep], block.samples[keep], None, block.frame_id)
+        return block[keep]
 
     trial.faulty(some, 20.0)
     return trial.row(f'the driver loses {share:.0%} at random for 20 s')
@@ -101,7 +102,7 @@ def reordered(client: Client, folder: Path) -> Row:
 
     def shuffled(block: ImuBatch) -> ImuBatch:
         order = np.argsort(np.arange(len(block)) + rng.uniform(0.0, 3.0, len(block)))
-        return ImuBatch(block.stamps_ns[order], block.samples[order], None, block.frame_id)
+        return block[order]
 
     trial.faulty(shuffled, 10.0)
     return trial.row('messages overtake each other by up to 3 places for 10 s')
@@ -114,7 +115,7 @@ def duplicated(client: Client, folder: Path) -> Row:
 
     def twice(block: ImuBatch) -> ImuBatch:
         rows = np.repeat(np.arange(len(block)), 2)
-        return ImuBatch(block.stamps_ns[rows], block.samples[rows], None, block.frame_id)
+        return block[rows]
 
     trial.faulty(twice, 10.0)
     return trial.row('every message twice for 10 s')

@@ -149,9 +149,13 @@ class Client:
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import Imu
 
+        from allan_ros.nodes.handshake import Handshake
+
         publisher = self.node.create_publisher(Imu, 'imu/data', QoSProfile(depth=1000))
-        while not publisher.get_subscription_count():
+        handshake = Handshake(self.node, publisher)
+        while not handshake.update():
             self.spin(0.1)
+        handshake.close()
         return publisher
 
     def call(self, service: str) -> Any:

@@ -15,22 +15,20 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from doc_table import DocTable
 from faults_network import TRANSPORT
+from offline_run import offline_sums
 from online_nodes import RELIABLE, Client, node, start
 
-from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.batch import AXES, ImuBatch
 from allan_ros.core.engine import RunningAllan
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
-from allan_ros.core.sums_document import sums_from_document, sums_to_document
+from allan_ros.core.sums_document import sums_from_document
 from allan_ros.io.recordings import open_recordings
 from allan_ros.io.writing import write_recording
 
@@ -57,7 +55,7 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
         keep[rng.integers(0, len(whole), 30)] = False  # lost samples that are bridged
         batch = ImuBatch(whole.stamps_ns[keep], whole.samples[keep], frame_id='imu')
         write_recording(bag, [batch])
-        expected = _offline(open_recordings([bag])[0].batches())
+        expected = offline_sums(open_recordings([bag])[0].batches())
         client = Client()
         plays = [('1', RELIABLE), ('50', RELIABLE), ('0', RELIABLE), *[('50', ())] * BEST_EFFORT]
         for speed, ros in plays:
@@ -83,15 +81,6 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
                 f'{len(sums[0]["segments"])} segments, bit-identical: {sums == expected}',
                 flush=True,
             )
-
-
-def _offline(batches: Iterable[ImuBatch]) -> list[dict[str, Any]]:
-    """Return the sums of batches as they are saved."""
-    accumulator = ImuAccumulator()
-    for batch in batches:
-        accumulator.update(batch)
-    accumulator.end()
-    return [sums_to_document(s) for s in accumulator.result().sums]
 
 
 def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:

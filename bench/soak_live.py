@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 from doc_table import DocTable
+from offline_run import offline_sums
 from online_nodes import Client, start
 
-from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.batch import ImuBatch
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
-from allan_ros.core.sums_document import sums_to_document
 from allan_ros.io.imu_cdr import encode_imus
 from allan_ros.io.recordings import open_recordings
 from allan_ros.io.writing import write_recording
@@ -55,7 +54,6 @@ def live(length_s: float = LENGTH_S) -> None:
         client = Client()
         monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
         publisher, sent = client.publisher(), [0]
-        client.spin(2.0)  # the subscriber may not have found this one yet
         thread = threading.Thread(target=_send, args=(publisher, truth, sent), daemon=True)
         began, cpu_s = time.monotonic(), monitor.cpu_s()
         thread.start()
@@ -79,7 +77,8 @@ def live(length_s: float = LENGTH_S) -> None:
         client.spin(2.0)
         code = monitor.end(signal.SIGINT)
         held = json.loads(checkpoint.read_text())['sums']
-        verdict = 'the same, bit for bit' if held == _offline(truth) else 'NOT THE SAME'
+        equal = held == offline_sums(_batches(truth))
+        verdict = 'the same, bit for bit' if equal else 'NOT THE SAME'
     minutes, memory, load, *_ = np.array(rows[ROWS // 5 :]).T
     print(
         f'{sent[0]} sent, {client.value("input", "received")} received; sums against the offline '
@@ -103,14 +102,3 @@ def _send(publisher: Any, truth: Path, sent: list[int]) -> None:
                 time.sleep(wait)
             publisher.publish(bytes(payload))
             sent[0] += 1
-
-
-def _offline(truth: Path) -> list[dict[str, Any]]:
-    """Return the sums of the recording as they stand in a document."""
-    accumulator = ImuAccumulator()
-    for batch in _batches(truth):
-        accumulator.update(batch)
-    accumulator.end()
-    documents = [sums_to_document(s) for s in accumulator.result().sums]
-    read: list[dict[str, Any]] = json.loads(json.dumps(documents))
-    return read

@@ -30,7 +30,7 @@ from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.terms import NoiseTerms, term_avar
 from allan_ros.core.units import UNITS, from_datasheet, sensor_of
-from allan_ros.io.plots import TERM_STYLES
+from allan_ros.io.plot_style import TERM_STYLES
 from allan_ros.io.results import AxisResult, Provenance, Results, analyse_sums
 
 RATE = 100.0

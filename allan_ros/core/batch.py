@@ -67,7 +67,7 @@ class ImuBatch:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def __getitem__(self, rows: slice) -> ImuBatch:
-        """Return the rows as a batch of their own (views, not copies)."""
+    def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> ImuBatch:
+        """Return the rows as a batch of their own (views of a slice, copies of what is listed)."""
         record = None if self.record_ns is None else self.record_ns[rows]
         return ImuBatch(self.stamps_ns[rows], self.samples[rows], record, self.frame_id)

@@ -176,11 +176,15 @@ def open_storage(path: Path) -> Iterator[tuple[Storage, str]]:
 
 @contextmanager
 def _open_plain(path: Path, shown: Path) -> Iterator[tuple[Storage, str]]:
-    from .bag_mcap import open_mcap
-    from .bag_ros1 import open_ros1
+    from .bag_mcap import McapStorage
+    from .bag_ros1 import Ros1Storage
     from .bag_sqlite3 import open_sqlite3
 
-    openers: dict[str, Any] = {'mcap': open_mcap, 'sqlite3': open_sqlite3, 'ros1': open_ros1}
+    openers: dict[str, Any] = {
+        'mcap': McapStorage.open,
+        'sqlite3': open_sqlite3,
+        'ros1': Ros1Storage.open,
+    }
     head = first_bytes(path)
     for magic, kind in STORAGES:
         if head.startswith(magic):

@@ -8,18 +8,12 @@ whole is read. Whole chunks are decompressed at a time, so memory does not grow 
 
 from __future__ import annotations
 
-import os
 import struct
-import zlib
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import BinaryIO
 
-from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
+from .bag_chunks import ChunkStorage, Stretch
+from .bag_storage import Block, Cut, Topic, damaged, normal_type
 from .mcap_chunk import MESSAGE, MESSAGE_HEAD, RECORD, chunk_messages, records
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -32,63 +26,35 @@ CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
 FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
 LOOSE_BYTES = 1 << 20
 """Messages outside of chunks are read in runs of about this many bytes."""
-_DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
-"""What reading a damaged file raises."""
-REMEDY = 'copy it again, or mend it with "mcap recover"'
 
 
 @dataclass(frozen=True, order=True)
-class Span:
-    """A stretch of the file that holds messages: a chunk record, or a run of loose messages.
+class Span(Stretch):
+    """A chunk record, or a run of loose messages.
 
     Behind a chunk lie ``index_length`` bytes of records that say where its messages begin.
     """
 
-    start_ns: int
-    offset: int
-    length: int
     is_chunk: bool
     index_length: int = 0
 
 
-class McapStorage:
+class McapStorage(ChunkStorage[Span]):
     """An open .mcap file."""
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path = path
-        self._file = file
-        self._size = os.fstat(file.fileno()).st_size
+    DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
+    REMEDY = 'copy it again, or mend it with "mcap recover"'
+
+    def _survey(self) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}
-        self._channels: dict[int, Topic] = {}
-        self._counts: Counter[int] = Counter()
-        self._spans: list[Span] = []
-        self.cut: Cut | None = None
         if self._read(0, len(MAGIC)) != MAGIC:
-            raise damaged(path, 'it does not begin like an mcap file', 'give a recording')
+            raise damaged(self._path, 'it does not begin like an mcap file', 'give a recording')
         if not self._read_summary():
             self._scan()
-        self._spans.sort()
-        self.topics = list(self._channels.values())
 
-    def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages."""
-        return dict(self._counts)
-
-    def blocks(self, ids: set[int]) -> Iterator[Block]:
-        """Yield the messages of these topics in the order of their record time."""
-        with translated(self._path, _DAMAGE, REMEDY):
-            yield from self._blocks(ids)
-
-    def _blocks(self, ids: set[int]) -> Iterator[Block]:
-        in_order = InOrder()
-        ends = [span.start_ns for span in self._spans[1:]] + [None]
-        for span, until in zip(self._spans, ends):
-            index = partial(self._read, span.offset + span.length, span.index_length)
-            yield in_order.add(chunk_messages(self._data(span), ids, index), until)
-
-    def _read(self, offset: int, length: int) -> bytes:
-        self._file.seek(offset)
-        return self._file.read(length)
+    def _messages(self, chunk: Span, ids: set[int]) -> Block:
+        index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
+        return chunk_messages(self._data(chunk), ids, index)
 
     def _data(self, span: Span) -> bytes:
         """Return the records of a span, decompressed."""
@@ -98,17 +64,8 @@ class McapStorage:
         _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
         compression, at = _text(data, CHUNK_HEAD.size)
         (stored,) = struct.unpack_from('<Q', data, at)
-        try:
-            records = decompress(memoryview(data)[at + 8 : at + 8 + stored], compression)
-            if len(records) != size:
-                raise ValueError(f'{len(records)} bytes in place of {size}')
-            if checksum and zlib.crc32(records) != checksum:
-                raise ValueError('its checksum does not match')
-        except ValueError as error:
-            raise damaged(
-                self._path, f'the chunk at byte {span.offset} is damaged: {error}', REMEDY
-            ) from error
-        return records
+        packed = memoryview(data)[at + 8 : at + 8 + stored]
+        return self._unpacked(span.offset, packed, compression, size, checksum)
 
     def _read_summary(self) -> bool:
         """Take schemas, channels, chunks and counts from the end; False if they are not there."""
@@ -124,7 +81,7 @@ class McapStorage:
         for opcode, at, stop in records(data):
             self._learn(opcode, data, at, stop)
             if opcode == CHUNK_INDEX:
-                self._spans.append(_chunk_span(data, at))
+                self._chunks.append(_chunk_span(data, at))
             elif opcode == STATISTICS:
                 has_counts = True
                 (size,) = struct.unpack_from('<I', data, at + 42)
@@ -132,11 +89,11 @@ class McapStorage:
                 self._counts.update(dict(struct.iter_unpack('<HQ', pairs)))
         if (
             has_counts
-            and set(self._counts) <= set(self._channels)
-            and (self._spans or not sum(self._counts.values()))
+            and set(self._counts) <= set(self._topics)
+            and (self._chunks or not sum(self._counts.values()))
         ):
             return True
-        self._spans.clear()
+        self._chunks.clear()
         self._counts.clear()
         return False
 
@@ -155,7 +112,7 @@ class McapStorage:
             if opcode == CHUNK:
                 first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
                 span = Span(first, start, length, True)
-                self._spans.append(span)
+                self._chunks.append(span)
                 data = self._data(span)
                 for inner, inner_at, stop in records(data):
                     self._learn(inner, data, inner_at, stop, count=True)
@@ -172,13 +129,13 @@ class McapStorage:
     def _add_loose(self, head: bytes, offset: int, length: int) -> None:
         """Add a message outside of chunks to the run before it, or begin a new one."""
         log_time = MESSAGE_HEAD.unpack(head)[2]
-        last = self._spans[-1] if self._spans else None
+        last = self._chunks[-1] if self._chunks else None
         adjoins = last and not last.is_chunk and last.offset + last.length == offset
         if last and adjoins and last.length < LOOSE_BYTES:
             start = min(last.start_ns, log_time)
-            self._spans[-1] = Span(start, last.offset, last.length + length, False)
+            self._chunks[-1] = Span(start, last.offset, last.length + length, False)
         else:
-            self._spans.append(Span(log_time, offset, length, False))
+            self._chunks.append(Span(log_time, offset, length, False))
 
     def _learn(self, opcode: int, data: bytes, at: int, stop: int, count: bool = False) -> None:
         """Take note of a schema, a channel, or (to count it) a message."""
@@ -195,7 +152,7 @@ class McapStorage:
             topic, at = _text(data, at + 4)
             encoding, at = _text(data, at)
             name, form, text = self._schemas.get(schema, ('', '', ''))
-            self._channels[number] = Topic(number, topic, normal_type(name), encoding, form, text)
+            self._topics[number] = Topic(number, topic, normal_type(name), encoding, form, text)
 
 
 def _chunk_span(data: bytes, at: int) -> Span:
@@ -210,22 +167,3 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     (length,) = struct.unpack_from('<I', data, at)
     end = at + 4 + length
     return data[at + 4 : end].decode(errors='replace'), end
-
-
-@contextmanager
-def open_mcap(path: Path, shown: Path) -> Iterator[McapStorage]:
-    """Open an mcap file.
-
-    ``shown`` is the name used in messages, which differs for a decompressed copy.
-
-    Raises
-    ------
-    AllanError
-        When it is no mcap file or damaged.
-    """
-    with translated(shown, (OSError,), REMEDY):
-        file = path.open('rb')
-    with file:
-        with translated(shown, _DAMAGE, REMEDY):
-            storage = McapStorage(shown, file)
-        yield storage

@@ -8,18 +8,14 @@ is cut off is read as far as it is whole.
 
 from __future__ import annotations
 
-import os
 import struct
-from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
-from .bag_storage import Block, Cut, InOrder, Topic, damaged, decompress, normal_type, translated
+from .bag_chunks import ChunkStorage, Stretch
+from .bag_storage import Block, Cut, Topic, damaged, normal_type
 
 MAGIC = b'#ROSBAG V2.0\n'
 OP_MESSAGE, OP_BAG, OP_INDEX, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = 2, 3, 4, 5, 6, 7
@@ -30,69 +26,48 @@ INDEX_ENTRY = struct.Struct('<III')
 NANOSECONDS = 10**9
 MAX_HEADER = 1 << 20
 """A record header is far shorter; more means that the file is damaged."""
-_DAMAGE = (struct.error, LookupError, ValueError, OSError, OverflowError, MemoryError)
-"""What reading a damaged file raises; LookupError for a field that is not there."""
-REMEDY = 'copy it again, or mend it with "rosbag reindex" or "rosbag fix"'
 
 
 @dataclass(frozen=True, order=True)
-class Chunk:
-    """Where a chunk stands, and when its first message was recorded."""
+class Chunk(Stretch):
+    """A chunk, how it is compressed, and its size without."""
 
-    start_ns: int
-    offset: int
-    length: int
     compression: str
     size: int
 
 
-class Ros1Storage:
+class Ros1Storage(ChunkStorage[Chunk]):
     """An open ROS 1 bag."""
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path = path
-        self._file = file
-        self._connections: dict[int, Topic] = {}
-        self._counts: Counter[int] = Counter()
-        self._chunks: list[Chunk] = []
-        self.cut: Cut | None = None
-        magic = file.read(len(MAGIC))
+    # LookupError for a field that is not there
+    DAMAGE = (struct.error, LookupError, ValueError, OSError, OverflowError, MemoryError)
+    REMEDY = 'copy it again, or mend it with "rosbag reindex" or "rosbag fix"'
+
+    def _survey(self) -> None:
+        magic = self._read(0, len(MAGIC))
         if magic != MAGIC:
             version = magic.split(b'\n')[0].decode(errors='replace')
-            raise damaged(path, f'{version!r} is no ROS bag 2.0', 'update it with "rosbag fix"')
+            raise damaged(
+                self._path, f'{version!r} is no ROS bag 2.0', 'update it with "rosbag fix"'
+            )
         self._walk()
-        self._chunks.sort()
-        self.topics = list(self._connections.values())
 
-    def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages."""
-        return dict(self._counts)
-
-    def blocks(self, ids: set[int]) -> Iterator[Block]:
-        """Yield the messages of these topics in the order of their record time."""
-        with translated(self._path, _DAMAGE, REMEDY):
-            yield from self._blocks(ids)
-
-    def _blocks(self, ids: set[int]) -> Iterator[Block]:
-        in_order = InOrder()
-        ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
-        for chunk, until in zip(self._chunks, ends):
-            data = self._data(chunk)
-            view = memoryview(data)
-            times: list[int] = []
-            payloads: list[bytes | memoryview] = []
-            for header, start, end in _records(data):
-                if header['op'][0] == OP_MESSAGE and _number(header['conn']) in ids:
-                    times.append(_time(header['time']))
-                    payloads.append(view[start:end])
-            yield in_order.add(Block(np.array(times, dtype=np.int64), payloads), until)
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
+        data = self._data(chunk)
+        view = memoryview(data)
+        times: list[int] = []
+        payloads: list[bytes | memoryview] = []
+        for header, start, end in _records(data):
+            if header['op'][0] == OP_MESSAGE and _number(header['conn']) in ids:
+                times.append(_time(header['time']))
+                payloads.append(view[start:end])
+        return Block(np.array(times, dtype=np.int64), payloads)
 
     def _walk(self) -> None:
         """Find all chunks and connections, up to where the file is cut."""
-        size = os.fstat(self._file.fileno()).st_size
         at = len(MAGIC)
         bare: tuple[int, int, str, int] | None = None  # a chunk whose index was not seen yet
-        while record := self._record(at, size):
+        while record := self._record(at):
             header, start, end = record
             opcode = header['op'][0]
             if opcode != OP_INDEX and bare:
@@ -111,13 +86,13 @@ class Ros1Storage:
             at = end
         if bare:
             self._take_unindexed(*bare)
-        if at < size or (self._chunks and not self._connections):
-            self.cut = Cut(at, size)
-        if not self._connections:
+        if at < self._size or (self._chunks and not self._topics):
+            self.cut = Cut(at, self._size)
+        if not self._topics:
             for chunk in self._chunks:
                 self._learn_connections(self._data(chunk))
 
-    def _record(self, at: int, size: int) -> tuple[dict[str, bytes], int, int] | None:
+    def _record(self, at: int) -> tuple[dict[str, bytes], int, int] | None:
         """Return header, first byte and end of the record there; None where it is not whole."""
         self._file.seek(at)
         prefix = self._file.read(LENGTH.size)
@@ -125,11 +100,11 @@ class Ros1Storage:
             return None
         (header_length,) = LENGTH.unpack(prefix)
         start = at + 2 * LENGTH.size + header_length
-        if start > size or not 0 < header_length < MAX_HEADER:
+        if start > self._size or not 0 < header_length < MAX_HEADER:
             return None
         raw = self._file.read(header_length + LENGTH.size)
         end = start + LENGTH.unpack_from(raw, header_length)[0]
-        return None if end > size else (_fields(raw[:header_length]), start, end)
+        return None if end > self._size else (_fields(raw[:header_length]), start, end)
 
     def _take_index(
         self, header: dict[str, bytes], entries: bytes, bare: tuple[int, int, str, int] | None
@@ -162,7 +137,7 @@ class Ros1Storage:
     def _take_connection(self, header: dict[str, bytes], data: bytes) -> None:
         number = _number(header['conn'])
         fields = _fields(data)
-        self._connections[number] = Topic(
+        self._topics[number] = Topic(
             number,
             '/' * header['topic'].startswith(b'/')
             + '/'.join(part for part in header['topic'].decode().split('/') if part),
@@ -174,16 +149,8 @@ class Ros1Storage:
 
     def _data(self, chunk: Chunk) -> bytes:
         """Return the records of a chunk, decompressed."""
-        self._file.seek(chunk.offset)
-        try:
-            data = decompress(self._file.read(chunk.length), chunk.compression)
-            if len(data) != chunk.size:
-                raise ValueError(f'{len(data)} bytes in place of {chunk.size}')
-        except ValueError as error:
-            raise damaged(
-                self._path, f'the chunk at byte {chunk.offset} is damaged: {error}', REMEDY
-            ) from error
-        return data
+        stored = self._read(chunk.offset, chunk.length)
+        return self._unpacked(chunk.offset, stored, chunk.compression, chunk.size)
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], int, int]]:
@@ -219,22 +186,3 @@ def _number(value: bytes) -> int:
 def _time(value: bytes) -> int:
     sec, nsec = TIME.unpack(value)
     return int(sec) * NANOSECONDS + int(nsec)
-
-
-@contextmanager
-def open_ros1(path: Path, shown: Path) -> Iterator[Ros1Storage]:
-    """Open a ROS 1 bag.
-
-    ``shown`` is the name used in messages, which differs for a decompressed copy.
-
-    Raises
-    ------
-    AllanError
-        When it is no such bag or damaged.
-    """
-    with translated(shown, (OSError,), REMEDY):
-        file = path.open('rb')
-    with file:
-        with translated(shown, _DAMAGE, REMEDY):
-            storage = Ros1Storage(shown, file)
-        yield storage

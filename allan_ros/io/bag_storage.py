@@ -7,7 +7,7 @@ from __future__ import annotations
 import bz2
 from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
@@ -218,45 +218,6 @@ def _zstd() -> Any:
     except ImportError:
         from backports import zstd
     return zstd
-
-
-@dataclass
-class InOrder:
-    """Puts the messages of overlapping chunks in the order of their record time.
-
-    Feed the chunks by their start time; what lies before the start of the next one is complete.
-    Only the overlap is held back, so memory does not grow with the file.
-    """
-
-    _held: list[Block] = field(default_factory=list)
-
-    def add(self, block: Block, until: int | None) -> Block:
-        """Take one chunk and return all messages recorded before ``until`` (None: all)."""
-        times = np.concatenate([*(held.record_ns for held in self._held), block.record_ns])
-        in_order = bool((times[1:] >= times[:-1]).all())
-        if in_order and not self._held and (until is None or not len(times) or times[-1] < until):
-            return block
-        payloads = _joined([part.payloads for part in (*self._held, block)])
-        if not in_order:
-            order = np.argsort(times, kind='stable')
-            times = times[order]
-            payloads = (
-                [payloads[row] for row in order.tolist()]
-                if isinstance(payloads, list)
-                else payloads[order]
-            )
-        ready = len(times) if until is None else int(np.searchsorted(times, until))
-        self._held = [Block(times[ready:], payloads[ready:])] if ready < len(times) else []
-        return Block(times[:ready], payloads[:ready])
-
-
-def _joined(parts: list[Payloads]) -> Payloads:
-    """Return the messages of all parts, as one array where all have the same length."""
-    arrays = [part for part in parts if isinstance(part, np.ndarray) and len(part)]
-    of_one_length = len({array.itemsize for array in arrays}) == 1
-    if of_one_length and sum(map(len, arrays)) == sum(map(len, parts)):
-        return np.concatenate(arrays)
-    return [one for part in parts for one in as_list(part)]
 
 
 def as_list(payloads: Payloads) -> list[bytes | memoryview]:

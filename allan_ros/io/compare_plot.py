@@ -20,11 +20,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from ..core.batch import AXES, SENSORS
-from .plot_style import STYLES
-from .plots import FOOT_IN, LEFT_IN, MARGIN_IN, NARROW_IN, RC, SMALL, log_axes, tick_text
+from .log_axes import log_axes, tick_text
+from .plot_style import FOOT_IN, LEFT_IN, MARGIN_IN, NARROW_IN, RC, SMALL, STYLES
 from .results import AxisCurve
 from .run_comparison import RunComparison, Subject
-from .shown import pretty_unit, shown_unit
+from .shown import SENSOR_NAMES, pretty_unit, shown_unit
 
 RUN_STYLES = (
     ('', 'o', '-'),
@@ -121,8 +121,7 @@ def _head(
     """Write what is shown, and the names of the runs."""
     width, height = figure.get_size_inches()
     left, top = LEFT_IN / width, 1.0 - 0.09 / height
-    name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
-    figure.text(left, top, name, va='top', weight='bold', size='large')
+    figure.text(left, top, SENSOR_NAMES[sensor], va='top', weight='bold', size='large')
     if with_ratios:
         right = 1.0 - MARGIN_IN / width
         said = f'right: ratio to {comparison.runs[0].label}, filled where more than chance'

@@ -26,6 +26,46 @@ STYLES: dict[str, dict[str, Any]] = {
 """Styles of our own: as wide as a page, with the signal beside the curves, or as a column."""
 
 
+NARROW_IN = 5.0
+"""A picture narrower than this has no room for the signal beside the curves."""
+
+FOOT_IN, LEFT_IN, MARGIN_IN = 0.45, 0.62, 0.12
+"""Inches below the panels, left of the curves and at the right edge."""
+
+SMALL = 7.0
+"""Points of the legend: the least that a journal prints."""
+
+TERM_STYLES: dict[str, tuple[str, Any]] = {
+    'Q': ('#CC79A7', (0, (1, 1.2))),
+    'N': ('#0072B2', (0, (5, 1.5))),
+    'B': ('#009E73', (0, (6, 1.5, 1, 1.5))),
+    'K': ('#D55E00', (0, (9, 2))),
+    'R': ('#E69F00', (0, (3, 1.2, 1, 1.2, 1, 1.2))),
+}
+"""Term -> colour and dashes of its part.
+
+Colours are those of Okabe and Ito ("Color universal design", 2008), which the colour-blind tell
+apart; dashes keep a picture as legible in grey.
+"""
+
+BELOW_CURVE = 0.2
+"""A part is drawn where it is above this share of the lowest point of the curve."""
+
+RC: dict[str, Any] = {
+    'font.size': 8.0,
+    'axes.linewidth': 0.6,
+    'xtick.major.width': 0.6,
+    'ytick.major.width': 0.6,
+    'grid.color': '0.86',
+    'hatch.linewidth': 0.5,
+    'pdf.fonttype': 42,
+    'svg.fonttype': 'none',
+    'svg.hashsalt': 'allan_ros',
+    'axes.grid': False,
+}
+"""What all pictures start from; fonts are embedded whole in a PDF (type 42), as journals ask."""
+
+
 @dataclass(frozen=True)
 class PictureSettings:
     """What pictures are written, and how they look."""

@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture to trust the numbers by: Allan deviation, fit and its five parts beside the signal.
-
-Colours are those of Okabe and Ito ("Color universal design", 2008), which the colour-blind tell
-apart; every part has its own dashes besides, so that the picture is as legible in grey.
-"""
+"""The picture to trust the numbers by: Allan deviation, fit and its parts beside the signal."""
 
 from __future__ import annotations
 
@@ -15,88 +11,49 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context, rcParams
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from ..core.batch import AXES, SENSORS
 from ..core.fit import TERMS, Coefficient
+from .log_axes import log_axes
 from .outline import Outline
-from .plot_style import STYLES
+from .plot_style import (
+    BELOW_CURVE,
+    FOOT_IN,
+    LEFT_IN,
+    MARGIN_IN,
+    NARROW_IN,
+    RC,
+    SMALL,
+    STYLES,
+    TERM_STYLES,
+)
 from .results import AxisCurve, AxisResult, Results
 from .shown import (
     NOTHING_KNOWN,
+    SENSOR_NAMES,
     ShownUnit,
     interval_text,
     pretty_unit,
-    shown_signal_unit,
     shown_unit,
     value_text,
 )
+from .signal_plot import HATCHES, clock, draw_signal
 
-Floats = NDArray[np.float64]
+HEAD_IN = 0.62
+"""Inches above the panels."""
 
-TERM_STYLES: dict[str, tuple[str, Any]] = {
-    'Q': ('#CC79A7', (0, (1, 1.2))),
-    'N': ('#0072B2', (0, (5, 1.5))),
-    'B': ('#009E73', (0, (6, 1.5, 1, 1.5))),
-    'K': ('#D55E00', (0, (9, 2))),
-    'R': ('#E69F00', (0, (3, 1.2, 1, 1.2, 1, 1.2))),
-}
-"""Term -> colour and dashes of its part."""
-
-NARROW_IN = 5.0
-"""A picture narrower than this has no room for the signal beside the curves."""
-
-HEAD_IN, FOOT_IN = 0.62, 0.45
-"""Inches above and below the panels."""
-
-LEFT_IN, LEGEND_IN, MARGIN_IN, SIGNAL_LEFT_IN = 0.62, 1.34, 0.12, 0.42
-"""Inches left of the curves, of the legend beside them, at the right edge, left of the signal."""
+LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
+"""Inches of the legend beside the curves, and left of the signal."""
 
 TALLER_LEGEND_IN = 0.44
 """Inches of the legend above each panel of a narrow picture."""
 
 PNG_DPI = 200
 """Dots per inch of the PNG: sharp on a page of print and on a screen."""
-
-BELOW_CURVE = 0.2
-"""A part is drawn where it is above this share of the lowest point of the curve."""
-
-HATCHES = {True: '///', False: 3 * '\\'}
-"""Of what is left out, by whether the IMU moved."""
-
-VEIL = 0.75
-"""Opacity of the ground over the signal that is left out."""
-
-CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
-"""Least length in s, seconds in a unit, its name."""
-
-ABOVE_SIGNAL = 1.15
-"""Room about the evidence, over its largest value; a knock that was left out may leave it."""
-
-SMALL = 7.0
-"""Points of the legend: the least that a journal prints."""
-
-STEPS = (1, 2, 5, 10)
-"""Of ticks: numbers that are easy to count in."""
-
-RC: dict[str, Any] = {
-    'font.size': 8.0,
-    'axes.linewidth': 0.6,
-    'xtick.major.width': 0.6,
-    'ytick.major.width': 0.6,
-    'grid.color': '0.86',
-    'hatch.linewidth': 0.5,
-    'pdf.fonttype': 42,
-    'svg.fonttype': 'none',
-    'svg.hashsalt': 'allan_ros',
-    'axes.grid': False,
-}
-"""What all pictures start from; fonts are embedded whole in a PDF (type 42), as journals ask."""
 
 
 def sensor_figure(
@@ -131,11 +88,11 @@ def sensor_figure(
         for of_axis, axis in zip(panels, axes):
             _draw_curve(of_axis[0], axis, results.axes[axis], units, wide)
             if len(of_axis) > 1 and outline is not None:
-                _draw_signal(of_axis[1], axis, outline, units)
+                draw_signal(of_axis[1], axis, outline, units)
         panels[-1][0].set_xlabel('averaging time τ [s]')
         drawn = outline if panels.shape[1] > 1 else None
         if drawn is not None:
-            panels[-1][1].set_xlabel(f'time [{_clock(drawn)[1]}]')
+            panels[-1][1].set_xlabel(f'time [{clock(drawn)[1]}]')
         _head(figure, results, sensor, wide, drawn)
     return figure
 
@@ -200,7 +157,6 @@ def _head(
 ) -> None:
     """Write what is shown, and the legend that all panels share."""
     width, height = figure.get_size_inches()
-    name = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}[sensor]
     of = results.identity.hardware_id or results.identity.frame_id
     facts = (
         f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
@@ -211,9 +167,8 @@ def _head(
         said = {True: f'{HATCHES[True]} it moved', False: f'{HATCHES[False]} left out otherwise'}
         facts += f'; hatched: {", ".join(said[why] for why in (True, False) if why in moved)}'
     left, top = LEFT_IN / width, 1.0 - 0.09 / height
-    bold = figure.text(
-        left, top, f'{name}{f" of {of}" if of else ""}', va='top', weight='bold', size='large'
-    )
+    title = f'{SENSOR_NAMES[sensor]}{f" of {of}" if of else ""}'
+    bold = figure.text(left, top, title, va='top', weight='bold', size='large')
     bold.set_parse_math(False)
     plain = figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL)
     plain.set_parse_math(False)
@@ -309,89 +264,8 @@ def _draw_parts(
     return [*lines, *(Line2D([], [], ls='', label=text) for text in hidden)]
 
 
-def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Make both axes logarithmic, from and to these values.
-
-    The fine grid is drawn as one piece: ticks of it would cost more time than all the rest of the
-    picture.
-    """
-    panel.set_xscale('log')
-    panel.set_yscale('log', nonpositive='mask')
-    panel.set_xlim(*across)
-    panel.set_ylim(*up)
-    for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
-        direction.set_major_locator(LogLocator(numticks=9))
-        direction.set_minor_locator(NullLocator())
-        decades = np.arange(np.floor(np.log10(limits[0])), np.ceil(np.log10(limits[1])))
-        fine = np.outer(10.0**decades, np.arange(1, 10)).ravel()
-        fine = fine[(fine > limits[0]) & (fine < limits[1])]
-        labelled = np.isin(fine, 10.0**decades)
-        if labelled.sum() < 2:  # less than two decades: the twos and fives help
-            direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        direction.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
-        is_x = direction is panel.xaxis
-        ends = [0.0, 1.0]
-        panel.add_collection(
-            LineCollection(
-                [[(v, e) if is_x else (e, v) for e in ends] for v in fine],
-                transform=panel.get_xaxis_transform() if is_x else panel.get_yaxis_transform(),
-                colors=rcParams['grid.color'],
-                linewidths=np.where(labelled, 0.6, 0.25),
-                zorder=0.5,
-            ),
-            autolim=False,
-        )
-
-
-def tick_text(value: float) -> str:
-    """Return the label of a tick: plain where that is short, else as a power of ten."""
-    if 1e-3 <= value < 1e5:
-        return f'{value:g}'
-    exponent = int(np.floor(np.log10(value) + 1e-9))
-    digit = round(value / 10.0**exponent)
-    return rf'$10^{{{exponent}}}$' if digit == 1 else rf'${digit}\cdot10^{{{exponent}}}$'
-
-
 def _legend_text(term: str, coefficient: Coefficient, unit: ShownUnit) -> str:
     value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
     if value == NOTHING_KNOWN:
         return f'{term} not observable'
     return f'{term} {value} {pretty_unit(unit.name)}' + (f'\n   {interval}' if interval else '')
-
-
-def _clock(outline: Outline) -> tuple[float, str]:
-    """Return the seconds in the unit of time that suits a recording, and its name."""
-    length = float(outline.time_s[-1])
-    return next((scale, name) for least, scale, name in CLOCKS if length >= least)
-
-
-def _draw_signal(panel: Axes, axis: str, outline: Outline, units: str) -> None:
-    """Draw the outline of the signal about its middle, and mark what is no evidence."""
-    unit, column = shown_signal_unit(axis, units), AXES.index(axis)
-    middle = outline.middle[column]
-    low, high = ((a[:, column] - middle) * unit.factor for a in (outline.low, outline.high))
-    scale, _ = _clock(outline)
-    panel.fill_between(
-        *(outline.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
-    )
-    for start, end in outline.gaps:
-        panel.axvspan(start / scale, end / scale, fc=rcParams['grid.color'], lw=0)
-    for start, end, why in outline.left_out:
-        span, hatch = (start / scale, end / scale), HATCHES[why == 'motion']
-        panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=VEIL, lw=0)
-        panel.axvspan(*span, fc='none', ec=rcParams['text.color'], hatch=2 * hatch, lw=0)
-    for start in outline.starts[1:]:
-        panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
-    reach = ABOVE_SIGNAL * unit.factor * float(outline.reach[column])
-    panel.set_ylim(-reach, reach)
-    panel.set_title(
-        f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
-        size=SMALL,
-        loc='left',
-        pad=2.0,
-    )
-    panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
-    panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
-    panel.set_axisbelow(True)
-    panel.grid(color=rcParams['grid.color'], lw=0.5)
-    panel.margins(x=0.01)

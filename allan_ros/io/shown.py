@@ -11,6 +11,9 @@ from ..core.fit import Coefficient
 from ..core.fit.reading import Region
 from ..core.units import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
 
+SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
+"""Sensor -> its name in a heading."""
+
 SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
 """Units of the raw signal where the coefficients are shown as in datasheets."""
 

@@ -58,7 +58,7 @@ def _inputs(results: Results) -> Iterator[tuple[str, str]]:
 
 
 def _size(path: Path) -> Iterator[str]:
-    """Yield the size of an input and when it was last written, if it is still there."""
+    """Yield the size of an input, if it is still there."""
     try:
         files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
         stats = [file.stat() for file in files]

@@ -178,5 +178,5 @@ const Chart = (() => {
     return group;
   }
 
-  return { all, colour, create, element, number, redrawAll, toggles, FONT };
+  return { colour, create, element, number, redrawAll, toggles };
 })();

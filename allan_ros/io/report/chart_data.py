@@ -18,6 +18,7 @@ from ...core.fit import TERMS
 from ...core.spectrum import Spectrum
 from ...core.terms import NoiseTerms, term_avar
 from ..outline import Outline
+from ..plot_style import BELOW_CURVE
 from ..results import AxisResult, Results
 from ..shown import ShownUnit, pretty_unit, shown_density_unit, shown_signal_unit, shown_unit
 from .clipboard import copies
@@ -28,9 +29,6 @@ SYSTEMS = ('datasheet', 'si')
 
 DIGITS = 5
 """Significant digits of a point: a tenth of a pixel on any screen."""
-
-BELOW_CURVE = 0.2
-"""A part is drawn where it is above this share of the lowest point of the curve."""
 
 
 def sensor_charts(

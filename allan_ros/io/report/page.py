@@ -22,12 +22,11 @@ from ...core.findings import Finding
 from ...core.spectrum import Spectrum
 from ..outline import Outline
 from ..results import AxisResult, Results
-from ..shown import duration_text, significant
+from ..shown import SENSOR_NAMES, duration_text, significant
 from .background import background, recorded_on
 from .chart_data import sensor_charts, to_script, warmth_chart
 from .tables import coefficient_table, datasheet_table, former_table
 from .verdict import Verdict, verdict_of
-from .words import SENSOR_NAMES
 
 STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
 SCRIPTS = (

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names of sensors, terms and verdicts, and text that both systems of units are shown in."""
+"""Names of terms and verdicts, and text that both systems of units are shown in."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ TERM_NAMES = {
     },
 }
 """sensor -> term -> its name in IEEE Std 952 and 1293."""
-
-SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
 
 VERDICT_WORDS = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
 """Verdict of a comparison -> how the page says it."""

@@ -1,0 +1,24 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The offline run that the sums of a node are held against."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.batch import ImuBatch
+from allan_ros.core.sums_document import sums_to_document
+
+
+def offline_sums(batches: Iterable[ImuBatch]) -> list[dict[str, Any]]:
+    """Return the sums of batches as they are read from a document."""
+    accumulator = ImuAccumulator()
+    for batch in batches:
+        accumulator.update(batch)
+    accumulator.end()
+    documents = [sums_to_document(s) for s in accumulator.result().sums]
+    read: list[dict[str, Any]] = json.loads(json.dumps(documents))
+    return read
