@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from allan_ros.core.engine import RunningAllan
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
 from allan_ros.core.fit.goodness import Z_FAIL
+from allan_ros.core.imu import from_datasheet, to_datasheet
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
-from allan_ros.core.sums import AllanSums
-from allan_ros.core.units import from_datasheet, to_datasheet
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """Draws are fitted six at a time, as the six axes of one IMU."""

@@ -18,15 +18,14 @@ from collections import Counter
 import numpy as np
 from bench_accuracy import clopper_pearson
 
-from allan_ros.core.batch import AXES
-from allan_ros.core.differences import FAMILY_ERROR
-from allan_ros.core.engine import RunningAllan
-from allan_ros.core.presets import PRESETS
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.compare import FAMILY_ERROR
+from allan_ros.core.faults import PRESETS
+from allan_ros.core.imu import AXES, from_datasheet, sensor_of
+from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
-from allan_ros.core.terms import NoiseTerms
-from allan_ros.core.units import from_datasheet, sensor_of
+from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.results import Provenance, Results, analyse_sums
-from allan_ros.io.run_comparison import Subject, compare_runs
 
 RATE = 50.0
 """Hz."""

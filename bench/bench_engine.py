@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 
-from allan_ros.core.engine import RunningAllan
+from allan_ros.core.allan.engine import RunningAllan
 
 OFFSET = 9.8
 BIT = 2.0**-49

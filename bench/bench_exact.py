@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from allan_ros.core.engine import RunningAllan
-from allan_ros.core.sums import ImuIdentity
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.imu import ImuIdentity
 
 UNIT = 2.0**-49
 """Spacing of float64 from 8 to 16."""

@@ -29,10 +29,10 @@ except ImportError:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.fit import Coefficient
+from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis, simulate_imu
-from allan_ros.core.terms import NoiseTerms
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.exporters import ExportOptions, make_export
 from allan_ros.io.results import Provenance, Results, analyse_sums
 
@@ -50,7 +50,7 @@ NAMES = ('angle', 'position', 'velocity', 'accel bias', 'gyro bias')
 
 def analysed() -> Results:
     """Return what two hours at rest say of the IMU."""
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     for batch in simulate_imu(REST_S, RATE_HZ, [GYRO] * 3, [ACCEL] * 3, seed=1):
         accumulator.update(batch)
     accumulator.end()

@@ -43,8 +43,8 @@ STORAGES = {'mcap zstd': ('mcap', 'chunk'), 'sqlite3': ('sqlite3', 'none')}
 
 def bag(folder: Path, name: str, messages: int) -> Path:
     """Return a simulated bag of that storage and length, written if it is not there."""
+    from allan_ros.core.noise import NoiseTerms
     from allan_ros.core.simulate import simulate_imu
-    from allan_ros.core.terms import NoiseTerms
     from allan_ros.io.writing import write_recording
 
     storage, compression = STORAGES[name]
@@ -58,11 +58,11 @@ def bag(folder: Path, name: str, messages: int) -> Path:
 
 def table(path: Path) -> int:
     """Read a bag to its Allan table."""
-    from allan_ros.core.accumulator import ImuAccumulator
-    from allan_ros.io.recordings import open_recordings
+    from allan_ros.core.stream.pipeline import ImuStream
+    from allan_ros.io.readers.open import open_recordings
 
     (recording,) = open_recordings([path])
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     for batch in recording.batches():
         accumulator.update(batch)
     accumulator.end()
@@ -72,7 +72,7 @@ def table(path: Path) -> int:
 
 def read(path: Path) -> int:
     """Read a bag to arrays of samples."""
-    from allan_ros.io.recordings import open_recordings
+    from allan_ros.io.readers.open import open_recordings
 
     (recording,) = open_recordings([path])
     return sum(map(len, recording.batches()))
@@ -94,7 +94,7 @@ def floor(path: Path) -> int:
     """Do only what cannot be left out: decompress the chunks, or let SQLite touch every row."""
     from zstandard import ZstdDecompressor
 
-    from allan_ros.io.bag_mcap import CHUNK, MAGIC, RECORD
+    from allan_ros.io.readers.mcap import CHUNK, MAGIC, RECORD
 
     for database in path.glob('*.db3'):
         with sqlite3.connect(f'file:{database}?immutable=1', uri=True) as connection:
@@ -130,8 +130,8 @@ def measured(work: str, path: Path) -> tuple[float, int, float]:
 
 def work_here(work: str, path: Path) -> None:
     """Do the work and print what it cost, imports left out."""
-    import allan_ros.core.accumulator
-    import allan_ros.io.bags  # noqa: F401
+    import allan_ros.core.stream.pipeline
+    import allan_ros.io.readers.rosbag2  # noqa: F401
 
     begin = time.process_time()
     messages = WORK[work](path)
@@ -173,7 +173,7 @@ def spread(path: Path, processes: int) -> None:
     from allan_ros.cli.console import Console
     from allan_ros.cli.parts import Job, in_processes, in_turn
     from allan_ros.core.settings import SegmenterSettings
-    from allan_ros.io.recordings import ReadOptions
+    from allan_ros.io.readers.recording import ReadOptions
 
     jobs = [Job(str(path), ReadOptions(), SegmenterSettings(), '')] * RECORDINGS
     console = Console(quiet=True)

@@ -24,11 +24,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 from online_nodes import Client, Process, node
 
-from allan_ros.core.accumulator import ImuAccumulator
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import results_to_document
-from allan_ros.io.imu_cdr import encode_imus
-from allan_ros.io.imu_patch import CovariancePatch
+from allan_ros.io.readers.cdr import CovariancePatch, encode_imus
 from allan_ros.io.results import Provenance, analyse_sums
 
 RATES_HZ = (200, 1000)
@@ -59,7 +58,7 @@ class Receiver:
         from sensor_msgs.msg import Imu
 
         from allan_ros.nodes.imu_input import DrainedGroup
-        from allan_ros.nodes.qos_events import NO_CALLBACKS
+        from allan_ros.nodes.qos import NO_CALLBACKS
 
         self.latencies_ns: list[int] = []
         self._handle = client.node.create_subscription(
@@ -87,7 +86,7 @@ class Receiver:
 
 def message() -> tuple[bytearray, str]:
     """Return an Imu payload and a noise model that fits it."""
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     for batch in simulate_imu(20.0, 200.0, SIMULATED, SIMULATED, seed=1):
         accumulator.update(batch)
         payload = bytearray(encode_imus(batch[:1], 'cdr')[0])

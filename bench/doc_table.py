@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from allan_ros.io.atomic import write_atomic
+from allan_ros.io.files import write_atomic
 
 RELIABILITY = Path(__file__).resolve().parents[1] / 'docs' / 'reliability.md'
 

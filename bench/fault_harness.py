@@ -22,8 +22,8 @@ from offline_run import offline_sums
 from online_nodes import Client, Process, start
 from still_stream import Stream, healthy
 
-from allan_ros.core.batch import ImuBatch
-from allan_ros.core.sums_document import sums_from_document
+from allan_ros.core.allan.document import sums_from_document
+from allan_ros.core.imu import ImuBatch
 
 HEALTHY_S = 12.0
 """Evidence before a fault, in s: rate and noise floor are learned, and sums are there."""

@@ -13,7 +13,7 @@ from fault_harness import Row, Trial, fault
 from online_nodes import Client
 from still_stream import Stream
 
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.imu import ImuBatch
 
 HOUR_NS = 3600 * 10**9
 

@@ -8,14 +8,14 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
-from allan_ros.core.sums_document import sums_to_document
+from allan_ros.core.allan.document import sums_to_document
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
 
 
 def offline_sums(batches: Iterable[ImuBatch]) -> list[dict[str, Any]]:
     """Return the sums of batches as they are read from a document."""
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     for batch in batches:
         accumulator.update(batch)
     accumulator.end()

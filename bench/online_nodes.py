@@ -149,7 +149,7 @@ class Client:
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import Imu
 
-        from allan_ros.nodes.handshake import Handshake
+        from allan_ros.nodes.player import Handshake
 
         publisher = self.node.create_publisher(Imu, 'imu/data', QoSProfile(depth=1000))
         handshake = Handshake(self.node, publisher)

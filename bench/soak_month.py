@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 from doc_table import DocTable
 
-from allan_ros.core.accumulator import Accumulation, ImuAccumulator
-from allan_ros.core.batch import AXES, ImuBatch
-from allan_ros.core.health import Counts
+from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.simulate import LEVEL
+from allan_ros.core.stream.health import Counts
+from allan_ros.core.stream.pipeline import Accumulation, ImuStream
 from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.documents import sums_file_to_document
 from allan_ros.io.results import Provenance, analyse_sums
@@ -110,7 +110,7 @@ def resident_mb() -> float:
 def month() -> None:
     """Run the month, write the table, and say how memory and time grew."""
     table = DocTable('soak month', HEADING)
-    robot, accumulator = Robot(), ImuAccumulator()
+    robot, accumulator = Robot(), ImuStream()
     began, way_s, sent = time.monotonic(), 0.0, 0
     days, memory = [], []
     with tempfile.TemporaryDirectory() as folder:

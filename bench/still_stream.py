@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.imu import ImuBatch
 from allan_ros.core.simulate import LEVEL
-from allan_ros.io.imu_cdr import encode_imus
+from allan_ros.io.readers.cdr import encode_imus
 
 RATE_HZ = 200.0
 PERIOD_NS = round(1e9 / RATE_HZ)
@@ -75,7 +75,7 @@ class Stream:
         """Start to publish, once the subscribers know of this publisher too."""
         from rclpy.executors import SingleThreadedExecutor
 
-        from allan_ros.nodes.handshake import Handshake
+        from allan_ros.nodes.player import Handshake
 
         handshake = Handshake(self._node, self._publisher, self._subscribers)
         executor = SingleThreadedExecutor(context=self._context)

@@ -14,9 +14,9 @@ from typing import Any
 from hypothesis import strategies as st
 
 from allan_ros.cli.main import main
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
-from allan_ros.core.recent import RecentView
+from allan_ros.core.allan.recent import RecentView
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.documents import (
     results_from_document,
@@ -25,9 +25,9 @@ from allan_ros.io.documents import (
     sums_file_to_document,
 )
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
-from allan_ros.io.json_text import parse_json, read_json, to_json
-from allan_ros.io.recordings import SourceInfo
+from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.results import Provenance, analyse_sums
+from allan_ros.io.text import parse_json, read_json, to_json
 
 from .damage import any_bytes, as_utf8, damaged_json
 from .harness import BrokenRule, Target, check_document, check_line, refused_or_valid
@@ -41,7 +41,7 @@ FITTED = 8
 @lru_cache(maxsize=1)
 def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
     """Return a sums file and a results file that are whole."""
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     batch = small_batch(SAMPLES)
     for start in (0, SAMPLES // 3):
         moved = batch.stamps_ns[start:] + start * 10**9

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
-from allan_ros.io.documents import sums_file_from_document, sums_file_to_document, to_json
-from allan_ros.io.imu_cdr import MalformedMessage, decode_imus
-from allan_ros.io.imu_patch import CovariancePatch, frame_id_of
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
+from allan_ros.io.readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
 from allan_ros.io.results import Provenance
+from allan_ros.io.text import to_json
 
 from .damage import any_bytes, floats, texts
 from .harness import BrokenRule, Target, check_document, check_line
@@ -70,7 +70,7 @@ def check(stream: list[bytes], folder: Path) -> bool:
     """Decode, patch and accumulate; return whether all were Imu messages."""
     del folder
     patch = CovariancePatch(VARIANCES)
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     good = []
     for payload in stream:
         try:

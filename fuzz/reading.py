@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import AXES, ImuBatch
-from allan_ros.io.documents import sums_file_from_document, sums_file_to_document, to_json
-from allan_ros.io.imu_cdr import encode_imus
-from allan_ros.io.recordings import ReadOptions, open_recordings
+from allan_ros.core.imu import AXES, ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
+from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import ReadOptions
 from allan_ros.io.results import Provenance
+from allan_ros.io.text import to_json
 
 from .harness import BrokenRule, check_document, check_line, refused_or_valid
 
@@ -42,7 +44,7 @@ def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
     before = sorted(path.parent.rglob('*'))
     with refused_or_valid() as outcome:
         for recording in open_recordings([path], options):
-            accumulator = ImuAccumulator()
+            accumulator = ImuStream()
             for batch in recording.batches():
                 _check_batch(batch)
                 accumulator.update(batch)

@@ -21,15 +21,13 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import AXES
-from allan_ros.core.engine import RunningAllan
-from allan_ros.core.faults import Faults
-from allan_ros.core.presets import PRESETS
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.faults import PRESETS, Faults
+from allan_ros.core.imu import AXES, UNITS, from_datasheet, sensor_of
+from allan_ros.core.noise import NoiseTerms, term_avar
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_imu
-from allan_ros.core.terms import NoiseTerms, term_avar
-from allan_ros.core.units import UNITS, from_datasheet, sensor_of
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.plot_style import TERM_STYLES
 from allan_ros.io.results import AxisResult, Provenance, Results, analyse_sums
 
@@ -97,7 +95,7 @@ def paper_noise() -> list[NoiseTerms]:
 
 def analysed(hours: float, faults: Faults = Faults(), seed: int = 0) -> Results:
     """Return what the tool says of the paper's IMU."""
-    accumulator = ImuAccumulator(CALM)
+    accumulator = ImuStream(CALM)
     noise = paper_noise()
     for batch in simulate_imu(
         hours * HOUR, RATE, noise[:3], noise[3:], seed=seed, faults=faults, frame_id='imu_link'

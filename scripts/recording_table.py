@@ -16,13 +16,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import AXES
 from allan_ros.core.fit import fit_noise
+from allan_ros.core.imu import AXES, from_datasheet, sensor_of
+from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_imu
-from allan_ros.core.terms import NoiseTerms
-from allan_ros.core.units import from_datasheet, sensor_of
+from allan_ros.core.stream.pipeline import ImuStream
 
 RATE = 100.0
 """Hz."""
@@ -58,7 +57,7 @@ def noise_of(sensor: str) -> list[NoiseTerms]:
 
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
     """Return (axis, term) -> half-width of its interval relative to the truth, NaN if not shown."""
-    accumulator = ImuAccumulator(SegmenterSettings(motion_gate=False))
+    accumulator = ImuStream(SegmenterSettings(motion_gate=False))
     noise = {sensor: noise_of(sensor) for sensor in GRADES}
     for batch in simulate_imu(seconds, RATE, noise['gyro'], noise['accel'], seed=seed):
         accumulator.update(batch)

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_imu
-from allan_ros.core.sums import AllanSums
-from allan_ros.core.terms import NoiseTerms
-from allan_ros.io.recordings import SourceInfo
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.results import Provenance, Results, analyse_sums
 
 # How long an example takes says something of the machine, nothing of the law.
@@ -51,7 +51,7 @@ ACCEL = NoiseTerms(N=2e-4, B=4e-5)
 @pytest.fixture(scope='session')
 def small_run() -> tuple[AllanSums, Provenance]:
     """Return the sums of 20 simulated minutes at 50 Hz, and where they came from."""
-    accumulator = ImuAccumulator(hardware_id='unit 7')
+    accumulator = ImuStream(hardware_id='unit 7')
     for batch in simulate_imu(1200.0, 50.0, [GYRO] * 3, [ACCEL] * 3, seed=5, start_ns=10**18):
         accumulator.update(batch)
     accumulator.end()

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError, one_line
-from allan_ros.io.atomic import write_atomic
 from allan_ros.io.checkpoint import Checkpoint
+from allan_ros.io.files import write_atomic
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'allan_ros'
 FILES = sorted(PACKAGE.rglob('*.py'))
@@ -55,7 +55,7 @@ def test_the_scan_sees_what_is_forbidden(tmp_path: Path) -> None:
 def test_the_loader_of_yaml_is_a_safe_one() -> None:
     import yaml
 
-    from allan_ros.io.yaml_text import parse_yaml
+    from allan_ros.io.text import parse_yaml
 
     with pytest.raises(yaml.YAMLError):
         parse_yaml('!!python/object/apply:os.getcwd []')

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb; defaults are those of the settings classes."""
-    from ..io.recordings import ReadOptions
+    from ..io.readers.recording import ReadOptions
 
     parser.add_argument('inputs', nargs='+', metavar='INPUT', help='a recording')
     parser.add_argument(
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read, accumulate, fit, show and write."""
     from ..core.findings import Finding
-    from ..io.recordings import ReadOptions
+    from ..io.readers.recording import ReadOptions
     from .parts import Job, add_findings, add_spectra
 
     check_outcome(args)

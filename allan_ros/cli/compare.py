@@ -24,8 +24,8 @@ from .console import Console, width, wrapped
 from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
+    from ..io.comparison import RunComparison
     from ..io.results import Results
-    from ..io.run_comparison import RunComparison
 
 SENSOR_PREFIX = 'sensor:'
 
@@ -92,9 +92,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
+    from ..io.comparison import Subject, compare_runs, comparison_document, labels_of
+    from ..io.datasheets import load_sensor
     from ..io.plot_style import load_style
-    from ..io.run_comparison import Subject, compare_runs, comparison_document, labels_of
-    from ..io.sensors import load_sensor
 
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     elif not (console.quiet and args.output):
         print('\n'.join(comparison_lines(comparison, args.units, width())))
     if args.output:
-        from ..io.compare_files import write_comparison
+        from ..io.comparison_files import write_comparison
 
         written = write_comparison(args.output, comparison, args.units, pictures)
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
@@ -128,12 +128,11 @@ def run(args: argparse.Namespace) -> int:
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
     """Yield the verdict, a table for each sensor, then how the runs stand to datasheets."""
-    from ..core.batch import AXES, SENSORS
-    from ..io.compare_words import headline
-    from .datasheet_table import datasheet_lines
-    from .tables import table_lines
+    from ..core.imu import AXES, SENSORS
+    from ..io.comparison import comparison_headline
+    from .tables import datasheet_lines, table_lines
 
-    for sentence in headline(comparison):
+    for sentence in comparison_headline(comparison):
         yield from wrapped(sentence, columns, '  ')
     for sensor, where in SENSORS.items():
         axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
@@ -156,7 +155,7 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
 
 def _labels(comparison: RunComparison, sensor: str, units: str) -> list[str]:
     from ..core.fit import TERMS
-    from ..io.shown import shown_unit
+    from ..io.format import shown_unit
 
     labels = [sensor]
     for term in TERMS:
@@ -171,8 +170,8 @@ def _labels(comparison: RunComparison, sensor: str, units: str) -> list[str]:
 def _column(comparison: RunComparison, axis: str, units: str) -> list[str]:
     """Return the cells of one axis: each term of each run and its ratio, then the deviations."""
     from ..core.fit import TERMS
-    from ..io.compare_words import ratio_text, verdict_text
-    from ..io.shown import interval_text, shown_unit, value_text
+    from ..io.comparison import ratio_text, verdict_text
+    from ..io.format import interval_text, shown_unit, value_text
 
     cells = [axis.rsplit('_', 1)[1]]
     for term in TERMS:
@@ -198,9 +197,9 @@ def _column(comparison: RunComparison, axis: str, units: str) -> list[str]:
 def _read(path: str, args: argparse.Namespace, console: Console) -> Results:
     """Return the results of a path; a recording is analysed as `allan analyze` does."""
     from ..core.settings import SegmenterSettings
-    from ..io.recordings import ReadOptions
+    from ..io.comparison import read_run
+    from ..io.readers.recording import ReadOptions
     from ..io.results import analyse_sums
-    from ..io.run_comparison import read_run
     from .parts import Job, in_turn
 
     results = read_run(path, args.method)

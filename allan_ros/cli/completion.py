@@ -92,7 +92,7 @@ def _quiet(words: Callable[..., Iterable[str]]) -> Callable[..., list[str]]:
 
 
 def _sensors(**_: Any) -> Iterable[str]:
-    from ..io.sensors import sensor_names
+    from ..io.datasheets import sensor_names
 
     return sensor_names()
 
@@ -111,7 +111,7 @@ def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
 
 def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
     """Return the Imu topics of the bags that are named already, or all topics of them."""
-    from ..io.bag_folder import bag_files, open_storage
+    from ..io.readers.folder import bag_files, open_storage
     from ..io.writing import IMU_TYPE
 
     topics = []

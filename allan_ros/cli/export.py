@@ -21,8 +21,7 @@ from pathlib import Path
 from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
 from .console import Console
-from .folder import RESULTS, file_of
-from .options import add_settings, settings_of
+from .options import RESULTS, add_settings, file_of, settings_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,9 +58,10 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if not args.results or not args.to:
         raise AllanError('give a results.json or its folder, and --to TARGET; --list tells them')
-    from ..io.atomic import write_atomic
-    from ..io.documents import read_json, results_from_document
+    from ..io.documents import results_from_document
     from ..io.exporters import make_export, target_of
+    from ..io.files import write_atomic
+    from ..io.text import read_json
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)

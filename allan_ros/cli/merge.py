@@ -14,9 +14,8 @@ from __future__ import annotations
 import argparse
 
 from ..io.plot_style import PictureSettings
-from .folder import SUMS, file_of
-from .options import add_settings
-from .outcome import OutcomeSettings, Run, add_runs, check_outcome, finish
+from .options import SUMS, add_settings, file_of
+from .outcome import OutcomeSettings, RecordingSums, add_runs, check_outcome, finish
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,9 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, add, fit, show and write."""
-    from ..io.documents import read_json, sums_file_from_document
+    from ..io.documents import sums_file_from_document
+    from ..io.text import read_json
 
     check_outcome(args)
     paths = [file_of(path, SUMS) for path in args.inputs]
-    runs = [Run(path, *sums_file_from_document(read_json(path), path)) for path in paths]
+    runs = [RecordingSums(path, *sums_file_from_document(read_json(path), path)) for path in paths]
     return finish(add_runs(runs), args)

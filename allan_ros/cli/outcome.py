@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
 from ..core.fit import METHODS
-from ..core.parameters import check, parameter
+from ..core.settings import check, parameter
 from .console import Console
 from .options import settings_of
 
 if TYPE_CHECKING:
-    from ..core.spectrum import SpectrumSums
-    from ..core.sums import AllanSums
-    from ..io.envelope import SignalEnvelope
+    from ..core.allan.spectrum import SpectrumSums
+    from ..core.allan.sums import AllanSums
     from ..io.results import Provenance, Results
-    from ..io.temperature import TemperatureTrace
+    from ..io.signal import SignalEnvelope, TemperatureTrace
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class OutcomeSettings:
 
 
 @dataclass(frozen=True)
-class Run:
+class RecordingSums:
     """The sums of one run with their name and provenance."""
 
     name: str
@@ -71,7 +70,7 @@ class Run:
     provenance: Provenance
 
 
-def add_runs(runs: Iterable[Run]) -> Run:
+def add_runs(runs: Iterable[RecordingSums]) -> RecordingSums:
     """Return all runs as one.
 
     Raises
@@ -99,7 +98,7 @@ def add_runs(runs: Iterable[Run]) -> Run:
                 'or they count twice'
             )
         sums, provenance = added, provenance + run.provenance
-    return Run(first.name, tuple(sums.values()), provenance)
+    return RecordingSums(first.name, tuple(sums.values()), provenance)
 
 
 def check_outcome(args: argparse.Namespace) -> None:
@@ -111,9 +110,9 @@ def check_outcome(args: argparse.Namespace) -> None:
         When a target of ``--export``, the datasheet, the earlier run or the style of the pictures
         is unknown, there is no folder to write to, or a number is out of its range.
     """
+    from ..io.datasheets import load_sensor
     from ..io.exporters import target_of
     from ..io.plot_style import PictureSettings, load_style
-    from ..io.sensors import load_sensor
 
     settings_of(OutcomeSettings, args)
     if args.sensor:
@@ -128,7 +127,7 @@ def check_outcome(args: argparse.Namespace) -> None:
 
 
 def finish(
-    run: Run,
+    run: RecordingSums,
     args: argparse.Namespace,
     signals: Sequence[SignalEnvelope] = (),
     spectra: Sequence[SpectrumSums] = (),
@@ -141,9 +140,9 @@ def finish(
     int
         Exit code: 1 where nothing could be computed, else 0.
     """
+    from ..io.datasheets import load_sensor
     from ..io.plot_style import PictureSettings
     from ..io.results import analyse_sums
-    from ..io.sensors import load_sensor
 
     console = Console.of(args)
     with console.timed(f'fitted by {args.method}'):
@@ -197,8 +196,9 @@ def _former(args: argparse.Namespace) -> dict[str, Results]:
     """
     if not args.baseline:
         return {}
-    from ..io.documents import read_json, results_from_document
-    from ..io.run_comparison import labels_of
+    from ..io.comparison import labels_of
+    from ..io.documents import results_from_document
+    from ..io.text import read_json
 
     (label,) = labels_of([args.baseline])
     return {label: results_from_document(read_json(args.baseline), args.baseline)}

@@ -13,17 +13,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 
-from ..core.accumulator import ImuAccumulator
+from ..core.allan.spectrum import SpectrumSums
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.settings import SegmenterSettings
-from ..core.spectrum import SpectrumSums
-from ..io.envelope import SignalEnvelope
-from ..io.recordings import ReadOptions, Recording, open_recordings
+from ..core.stream.pipeline import ImuStream
+from ..io.readers.open import open_recordings
+from ..io.readers.recording import ReadOptions, Recording
 from ..io.results import Provenance
-from ..io.temperature import TemperatureTrace
+from ..io.signal import SignalEnvelope, TemperatureTrace
 from .console import Console
-from .outcome import Run
+from .outcome import RecordingSums
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Job:
 class Part:
     """What came of one recording: its sums, and if it is to be drawn, what is drawn beside them."""
 
-    run: Run
+    run: RecordingSums
     signal: SignalEnvelope
     spectra: tuple[SpectrumSums, ...] = ()
     temperature: TemperatureTrace | None = None
@@ -127,11 +127,11 @@ def add_findings(part: Part, lost: Iterable[Finding]) -> Part:
     """Return the part with more to say of it."""
     run = part.run
     more = Provenance(findings=tuple(lost))
-    return replace(part, run=Run(run.name, run.sums, run.provenance + more))
+    return replace(part, run=RecordingSums(run.name, run.sums, run.provenance + more))
 
 
 def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) -> Part:
-    accumulator = ImuAccumulator(job.evidence, job.hardware_id, job.drawn)
+    accumulator = ImuStream(job.evidence, job.hardware_id, job.drawn)
     signal = SignalEnvelope()
     for batch in recording.batches():
         accumulator.update(batch)
@@ -152,4 +152,4 @@ def _accumulate(job: Job, recording: Recording, advance: Callable[[int], None]) 
     origin = Provenance((recording.info,), known.spans, findings, counts, settings)
     frame_id = known.sums[0].identity.frame_id
     temperature = recording.temperature(frame_id) if job.drawn else None
-    return Part(Run(job.path, known.sums, origin), signal, known.spectra, temperature)
+    return Part(RecordingSums(job.path, known.sums, origin), signal, known.spectra, temperature)

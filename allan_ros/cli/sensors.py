@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from .console import Console, width, wrapped
 
 if TYPE_CHECKING:
-    from ..io.sensors import Datasheet, Limit, Source
+    from ..io.datasheets import Datasheet, Limit, Source
 
 GAP = 2
 """Characters between two columns."""
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show one datasheet, or list all."""
-    from ..io.sensors import load_sensor, sensor_names
+    from ..io.datasheets import load_sensor, sensor_names
 
     console = Console.of(args)
     if args.name:
@@ -104,7 +104,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
 
 def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
     """Return a datasheet as plain values, limits in SI."""
-    from ..core.units import SI_UNITS, sensor_of
+    from ..core.imu import SI_UNITS, sensor_of
 
     return {
         'id': name,
@@ -134,8 +134,8 @@ def _row(name: str, sheet: Datasheet) -> tuple[str, ...]:
 
 def _worst(sheet: Datasheet, sensor: str, term: str, unit: str) -> str:
     """Return the largest limit of a term among the axes of a sensor; '-' where there is none."""
-    from ..core.units import UNITS
-    from ..io.shown import significant
+    from ..core.imu import UNITS
+    from ..io.format import significant
 
     limits = [
         terms[term].value
@@ -155,7 +155,7 @@ def _grouped(sheet: Datasheet) -> list[tuple[list[str], str, Limit]]:
 
 
 def _limit_text(axis: str, term: str, limit: Limit) -> str:
-    from ..io.shown import shown_unit, significant
+    from ..io.format import shown_unit, significant
 
     units = (shown_unit(axis, term, system) for system in ('datasheet', 'si'))
     return ' = '.join(f'{significant(limit.value * u.factor, DIGITS)} {u.name}' for u in units)

@@ -21,14 +21,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError
-from ..core.faults import Faults
-from ..core.presets import PRESETS
+from ..core.faults import PRESETS, Faults
 from .console import Console
 from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
-    from ..core.batch import ImuBatch
-    from ..core.terms import NoiseTerms
+    from ..core.imu import ImuBatch
+    from ..core.noise import NoiseTerms
 
 HOUR = 3600.0
 
@@ -148,11 +147,10 @@ def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
     AllanError
         When nothing is said of the noise, or what is said is impossible.
     """
-    from ..core.batch import AXES
     from ..core.fields import Fields
-    from ..core.terms import NoiseTerms
-    from ..core.units import SI_UNITS, sensor_of
-    from ..io.sensors import load_sensor
+    from ..core.imu import AXES, SI_UNITS, sensor_of
+    from ..core.noise import NoiseTerms
+    from ..io.datasheets import load_sensor
     from ..io.truth import read_noise, with_noise
 
     changes = {name: getattr(args, name) for name in NOISE_OPTIONS if getattr(args, name)}

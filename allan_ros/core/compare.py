@@ -1,18 +1,37 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hold a fit against what the IMU should be: it is blamed only when the interval excludes that."""
+"""Two runs held against each other: which of their differences are more than chance.
+
+Coefficients are compared by the logarithm of their ratio, whose limits come from the two intervals
+as they are, each with its own width above and below (the method of variance estimates recovery:
+Zou & Donner, Statistics in Medicine 27, 2008, eq. 9, on logarithms). A coefficient that only one
+run shows is compared with the other's upper limit: the limits of both, at equal confidence, are
+moved until they meet. Deviations at equal averaging times are compared by the F distribution of
+two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
+
+Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
+keeps the probability that any one of them is called a difference by chance below `FAMILY_ERROR`,
+however they depend on each other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from .fit.values import TERMS, Coefficient
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, fdtr, fdtrc, fdtri, ndtr
+
+from .allan.curve import CI_LEVEL
+from .fit.model import TERMS, Coefficient
 
 MARGIN = 0.2
 """A unit is blamed from 20 % above a limit: typical figures are those of the middle unit, not
 of the worst, and noise rises some percent with temperature."""
+
 
 Verdict = Literal['within', 'beyond', 'open']
 """Surely not above the limit; surely above it; the interval holds the limit, so wait."""
@@ -100,3 +119,233 @@ def _highest(coefficient: Coefficient) -> float | None:
     if coefficient.ci95 is not None:
         return coefficient.ci95[1]
     return coefficient.value if coefficient.upper95 is None else coefficient.upper95
+
+
+Floats = NDArray[np.float64]
+
+
+Change = Literal['higher', 'lower', 'alike', 'open']
+"""The second run lies above the first, below it, not beyond chance, or it cannot be told."""
+
+
+FAMILY_ERROR = 0.05
+"""Probability that runs of equal noise differ in any one of all comparisons made at once."""
+
+
+Z_TWO_SIDED, Z_ONE_SIDED = 1.96, 1.645
+"""Normal quantiles of the 95 % intervals and upper limits that coefficients carry."""
+
+
+TAU_RATIO = 4.0
+"""Averaging times compared lie this factor apart: nearer ones share most of their samples."""
+
+
+MIN_EDF = 3.0
+"""Fewest degrees of freedom on either side: fewer show no ratio below 10."""
+
+
+EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
+"""Degrees of freedom among which those of a curve's limits are looked up."""
+
+
+MEETING_STEPS = 60
+"""Halvings until two limits meet: to the last digit."""
+
+
+FARTHEST_Z = 40.0
+"""Where limits that have not met are given up: the probability underflows."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One quantity of one axis in two runs.
+
+    Attributes
+    ----------
+    axis : str
+    quantity : str
+        A term, or 'adev' for the deviation at ``tau``.
+    tau : float or None
+        Averaging time in s, of a deviation.
+    ratio : float or None
+        The second run's over the first's; None where one of them shows only a limit.
+    ci95 : (low, high) or None
+        95 % interval of the ratio; a limit makes it open, with 0 or infinity at one end.
+    p : float or None
+        Probability of such a difference between runs of equal noise; None where none can be told.
+    verdict : 'higher', 'lower', 'alike' or 'open'
+        After all comparisons of the family.
+    """
+
+    axis: str
+    quantity: str
+    tau: float | None
+    ratio: float | None
+    ci95: tuple[float, float] | None
+    p: float | None
+    verdict: Change = 'open'
+
+
+@dataclass(frozen=True)
+class DeviationCurve:
+    """What is compared of a curve: averaging times in s, deviations, and their 68.3 % limits."""
+
+    tau: Floats
+    adev: Floats
+    ci_low: Floats
+    ci_high: Floats
+
+
+def coefficient_differences(
+    axis: str, first: Mapping[str, Coefficient], second: Mapping[str, Coefficient]
+) -> Iterator[Difference]:
+    """Yield the difference of each of the five terms, its verdict still open."""
+    for term in TERMS:
+        ratio, ci95, p = _compare(first[term], second[term])
+        yield Difference(axis, term, None, ratio, ci95, p)
+
+
+def curve_differences(
+    axis: str, first: DeviationCurve, second: DeviationCurve
+) -> Iterator[Difference]:
+    """Yield the difference of the deviations at common averaging times, verdicts still open.
+
+    The times are a factor `TAU_RATIO` apart, from the shortest that both have to the longest at
+    which both have `MIN_EDF` degrees of freedom; deviations between two points of a curve are
+    interpolated.
+    """
+    a, b = (_Interpolated(curve) for curve in (first, second))
+    shortest, longest = max(a.shortest, b.shortest), min(a.longest, b.longest)
+    tau = shortest
+    while tau <= longest * (1.0 + 1e-9):
+        (da, va), (db, vb) = a.at(tau), b.at(tau)
+        f = (db / da) ** 2
+        low, high = (math.sqrt(f / fdtri(vb, va, q)) for q in (0.975, 0.025))
+        p = 2.0 * min(fdtr(vb, va, f), fdtrc(vb, va, f))
+        yield Difference(axis, 'adev', tau, db / da, (low, high), min(float(p), 1.0))
+        tau *= TAU_RATIO
+
+
+def settle(
+    differences: Sequence[Difference], family_error: float = FAMILY_ERROR
+) -> list[Difference]:
+    """Return the differences with their verdicts, by Holm's procedure over all of them."""
+    decidable = sorted((d.p, i) for i, d in enumerate(differences) if d.p is not None)
+    beyond: set[int] = set()
+    for rank, (p, i) in enumerate(decidable):
+        if p > family_error / (len(decidable) - rank):
+            break
+        beyond.add(i)
+    return [replace(d, verdict=_verdict(d, i in beyond)) for i, d in enumerate(differences)]
+
+
+def _verdict(difference: Difference, beyond: bool) -> Change:
+    if difference.p is None or difference.ci95 is None:
+        return 'open'
+    if not beyond:
+        # A limit that does not exclude equality says nothing; two estimates say how alike they are.
+        return 'open' if difference.ratio is None else 'alike'
+    return 'higher' if difference.ci95[0] > 1.0 else 'lower'
+
+
+def _compare(
+    first: Coefficient, second: Coefficient
+) -> tuple[float | None, tuple[float, float] | None, float | None]:
+    """Return ratio, its interval and the probability of chance, each None where unknown."""
+    a, b = _estimate(first), _estimate(second)
+    if a is not None and b is not None:
+        return _of_estimates(a, b)
+    if a is not None and (limit := _limit(second)) is not None:
+        return None, (0.0, limit / a[1]), _of_limit(a, limit)
+    if b is not None and (limit := _limit(first)) is not None:
+        return None, (b[1] / limit, math.inf), _of_limit(b, limit)
+    return None, None, None
+
+
+def _estimate(c: Coefficient) -> tuple[float, float, float] | None:
+    """Return (value, low, high) where a coefficient is estimated with an interval above 0."""
+    if c.status != 'estimated' or not c.value or c.ci95 is None:
+        return None
+    low, high = c.ci95
+    if not 0.0 < low <= high < math.inf:
+        return None
+    return min(max(c.value, low), high), low, high
+
+
+def _limit(c: Coefficient) -> float | None:
+    """Return the 95 % upper limit of a coefficient that is not observable."""
+    known = c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
+    return c.upper95 if known else None
+
+
+def _of_estimates(
+    a: tuple[float, float, float], b: tuple[float, float, float]
+) -> tuple[float, tuple[float, float], float]:
+    """Return ratio b/a, interval and probability from the widths on the sides that face."""
+    log_ratio = math.log(b[0] / a[0])
+    down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
+    up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
+    facing = down if log_ratio > 0.0 else up
+    z = abs(log_ratio) * Z_TWO_SIDED / facing if facing > 0.0 else math.inf * bool(log_ratio)
+    interval = math.exp(log_ratio - down), math.exp(log_ratio + up)
+    return math.exp(log_ratio), interval, min(2.0 * float(ndtr(-z)), 1.0)
+
+
+def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
+    """Return the logarithm of upper / lower, and no less than half the whole interval's.
+
+    An interval inverts a test in which the other terms are fitted anew, so an estimate may stand
+    at its very end; that end is not known the better for it.
+    """
+    return max(math.log(upper / lower), math.log(of[2] / of[1]) / 2.0)
+
+
+def _of_limit(a: tuple[float, float, float], limit: float) -> float:
+    """Return the probability of chance where one run shows an estimate and one only a limit.
+
+    z is where the lower limit of the estimate, exp(-z s) times it, meets the upper limit of the
+    other, sqrt(z/1.645) times its 95 % one: powers, not deviations, have a normal error, and an
+    estimate of 0 leaves the most room. If neither limit fails at z the two differ; each fails with
+    probability Phi(-z), and either run could have been the one with the estimate: 4 Phi(-z).
+    """
+    value, low, _ = a
+    scale = _width(value, low, a) / Z_TWO_SIDED
+
+    def apart(z: float) -> bool:
+        return value * math.exp(-z * scale) > limit * math.sqrt(z / Z_ONE_SIDED)
+
+    near, far = 0.0, FARTHEST_Z
+    for _ in range(MEETING_STEPS):
+        middle = (near + far) / 2.0
+        near, far = (middle, far) if apart(middle) else (near, middle)
+    # Below the quantile of the limit itself it is not known how the limit moves.
+    return min(4.0 * float(ndtr(-near)), 1.0) if near >= Z_ONE_SIDED else 1.0
+
+
+class _Interpolated:
+    """Deviation and degrees of freedom of a curve at any averaging time, straight in logarithms."""
+
+    def __init__(self, curve: DeviationCurve) -> None:
+        with np.errstate(invalid='ignore', divide='ignore'):
+            edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
+            known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF)
+        self._tau = np.log(curve.tau[known])
+        self._adev = np.log(curve.adev[known])
+        self._edf = np.log(edf[known])
+        some = len(self._tau) > 0
+        self.shortest = math.exp(self._tau[0]) if some else math.inf
+        self.longest = math.exp(self._tau[-1]) if some else 0.0
+
+    def at(self, tau: float) -> tuple[float, float]:
+        x = math.log(tau)
+        return tuple(math.exp(np.interp(x, self._tau, y)) for y in (self._adev, self._edf))  # type: ignore[return-value]
+
+
+def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:
+    """Return the degrees of freedom whose chi-squared limits have the ratio high / low."""
+    tail = (1.0 - CI_LEVEL) / 2.0
+    ratio = np.log(chdtri(EDF_TABLE, tail) / chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
+    found: Floats = np.exp(
+        np.interp(np.log(np.log(high / low)), np.log(ratio)[::-1], np.log(EDF_TABLE)[::-1])
+    )
+    return np.where(np.isfinite(low) & (low > 0.0) & (high > low), found, np.nan)

@@ -7,19 +7,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from ..core.allan.sums import AllanSums, add_sums, check_same_imu
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
-from ..core.sums import AllanSums
-from ..core.total import add_sums, refuse_strangers
-from .atomic import remove_drafts, write_atomic
-from .documents import (
-    SUMS_SCHEMA,
-    read_json,
-    sums_file_from_document,
-    sums_file_to_document,
-    to_json,
-)
+from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
+from .files import remove_drafts, write_atomic
 from .results import Provenance
+from .text import read_json, to_json
 
 
 class Checkpoint:
@@ -62,7 +56,7 @@ class Checkpoint:
         if not self._readable:
             return sums
         try:
-            refuse_strangers(self._holds[0], sums)
+            check_same_imu(self._holds[0], sums)
             total = add_sums(self.sums, sums)
         except AllanError as error:
             self._refuse(str(error))

@@ -9,6 +9,7 @@ A file is found by its name in the user's folder (``~/.config/allan_ros/<kind>``
 from __future__ import annotations
 
 import difflib
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,13 +18,17 @@ from typing import Any
 import yaml
 
 from ..core.errors import AllanError
-from .yaml_text import parse_yaml
+from ..core.fields import Fields
+from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
+from .text import parse_yaml
 
 MAX_BYTES = 100_000
 """Such a file is a page; more is another file."""
 
+
 NEAREST = 3
 """How many names that resemble an unknown one are offered."""
+
 
 LISTED = 8
 """How many names are listed where none resembles it."""
@@ -100,3 +105,57 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
         return f'did you mean {" or ".join(near)}'
     more = f' (and {len(names) - LISTED} more)' if len(names) > LISTED else ''
     return f'choose one of {", ".join(names[:LISTED])}{more}'
+
+
+SCHEMA = 'allan_ros/filter/1'
+
+
+FIELDS = ('sensor', 'axis', 'expression', 'limits', 'unit')
+
+
+def filter_names() -> list[str]:
+    """Return the names of the mappings that come with the package."""
+    return config_names('filters')
+
+
+def load_filter(name: str) -> FilterMapping:
+    """Return a mapping by the name of one that comes with the package, or by its path.
+
+    Raises
+    ------
+    AllanError
+        When there is none of that name, or the file is not as it must be.
+    """
+    path = config_file('filters', name, 'filter mapping')
+    fields = Fields(read_yaml(path), str(path))
+    fields.schema(SCHEMA)
+    parameters = fields.fields('parameters')
+    constants = fields.fields('constants') if 'constants' in fields else None
+    mapping = FilterMapping(
+        fields.text('name'),
+        tuple(_parameter(key, parameters.fields(key)) for key in parameters),
+        {} if constants is None else {key: constants.number(key) for key in constants},
+    )
+    try:
+        check_mapping(mapping)
+    except AllanError as error:
+        raise AllanError(f'{path}: {error}') from error
+    if not mapping.parameters:
+        raise AllanError(f'{path}: names no parameter')
+    return mapping
+
+
+def _parameter(name: str, fields: Fields) -> FilterParameter:
+    for key in fields:
+        if key not in FIELDS:
+            raise AllanError(f'{fields.where}: {key!r} is unknown, use {", ".join(FIELDS)}')
+    limits = (-math.inf, math.inf)
+    if 'limits' in fields:
+        limits = fields.interval('limits')
+    try:
+        expression = Expression(fields.text('expression'))
+    except AllanError as error:
+        raise AllanError(f'{fields.where}: {error}') from error
+    return FilterParameter(
+        name, fields.text('sensor'), expression, fields.text('axis', 'worst'), limits
+    )

@@ -13,9 +13,9 @@ from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.findings import Finding, finding
 from ..core.fit import TERMS, Coefficient
-from ..core.units import SI_UNITS, sensor_of
-from .sensors import SEEN, Datasheet, Limit, Source
-from .shown import interval_text, shown_unit, significant, value_text
+from ..core.imu import SI_UNITS, sensor_of
+from .datasheets import SEEN, Datasheet, Limit, Source
+from .format import interval_text, shown_unit, significant, value_text
 
 VERDICTS: tuple[Verdict, ...] = ('beyond', 'open', 'within')
 """The worst first."""
@@ -29,7 +29,7 @@ VERDICT_TEXT: dict[Verdict, str] = {
 
 
 @dataclass(frozen=True)
-class Held:
+class LimitCheck:
     """One coefficient of one axis, and the limit it was held against."""
 
     axis: str
@@ -53,7 +53,7 @@ class DatasheetComparison:
 
     datasheet: Datasheet
     margin: float
-    held: tuple[Held, ...]
+    held: tuple[LimitCheck, ...]
 
     @property
     def verdict(self) -> Verdict | None:
@@ -61,7 +61,7 @@ class DatasheetComparison:
         verdicts = {held.verdict for held in self.held}
         return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
 
-    def of(self, axis: str, term: str) -> Held | None:
+    def of(self, axis: str, term: str) -> LimitCheck | None:
         """Return what a coefficient was held against, if it was."""
         return next((h for h in self.held if (h.axis, h.term) == (axis, term)), None)
 
@@ -75,7 +75,7 @@ def against_datasheet(
         datasheet,
         margin,
         tuple(
-            Held(c.axis, c.term, datasheet.limits[c.axis][c.term], c.verdict)
+            LimitCheck(c.axis, c.term, datasheet.limits[c.axis][c.term], c.verdict)
             for axis, terms in noise.items()
             for c in compare(axis, terms, reference, margin)
         ),
@@ -158,7 +158,7 @@ def comparison_from_document(fields: Fields) -> DatasheetComparison:
     sources = fields.fields('sources')
     axes = fields.fields('axes')
     held = tuple(
-        Held(axis, term, _limit(of_term), of_term.choice('verdict', VERDICTS))  # type: ignore[arg-type]
+        LimitCheck(axis, term, _limit(of_term), of_term.choice('verdict', VERDICTS))  # type: ignore[arg-type]
         for axis in axes
         for of_axis in [axes.fields(axis)]
         for term in of_axis

@@ -16,21 +16,18 @@ from dataclasses import fields as fields_of
 from typing import Any
 
 from .. import __version__
-from ..core.batch import AXES, MAX_NAME
-from ..core.edf import CI_LEVEL
+from ..core.allan.curve import CI_LEVEL
+from ..core.allan.document import sums_from_document, sums_to_document
+from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Sinusoid
-from ..core.fit.reading import Region
-from ..core.health import Counts, Span
-from ..core.sums import AllanSums, ImuIdentity
-from ..core.sums_document import sums_from_document, sums_to_document
-from ..core.units import SI_UNITS, sensor_of
+from ..core.fit.regions import Region
+from ..core.imu import AXES, MAX_NAME, SI_UNITS, ImuIdentity, sensor_of
+from ..core.stream.health import Counts, Segment
 from .datasheet_comparison import comparison_from_document, comparison_to_document
-from .json_text import read_json as read_json  # documents as text have their door here too
-from .json_text import to_json as to_json
-from .recordings import SourceInfo
+from .readers.recording import SourceInfo
 from .results import AxisCurve, AxisResult, Provenance, Results
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
@@ -149,7 +146,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
             for s in fields.each('source')
         ),
         tuple(
-            Span(
+            Segment(
                 s.integer('start_ns'),
                 s.integer('samples', least=0),
                 s.number('duration_s', least=0.0),

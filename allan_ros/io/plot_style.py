@@ -10,14 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
 from ..core.errors import AllanError
-from ..core.parameters import check, parameter
+from ..core.settings import check, parameter
 
 FORMATS = ('png', 'svg', 'pdf')
 """What a picture may be written as."""
 
+
 PAGE_IN, COLUMN_IN = 7.16, 3.5
 """Widths in inches of a page and a column of the IEEE's journals."""
+
 
 STYLES: dict[str, dict[str, Any]] = {
     'page': {'figure.figsize': (PAGE_IN, 6.3)},
@@ -29,11 +37,14 @@ STYLES: dict[str, dict[str, Any]] = {
 NARROW_IN = 5.0
 """A picture narrower than this has no room for the signal beside the curves."""
 
+
 FOOT_IN, LEFT_IN, MARGIN_IN = 0.45, 0.62, 0.12
 """Inches below the panels, left of the curves and at the right edge."""
 
+
 SMALL = 7.0
 """Points of the legend: the least that a journal prints."""
+
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
@@ -48,8 +59,10 @@ Colours are those of Okabe and Ito ("Color universal design", 2008), which the c
 apart; dashes keep a picture as legible in grey.
 """
 
+
 BELOW_CURVE = 0.2
 """A part is drawn where it is above this share of the lowest point of the curve."""
+
 
 RC: dict[str, Any] = {
     'font.size': 8.0,
@@ -141,3 +154,46 @@ def _sheet(path: Path) -> Mapping[str, Any]:
     if complaints.said:
         raise AllanError(f'{path}: is no style sheet of matplotlib ({complaints.said[0][:160]})')
     return sheet
+
+
+def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
+    """Make both axes logarithmic, from and to these values.
+
+    The fine grid is drawn as one piece: ticks of it would cost more time than all the rest of the
+    picture.
+    """
+    panel.set_xscale('log')
+    panel.set_yscale('log', nonpositive='mask')
+    panel.set_xlim(*across)
+    panel.set_ylim(*up)
+    for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
+        direction.set_major_locator(LogLocator(numticks=9))
+        direction.set_minor_locator(NullLocator())
+        decades = np.arange(np.floor(np.log10(limits[0])), np.ceil(np.log10(limits[1])))
+        fine = np.outer(10.0**decades, np.arange(1, 10)).ravel()
+        fine = fine[(fine > limits[0]) & (fine < limits[1])]
+        labelled = np.isin(fine, 10.0**decades)
+        if labelled.sum() < 2:  # less than two decades: the twos and fives help
+            direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+        direction.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
+        is_x = direction is panel.xaxis
+        ends = [0.0, 1.0]
+        panel.add_collection(
+            LineCollection(
+                [[(v, e) if is_x else (e, v) for e in ends] for v in fine],
+                transform=panel.get_xaxis_transform() if is_x else panel.get_yaxis_transform(),
+                colors=rcParams['grid.color'],
+                linewidths=np.where(labelled, 0.6, 0.25),
+                zorder=0.5,
+            ),
+            autolim=False,
+        )
+
+
+def tick_text(value: float) -> str:
+    """Return the label of a tick: plain where that is short, else as a power of ten."""
+    if 1e-3 <= value < 1e5:
+        return f'{value:g}'
+    exponent = int(np.floor(np.log10(value) + 1e-9))
+    digit = round(value / 10.0**exponent)
+    return rf'$10^{{{exponent}}}$' if digit == 1 else rf'${digit}\cdot10^{{{exponent}}}$'

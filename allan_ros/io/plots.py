@@ -14,12 +14,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from ..core.batch import AXES, SENSORS
 from ..core.fit import TERMS, Coefficient
-from .log_axes import log_axes
-from .outline import Outline
+from ..core.imu import AXES, SENSORS
+from .format import (
+    NOTHING_KNOWN,
+    SENSOR_NAMES,
+    ShownUnit,
+    interval_text,
+    pretty_unit,
+    shown_signal_unit,
+    shown_unit,
+    value_text,
+)
 from .plot_style import (
     BELOW_CURVE,
     FOOT_IN,
@@ -30,27 +39,80 @@ from .plot_style import (
     SMALL,
     STYLES,
     TERM_STYLES,
+    log_axes,
 )
 from .results import AxisCurve, AxisResult, Results
-from .shown import (
-    NOTHING_KNOWN,
-    SENSOR_NAMES,
-    ShownUnit,
-    interval_text,
-    pretty_unit,
-    shown_unit,
-    value_text,
-)
-from .signal_plot import HATCHES, clock, draw_signal
+from .signal_summary import SignalSummary
+
+HATCHES = {True: '///', False: 3 * '\\'}
+"""Of what is left out, by whether the IMU moved."""
+
+
+VEIL = 0.75
+"""Opacity of the ground over the signal that is left out."""
+
+
+CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
+"""Least length in s, seconds in a unit, its name."""
+
+
+ABOVE_SIGNAL = 1.15
+"""Room about the evidence, over its largest value; a knock that was left out may leave it."""
+
+
+STEPS = (1, 2, 5, 10)
+"""Of ticks: numbers that are easy to count in."""
+
+
+def clock(outline: SignalSummary) -> tuple[float, str]:
+    """Return the seconds in the unit of time that suits a recording, and its name."""
+    length = float(outline.time_s[-1])
+    return next((scale, name) for least, scale, name in CLOCKS if length >= least)
+
+
+def draw_signal(panel: Axes, axis: str, outline: SignalSummary, units: str) -> None:
+    """Draw the outline of the signal about its middle, and mark what is no evidence."""
+    unit, column = shown_signal_unit(axis, units), AXES.index(axis)
+    middle = outline.middle[column]
+    low, high = ((a[:, column] - middle) * unit.factor for a in (outline.low, outline.high))
+    scale, _ = clock(outline)
+    panel.fill_between(
+        *(outline.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
+    )
+    for start, end in outline.gaps:
+        panel.axvspan(start / scale, end / scale, fc=rcParams['grid.color'], lw=0)
+    for start, end, why in outline.left_out:
+        span, hatch = (start / scale, end / scale), HATCHES[why == 'motion']
+        panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=VEIL, lw=0)
+        panel.axvspan(*span, fc='none', ec=rcParams['text.color'], hatch=2 * hatch, lw=0)
+    for start in outline.starts[1:]:
+        panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
+    reach = ABOVE_SIGNAL * unit.factor * float(outline.reach[column])
+    panel.set_ylim(-reach, reach)
+    panel.set_title(
+        f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
+        size=SMALL,
+        loc='left',
+        pad=2.0,
+    )
+    panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
+    panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
+    panel.set_axisbelow(True)
+    panel.grid(color=rcParams['grid.color'], lw=0.5)
+    panel.margins(x=0.01)
+
 
 HEAD_IN = 0.62
 """Inches above the panels."""
 
+
 LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
 """Inches of the legend beside the curves, and left of the signal."""
 
+
 TALLER_LEGEND_IN = 0.44
 """Inches of the legend above each panel of a narrow picture."""
+
 
 PNG_DPI = 200
 """Dots per inch of the PNG: sharp on a page of print and on a screen."""
@@ -59,7 +121,7 @@ PNG_DPI = 200
 def sensor_figure(
     results: Results,
     sensor: str,
-    outline: Outline | None = None,
+    outline: SignalSummary | None = None,
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
@@ -69,7 +131,7 @@ def sensor_figure(
     ----------
     results : Results
     sensor : 'gyro' or 'accel'
-    outline : Outline or None
+    outline : SignalSummary or None
         The raw signal; without it, or on a narrow picture, the curves stand alone.
     units : 'datasheet' or 'si'
     style : mapping
@@ -153,7 +215,7 @@ def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray
 
 
 def _head(
-    figure: Figure, results: Results, sensor: str, wide: bool, outline: Outline | None
+    figure: Figure, results: Results, sensor: str, wide: bool, outline: SignalSummary | None
 ) -> None:
     """Write what is shown, and the legend that all panels share."""
     width, height = figure.get_size_inches()

@@ -10,20 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..core.batch import SENSORS
+from ..core.allan.spectrum import SpectrumSums, spectrum_of
+from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.findings import finding
-from ..core.spectrum import SpectrumSums, spectrum_of
-from ..core.sums import AllanSums
-from .atomic import write_atomic
-from .documents import results_to_document, sums_file_to_document, to_json
-from .envelope import SignalEnvelope
+from ..core.imu import SENSORS
+from .documents import results_to_document, sums_file_to_document
 from .exporters import export, target_of
-from .outline import outline_of
+from .files import write_atomic
 from .plot_style import PictureSettings, load_style
 from .report import Beside, render_report
 from .results import Results
-from .temperature import TemperatureTrace
+from .signal import SignalEnvelope, TemperatureTrace
+from .signal_summary import summarize_signal
+from .text import to_json
 
 OUTLINE_BINS = 1000
 """Spans of the raw signal in pictures and page: as many as a plot has pixels across."""
@@ -91,7 +91,7 @@ def write_result_files(
             left_out = finding('file_left_out', file=target_of(target).file_name, why=str(error))
             results = replace(results, findings=(*results.findings, left_out))
     known = results.provenance
-    outline = outline_of(signals, known.spans, OUTLINE_BINS, known.counts.cuts, temperatures)
+    outline = summarize_signal(signals, known.spans, OUTLINE_BINS, known.counts.cuts, temperatures)
     elements = {}
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.batch import AXES
-from ..core.curve import AllanCurve, allan_curve
+from ..core.allan.curve import AllanCurve, allan_curve
+from ..core.allan.sums import AllanSums
+from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
-from ..core.fit import TERMS, AxisFit, NoiseFit, fit_noise
-from ..core.fit.reading import Region, read_curve
-from ..core.health import Counts, Span
-from ..core.sample_variance import sample_variance
-from ..core.sums import AllanSums, ImuIdentity
-from ..core.terms import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
+from ..core.fit import TERMS, AxisFit, NoiseModel, fit_noise
+from ..core.fit.regions import Region, read_curve
+from ..core.imu import AXES, ImuIdentity
+from ..core.noise import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
+from ..core.stream.health import Counts, Segment
 from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
-from .recordings import SourceInfo
-from .sensors import Datasheet
+from .datasheets import Datasheet
+from .readers.recording import SourceInfo
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Provenance:
     """
 
     sources: tuple[SourceInfo, ...] = ()
-    spans: tuple[Span, ...] = ()
+    spans: tuple[Segment, ...] = ()
     findings: tuple[Finding, ...] = ()
     counts: Counts = field(default_factory=Counts)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -208,7 +208,7 @@ def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str 
 
 
 def _axis_results(
-    fitted: Iterable[tuple[AllanCurve, NoiseFit]],
+    fitted: Iterable[tuple[AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
     for curve, fit in fitted:
         for i, name in enumerate(curve.axes):

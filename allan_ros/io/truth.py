@@ -20,14 +20,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from ..core.batch import AXES
 from ..core.errors import AllanError
 from ..core.faults import Faults
 from ..core.fields import Fields
-from ..core.terms import NoiseTerms
-from ..core.units import SI_UNITS, from_datasheet, sensor_of, to_si
-from .atomic import write_atomic
+from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of, to_si
+from ..core.noise import NoiseTerms
 from .config_files import read_yaml
+from .files import write_atomic
 
 SCHEMA = 'allan_ros/truth/1'
 

@@ -17,9 +17,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..core.batch import ImuBatch
 from ..core.errors import AllanError
-from .imu_cdr import encode_imus
+from ..core.imu import ImuBatch
+from .readers.cdr import encode_imus
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 METADATA_VERSION = 8
@@ -101,10 +101,10 @@ def _write(
     if storage == 'ros1':
         return _write_ros1(path, batches, compression, topic)
     if storage == 'csv':
-        from .tables import write_table
+        from .readers.tables import write_table
 
         return write_table(path, batches)
-    from .arrays import write_npz
+    from .readers.arrays import write_npz
 
     return write_npz(path, batches, deflate=compression == 'deflate')
 

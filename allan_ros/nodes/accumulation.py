@@ -16,23 +16,22 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ..core.accumulator import ImuAccumulator
-from ..core.batch import ImuBatch
+from ..core.allan.sums import AllanSums
 from ..core.findings import Finding, finding
-from ..core.input_health import LIVE_FINDINGS, InputWatch
-from ..core.runs import RunSplitter
+from ..core.imu import ImuBatch
 from ..core.settings import SegmenterSettings
-from ..core.sums import AllanSums
+from ..core.stream.pipeline import ImuStream, RunSplitter
+from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
 from ..io.documents import sums_file_to_document
-from ..io.recordings import SourceInfo
+from ..io.readers.recording import SourceInfo
 from ..io.results import Provenance
 from .checkpointing import CheckpointKeeper, Total
 from .diagnostics import InputView, input_status, status_name
 from .imu_input import ImuInput
 from .parameters import ParameterGroup
-from .periodic import Periodic
 from .qos import LATCHED
 from .settings import CheckpointSettings, InputSettings, PublishSettings
+from .shell import Periodic
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
@@ -91,7 +90,7 @@ class ImuWatch:
         self._checkpoint = CheckpointKeeper(checkpoint_path, self._log)
         self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
-        self._health = InputWatch(self._input.topic, now)
+        self._health = TransportMonitor(self._input.topic, now)
         self._last_stamp_ns: int | None = None
         self.frame_id = ''
         self._begin(self._checkpoint.sums)
@@ -169,7 +168,7 @@ class ImuWatch:
 
     def _begin(self, before: tuple[AllanSums, ...] = ()) -> None:
         """Start to accumulate, after what was there before."""
-        self._accumulator = ImuAccumulator(self._settings.segmenter.value, self._imu.hardware_id)
+        self._accumulator = ImuStream(self._settings.segmenter.value, self._imu.hardware_id)
         self._splitter = RunSplitter(_latest_ns(before))
 
     def _update(self) -> None:

@@ -13,8 +13,7 @@ from rclpy.node import Node
 from ..core.errors import AllanError
 from .accumulation import ImuWatch, Settings
 from .diagnostics import diagnostic_array
-from .periodic import Periodic
-from .shell import STEADY, run
+from .shell import STEADY, Periodic, run
 
 
 class Accumulator(Node):

@@ -11,10 +11,10 @@ from functools import partial
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
-from ..core.batch import SENSORS
+from ..core.imu import SENSORS
 from ..io.results import Results
 from .qos import LATCHED
-from .worker import Worker
+from .shell import Worker
 
 FORMAT = 'png'
 """As `sensor_msgs/CompressedImage` wants it named; image_transport decodes it."""

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
-from ..core.sums import AllanSums
 from ..io.checkpoint import Checkpoint
-from ..io.lock import PathLock
+from ..io.files import PathLock
 from ..io.results import Provenance
 
 SPANS_KEPT = 1000

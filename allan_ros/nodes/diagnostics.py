@@ -1,20 +1,36 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of core as diagnostic statuses: words and units, no formula."""
+"""The diagnostic status of one axis: its five terms in SI and in the datasheets' units."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ..core.findings import Finding
-from ..core.health import StreamHealth
-from ..core.input_health import Reception
-from ..core.sums import AllanSums
-from ..io.shown import duration_text
+from ..core.allan.recent import Change, RecentCurve
+from ..core.allan.sums import AllanSums
+from ..core.compare import Comparison
+from ..core.findings import Finding, finding
+from ..core.fit.findings import record_times
+from ..core.fit.model import TERMS, Coefficient
+from ..core.stream.health import StreamHealth
+from ..core.stream.transport import TransportStatistics
+from ..io.datasheet_comparison import beyond_limit
+from ..io.format import (
+    LIMIT_DIGITS,
+    ShownUnit,
+    duration_text,
+    interval_text,
+    shown_unit,
+    significant,
+    value_text,
+)
+from ..io.results import AxisResult
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,
@@ -34,7 +50,7 @@ class InputView:
 
     topic: str
     health: StreamHealth
-    reception: Reception
+    reception: TransportStatistics
     findings: tuple[Finding, ...]
     noted: tuple[Finding, ...]
     sums: tuple[AllanSums, ...]
@@ -144,3 +160,190 @@ def _text(value: object) -> str:
     if isinstance(value, float):
         return f'{value:.6g}'
     return str(value)
+
+
+RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
+"""Averaging times at which recent and former deviation are shown side by side."""
+
+
+@dataclass(frozen=True)
+class AxisView:
+    """All that is shown of one axis.
+
+    ``result`` is None before the first fit; ``trouble`` says why there is none; ``change`` is
+    None unless the noise changed by more than the margin.
+    """
+
+    axis: str
+    sums: AllanSums
+    result: AxisResult | None
+    method: str
+    fit_age_s: float | None
+    trouble: str
+    comparisons: tuple[Comparison, ...]
+    margin: float
+    recent: RecentCurve | None
+    change: Change | None
+
+
+def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus:
+    """Return the status of one axis."""
+    findings = [*_change_findings(view), *_limit_findings(view)]
+    evidence = view.sums.elapsed_ns * 1e-9
+    pairs: list[tuple[str, object]] = []
+    if view.result is not None:
+        for units in ('si', 'datasheet'):
+            for term in TERMS:
+                unit = shown_unit(view.axis, term, units)
+                pairs += _term_pairs(term, view.result.fit.noise[term], unit, units == 'si')
+        for term in TERMS:
+            unit = shown_unit(view.axis, term, 'datasheet')
+            pairs += _limit_pairs(term, view.result.fit.noise[term], unit)
+        pairs += [
+            ('misfit', view.result.fit.misfit),
+            ('fit method', view.method),
+            ('fit age [s]', view.fit_age_s),
+            ('next coefficient', _next_term(view, view.result, evidence) or None),
+        ]
+    pairs += [
+        ('evidence [s]', evidence),
+        ('segments', view.sums.segment_count),
+        ('longest averaging time [s]', _longest_tau(view.sums)),
+    ]
+    for c in view.comparisons:
+        unit = shown_unit(view.axis, c.term, 'datasheet')
+        limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
+        pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
+    pairs += _recent_pairs(view)
+    pairs += [(f'finding: {f.id}', f) for f in findings]
+    return DiagnosticStatus(
+        level=worst_level(findings),
+        name=name,
+        message=message_of(findings, _summary(view, evidence)),
+        hardware_id=hardware_id,
+        values=key_values(pairs),
+    )
+
+
+def _term_pairs(
+    term: str, c: Coefficient, unit: ShownUnit, with_verdict: bool
+) -> list[tuple[str, object]]:
+    pairs: list[tuple[str, object]] = [(f'{term} [{unit.name}]', value_text(c, unit))]
+    interval = interval_text(c, unit)
+    if interval:
+        pairs.append((f'{term} 95 % [{unit.name}]', interval))
+    if with_verdict:
+        pairs.append((f'{term} verdict', c.status.replace('_', ' ')))
+    return pairs
+
+
+def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, object]]:
+    """Return the ends of what is known as bare numbers: plotters draw no ``low..high``."""
+    low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
+    ends = {'low': low, 'high': high}
+    return [
+        (f'{term} {end} [{unit.name}]', significant(value * unit.factor, LIMIT_DIGITS))
+        for end, value in ends.items()
+        if value is not None and math.isfinite(value)
+    ]
+
+
+def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
+    """Return the ratio of recent to former deviation at a few averaging times."""
+    curve = view.recent
+    if curve is None:
+        return []
+    column = curve.axes.index(view.axis)
+    pairs: list[tuple[str, object]] = []
+    for row in sorted({int(np.abs(np.log(curve.tau / tau)).argmin()) for tau in RECENT_TAUS_S}):
+        ratio, low, high = (
+            a[row, column] for a in (curve.ratio, curve.ratio_low, curve.ratio_high)
+        )
+        if np.isfinite(ratio):
+            key = f'recent / former deviation at {significant(float(curve.tau[row]), 2)} s'
+            pairs.append((key, f'{ratio:.3f} ({low:.3f}..{high:.3f})'))
+    return pairs
+
+
+def _limit_findings(view: AxisView) -> list[Finding]:
+    found = []
+    for c in view.comparisons:
+        if c.verdict != 'beyond' or view.result is None:
+            continue
+        coefficient = view.result.fit.noise[c.term]
+        found.append(
+            beyond_limit(view.axis, c.term, coefficient, c.limit, c.reference, view.margin)
+        )
+    return found
+
+
+def _change_findings(view: AxisView) -> list[Finding]:
+    change = view.change
+    if change is None:
+        return []
+    term = _ruling_term(view.result, change.m)
+    if term in ('N', 'Q'):
+        what, unit = term, shown_unit(view.axis, term, 'datasheet')
+        before, after = change.in_terms_of(term)
+    else:  # K and R live in the lifetime only, and B has no averaging time of its own
+        what = f'the deviation at {significant(change.tau, 2)} s'
+        unit = shown_unit(view.axis, 'B', 'datasheet')
+        before, after = change.before, change.after
+    low, high = change.ratio_ci95
+    return [
+        finding(
+            'noise_changed',
+            what=what,
+            verb='rose' if change.after > change.before else 'fell',
+            before=f'{significant(before * unit.factor, 3)}',
+            after=f'{significant(after * unit.factor, 3)} {unit.name}',
+            ago=duration_text(change.since_s),
+            low=low,
+            high=high,
+        )
+    ]
+
+
+def _ruling_term(result: AxisResult | None, m: int) -> str:
+    """Return the term that makes most of the fitted curve at a factor; '' before a fit."""
+    if result is None:
+        return ''
+    return TERMS[int(result.part_adev(np.array([m]))[0].argmax())]
+
+
+def _summary(view: AxisView, evidence: float) -> str:
+    """Return the coefficients that are known, in the datasheets' units."""
+    if view.trouble:
+        return f'no coefficients yet: {view.trouble}'
+    if view.result is None:
+        return f'no coefficients yet, from {duration_text(evidence)} of evidence'
+    shown = []
+    for term in ('N', 'B', 'K'):
+        unit = shown_unit(view.axis, term, 'datasheet')
+        text = value_text(view.result.fit.noise[term], unit)
+        if text != '-':
+            shown.append(f'{term} {text} {unit.name}')
+    known = f'{", ".join(shown) or "no coefficient"} from {duration_text(evidence)} of evidence'
+    upcoming = _next_term(view, view.result, evidence)
+    return f'{known}; {upcoming}' if upcoming else known
+
+
+def _next_term(view: AxisView, result: AxisResult, evidence: float) -> str:
+    """Return which coefficient shows next, and how much more evidence that takes; '' if unknown."""
+    if view.method != 'gls':
+        return ''  # the times are those of that fit
+    times = record_times(result.fit, result.tau0, evidence)
+    more = {
+        term: time.observable - evidence
+        for term, time in times.items()
+        if time.observable is not None and result.fit.noise[term].status == 'not_observable'
+    }
+    if not more:
+        return ''
+    term = min(more, key=lambda name: more[name])
+    return f'{term} shows after about {duration_text(max(more[term], 0.0))} more'
+
+
+def _longest_tau(sums: AllanSums) -> float | None:
+    some = np.flatnonzero(sums.count)
+    return float(sums.m[some[-1]] * sums.tau0) if len(some) and sums.tau0 else None

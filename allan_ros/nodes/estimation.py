@@ -16,22 +16,22 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from ..core.allan.recent import Change, RecentCurve, RecentView
+from ..core.allan.sums import AllanSums
 from ..core.compare import Reference, compare, reference_of_run
 from ..core.errors import AllanError
-from ..core.fit import forget
-from ..core.recent import Change, RecentCurve, RecentView
-from ..core.sums import AllanSums
-from ..io.documents import read_json, results_from_document, results_to_document
+from ..core.fit import clear_cache
+from ..io.datasheets import load_sensor
+from ..io.documents import results_from_document, results_to_document
 from ..io.results import Results, analyse_sums
-from ..io.sensors import load_sensor
+from ..io.text import read_json
 from .allan_plot import AllanPlot
-from .axis_diagnostics import AxisView, axis_status
 from .checkpointing import Total
-from .diagnostics import status_name
+from .diagnostics import AxisView, axis_status, status_name
 from .parameters import ParameterGroup
 from .qos import LATCHED
 from .settings import EstimatorSettings
-from .worker import Worker
+from .shell import Worker
 
 FIT_SHARE = 0.05
 """A fit may keep a core busy for at most this share of the time."""
@@ -207,7 +207,7 @@ def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
     try:
         results = analyse_sums(*total, method)
     finally:
-        forget()  # the next fit comes when the segments are longer: other tables, and maybe late
+        clear_cache()  # the next fit sees longer segments and needs other tables
     return results, time.monotonic() - began
 
 

@@ -14,16 +14,14 @@ from std_msgs.msg import String
 from ..core.errors import AllanError
 from ..core.findings import finding
 from ..io.documents import sums_file_from_document
-from ..io.json_text import parse_json
+from ..io.text import parse_json
 from .diagnostics import diagnostic_array, key_values, message_of, status_name, worst_level
 from .estimation import ImuEstimate, load_references
 from .parameter_push import ParameterPush
 from .parameters import ParameterGroup
-from .periodic import Periodic
 from .qos import LATCHED
 from .settings import EstimatorSettings, PublishSettings
-from .shell import STEADY, run
-from .worker import Worker
+from .shell import STEADY, Periodic, Worker, run
 
 TICK_S = 0.1
 """How often it looks whether a fit has ended or something is due."""

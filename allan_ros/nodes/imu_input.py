@@ -24,10 +24,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
 
-from ..core.batch import ImuBatch
-from ..core.input_health import Reception
-from ..io.imu_cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
-from .qos_events import NO_CALLBACKS, QosEvents
+from ..core.imu import ImuBatch
+from ..core.stream.transport import TransportStatistics
+from ..io.readers.cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
+from .qos import NO_CALLBACKS, QosEvents
 from .settings import InputSettings
 
 DRAIN_LIMIT = 50_000
@@ -64,7 +64,7 @@ class ImuInput:
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
-        self._reception = Reception()
+        self._reception = TransportStatistics()
         self._node = node
         self._payloads: list[bytes] = []
         self._received_ns: list[int] = []
@@ -139,7 +139,7 @@ class ImuInput:
         """Messages taken so far."""
         return self._reception.received
 
-    def reception(self) -> Reception:
+    def reception(self) -> TransportStatistics:
         """Return what happened to the messages so far."""
         self._events.ask(self._reception)
         return self._reception

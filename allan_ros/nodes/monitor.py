@@ -16,11 +16,9 @@ from .diagnostics import diagnostic_array
 from .estimation import ImuEstimate, load_references
 from .parameter_push import ParameterPush
 from .parameters import ParameterGroup
-from .periodic import Periodic
 from .relaying import ImuRelay, RelayTopics
 from .settings import EstimatorSettings, RelaySettings
-from .shell import STEADY, run
-from .worker import Worker
+from .shell import STEADY, Periodic, Worker, run
 
 
 class Monitor(Node):

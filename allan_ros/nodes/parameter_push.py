@@ -22,8 +22,8 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from ..core.errors import AllanError
-from ..core.filter_parameters import FilterMapping, Proposal, narrow_enough, propose
-from ..io.filters import load_filter
+from ..core.filters.mapping import FilterMapping, Proposal, narrow_enough, propose
+from ..io.config_files import load_filter
 from ..io.results import Results
 from .diagnostics import key_values, status_name
 from .parameters import ParameterGroup

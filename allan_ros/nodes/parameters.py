@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ..core.errors import AllanError
-from ..core.parameters import ParameterInfo, describe
+from ..core.settings import ParameterInfo, describe
 
 T = TypeVar('T')
 

@@ -9,35 +9,131 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
-from ..core.batch import ImuBatch
 from ..core.errors import AllanError
+from ..core.imu import ImuBatch
 from ..core.simulate import NoiseTerms, simulate_imu
-from ..io.imu_cdr import encode_imus
-from ..io.recordings import ReadOptions, Recording, open_recordings
-from .handshake import Handshake
+from ..io.readers.cdr import encode_imus
+from ..io.readers.open import open_recordings
+from ..io.readers.recording import ReadOptions, Recording
 from .shell import STEADY, run
+
+ASK_AGAIN_S = 1.0
+"""An answer may be lost, like any message, to a client that was not found in time."""
+
+
+PATIENCE_S = 10.0
+"""A subscriber that has not answered by then has no parameter services, or is stuck."""
+
+
+NAMELESS = '_NODE_NAME_UNKNOWN_'
+"""What the graph calls the node of an endpoint that it does not know yet, or that has none."""
+
+
+@dataclass
+class _Asked:
+    """What was asked of the node of one subscriber."""
+
+    since: float
+    name: str = ''
+    client: Client | None = None
+    last: float = float('-inf')
+    answered: bool = False
+
+
+class Handshake:
+    """Asks every subscriber of a publisher for a sign that it has found the publisher.
+
+    Made after the publisher; `update` is called by whoever runs the node's executor.
+
+    Parameters
+    ----------
+    node : Node
+    publisher : Publisher
+        One of the node's.
+    wanted : int
+        How many subscribers there must be.
+    """
+
+    def __init__(self, node: Node, publisher: Publisher, wanted: int = 1) -> None:
+        self._node, self._publisher, self._wanted = node, publisher, wanted
+        self._asked: dict[bytes, _Asked] = {}
+        self._round = 0
+
+    def update(self) -> bool:
+        """Ask on; return whether all there are have found the publisher, or will never say."""
+        now = time.monotonic()
+        known = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        done = True
+        for subscriber in known:
+            asked = self._asked.setdefault(bytes(subscriber.endpoint_gid), _Asked(now))
+            if not asked.answered:
+                if subscriber.node_name != NAMELESS:
+                    asked.name = f'{subscriber.node_namespace.rstrip("/")}/{subscriber.node_name}'
+                    self._ask(asked, now)
+                done = done and now - asked.since > PATIENCE_S
+        return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
+
+    def again(self) -> None:
+        """Ask anew whoever is still there; who never answered is not waited for again."""
+        self._wanted, self._round = 0, self._round + 1
+        for asked in self._asked.values():
+            if asked.answered:
+                asked.answered, asked.since, asked.last = False, time.monotonic(), float('-inf')
+
+    def silent(self) -> tuple[str, ...]:
+        """Return the nodes that have not answered."""
+        silent = (a.name or 'a nameless node' for a in self._asked.values() if not a.answered)
+        return tuple(sorted(silent))
+
+    def close(self) -> None:
+        """Ask no more."""
+        for asked in self._asked.values():
+            if asked.client is not None:
+                self._node.destroy_client(asked.client)
+        self._asked = {}
+
+    def _ask(self, asked: _Asked, now: float) -> None:
+        if asked.client is None:
+            asked.client = self._node.create_client(GetParameters, f'{asked.name}/get_parameters')
+        if now - asked.last >= ASK_AGAIN_S and asked.client.service_is_ready():
+            asked.last = now
+            answer = asked.client.call_async(GetParameters.Request())
+            answer.add_done_callback(partial(self._on_answer, asked, self._round))
+
+    def _on_answer(self, asked: _Asked, round_asked: int, _: Any) -> None:
+        """Note an answer, unless it is a late one to what was asked before `again`."""
+        asked.answered = asked.answered or round_asked == self._round
+
 
 CLOCK_PERIOD_S = 0.025
 """`/clock` is published 40 times a second of wall time, as ``ros2 bag play`` does."""
 
+
 POLL_S = 0.05
 """How often waiting for subscribers or acknowledgements looks whether it should stop."""
 
+
 LINGER_S = 0.5
 """How long the publisher stays after the last answer, for subscribers to empty their queues."""
+
 
 SIMULATED = (
     NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),

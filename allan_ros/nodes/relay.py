@@ -12,10 +12,9 @@ from rclpy.node import Node
 
 from .diagnostics import diagnostic_array
 from .parameters import ParameterGroup
-from .periodic import Periodic
 from .relaying import ImuRelay, RelayTopics
 from .settings import PublishSettings, RelaySettings
-from .shell import STEADY, run
+from .shell import STEADY, Periodic, run
 
 TOPICS = RelayTopics('imu/data', 'noise_model', 'imu/data_with_covariance')
 

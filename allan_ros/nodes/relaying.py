@@ -24,20 +24,18 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from ..core.batch import SENSORS
 from ..core.errors import AllanError
+from ..core.filters.noise_parameters import Variances, measured_variances, white_variances
 from ..core.findings import Finding, finding
-from ..core.sample_variance import Variances, measured_variances, white_variances
+from ..core.imu import SENSORS
 from ..io.documents import results_from_document
-from ..io.imu_cdr import MalformedMessage
-from ..io.imu_patch import CovariancePatch, frame_id_of
-from ..io.json_text import parse_json
+from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
 from ..io.results import Results
+from ..io.text import parse_json
 from .diagnostics import key_values, message_of, status_name, worst_level
 from .imu_input import DrainedGroup
 from .parameters import ParameterGroup
-from .qos import LATCHED
-from .qos_events import NO_CALLBACKS
+from .qos import LATCHED, NO_CALLBACKS
 from .settings import RelaySettings
 
 WAIT_NS = 100_000_000

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
-from ..core.parameters import check, parameter
-from ..core.settings import SegmenterSettings
+from ..core.settings import SegmenterSettings, check, parameter
 
 
 @dataclass(frozen=True)

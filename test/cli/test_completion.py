@@ -14,8 +14,8 @@ import pytest
 
 from allan_ros.cli import completion
 from allan_ros.cli.main import SHELLS, VERBS, main
+from allan_ros.io.datasheets import sensor_names
 from allan_ros.io.exporters import TARGETS
-from allan_ros.io.sensors import sensor_names
 
 pytest.importorskip('argcomplete')
 

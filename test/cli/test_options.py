@@ -11,9 +11,8 @@ import pytest
 
 from allan_ros.cli.options import add_settings, settings_of
 from allan_ros.core.errors import AllanError
-from allan_ros.core.parameters import check, parameter
-from allan_ros.core.settings import SegmenterSettings
-from allan_ros.io.recordings import ReadOptions
+from allan_ros.core.settings import SegmenterSettings, check, parameter
+from allan_ros.io.readers.recording import ReadOptions
 
 
 @dataclass(frozen=True)

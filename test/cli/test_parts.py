@@ -16,11 +16,11 @@ from allan_ros.cli.cluster import on_cluster
 from allan_ros.cli.console import Console
 from allan_ros.cli.main import main
 from allan_ros.cli.parts import Job, Part, accumulate, in_processes, in_turn
+from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.settings import SegmenterSettings
-from allan_ros.core.sums_document import sums_to_document
-from allan_ros.io.recordings import ReadOptions
+from allan_ros.io.readers.recording import ReadOptions
 
 
 @pytest.fixture(scope='module')

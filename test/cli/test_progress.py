@@ -8,8 +8,8 @@ import io
 
 import pytest
 
-from allan_ros.cli import progress
-from allan_ros.cli.progress import Progress, progress_line, time_left
+from allan_ros.cli import console as progress
+from allan_ros.cli.console import Progress, progress_line, time_left
 
 
 class Terminal(io.StringIO):

@@ -12,8 +12,8 @@ from allan_ros.cli.console import finding_lines
 from allan_ros.cli.tables import headline, results_lines
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
-from allan_ros.io.shown import interval_text, shown_unit, value_text
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from allan_ros.core.compare import Reference, compare, reference_of_run, verdict
-from allan_ros.core.fit.values import TERMS, Coefficient
+from allan_ros.core.fit.model import TERMS, Coefficient
 
 NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
 

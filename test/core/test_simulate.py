@@ -7,6 +7,7 @@ import pytest
 from scipy import fft
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.noise import FLICKER_FLOOR, term_avar
 from allan_ros.core.simulate import (
     BATCH_SAMPLES,
     NoiseTerms,
@@ -15,7 +16,6 @@ from allan_ros.core.simulate import (
     simulate_axis,
     simulate_imu,
 )
-from allan_ros.core.terms import FLICKER_FLOOR, term_avar
 
 MIXED = NoiseTerms(Q=2e-3, N=0.03, B=0.1, K=0.02, R=1e-3)
 QUIET = [NoiseTerms(N=1e-3)] * 3

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
-from allan_ros.core.sums_document import sums_to_document
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.results import Provenance
 
 
 def sums_of(frame_id: str = 'imu', period_ns: int = 10**7, axes: slice = slice(0, 6)):
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     noise = np.full((3000, 6), np.nan)
     noise[:, axes] = np.random.default_rng(0).normal(size=(3000, 6))[:, axes]
     stamps = 10**18 + np.arange(3000) * period_ns

@@ -9,9 +9,9 @@ import json
 import pytest
 
 from allan_ros.core.fit import Coefficient
+from allan_ros.io.datasheets import Datasheet, Limit, Source
 from allan_ros.io.documents import results_from_document, results_to_document
 from allan_ros.io.results import Results
-from allan_ros.io.sensors import Datasheet, Limit, Source
 
 
 def sheet_of(**limits: float) -> Datasheet:

@@ -14,20 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import Coefficient, GaussMarkov, Sinusoid
-from allan_ros.core.health import Span
-from allan_ros.core.sums_document import sums_to_document
+from allan_ros.core.stream.health import Segment
 from allan_ros.io.documents import (
-    read_json,
     results_from_document,
     results_to_document,
     sums_file_from_document,
     sums_file_to_document,
-    to_json,
 )
 from allan_ros.io.results import Provenance, Results
+from allan_ros.io.text import read_json, to_json
 
 
 def through_text(document: dict[str, Any]) -> dict[str, Any]:
@@ -117,7 +116,7 @@ def test_extra_terms_survive(small_results: Results) -> None:
 
 
 def test_of_many_segments_the_longest_are_listed(small_results: Results) -> None:
-    spans = tuple(Span(i, i + 1, float(i + 1)) for i in range(1500))
+    spans = tuple(Segment(i, i + 1, float(i + 1)) for i in range(1500))
     results = replace(
         small_results,
         segments=1500,

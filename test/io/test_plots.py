@@ -13,23 +13,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from allan_ros.core.batch import ImuBatch
 from allan_ros.core.errors import AllanError
-from allan_ros.core.health import Span
-from allan_ros.io.envelope import SignalEnvelope
-from allan_ros.io.outline import Outline, outline_of
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.health import Segment
 from allan_ros.io.plot_style import PictureSettings, load_style
 from allan_ros.io.plots import sensor_figure, to_form, to_png
 from allan_ros.io.results import Results
+from allan_ros.io.signal import SignalEnvelope
+from allan_ros.io.signal_summary import SignalSummary, summarize_signal
 
 DEG_PER_HOUR = math.pi / 180.0 / 3600.0
 
 
-def an_outline(recordings: int = 1) -> Outline | None:
+def an_outline(recordings: int = 1) -> SignalSummary | None:
     envelope = SignalEnvelope()
     samples = np.random.default_rng(1).normal(size=(500, 6))
     envelope.update(ImuBatch(np.arange(500, dtype=np.int64) * 20_000_000, samples))
-    return outline_of([envelope] * recordings, [Span(0, 400, 8.0)], 1000)
+    return summarize_signal([envelope] * recordings, [Segment(0, 400, 8.0)], 1000)
 
 
 def test_a_row_an_axis_and_the_signal_beside_it(small_results: Results) -> None:

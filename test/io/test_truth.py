@@ -4,11 +4,10 @@ import json
 
 import pytest
 
-from allan_ros.core.batch import AXES
 from allan_ros.core.errors import AllanError
 from allan_ros.core.faults import Faults
-from allan_ros.core.terms import NoiseTerms
-from allan_ros.core.units import from_datasheet
+from allan_ros.core.imu import AXES, from_datasheet
+from allan_ros.core.noise import NoiseTerms
 from allan_ros.io.truth import read_noise, truth_path, write_truth
 
 

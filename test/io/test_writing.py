@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
-from allan_ros.core.sums_document import sums_to_document
-from allan_ros.io.recordings import open_recordings
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.writing import COMPRESSIONS, write_recording
 
 pytest.importorskip('rosbags')
@@ -52,7 +52,7 @@ def test_every_form_gives_identical_sums(tmp_path: Path) -> None:
     for number, (storage, compression) in enumerate(FORMS):
         path = tmp_path / f'{number}{SUFFIX.get(storage, "")}'
         write_recording(path, [batch], storage=storage, compression=compression)
-        accumulator = ImuAccumulator()
+        accumulator = ImuStream()
         for part in open_recordings([path])[0].batches():
             accumulator.update(part)
         accumulator.end()

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.core.batch import ImuBatch
-from allan_ros.io.imu_cdr import encode_imus
+from allan_ros.core.imu import ImuBatch
+from allan_ros.io.readers.cdr import encode_imus
 
 ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)
@@ -200,7 +200,7 @@ class Graph:
 
     def introduce(self, publisher: Any, wanted: int = 1) -> None:
         """Wait until so many subscribers, or more, and this publisher have found each other."""
-        from allan_ros.nodes.handshake import Handshake
+        from allan_ros.nodes.player import Handshake
 
         handshake = Handshake(self.node, publisher, wanted)
         self.until(lambda: handshake.update() and not handshake.silent())

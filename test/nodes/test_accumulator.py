@@ -13,10 +13,10 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
-from allan_ros.core.sums_document import sums_to_document
-from allan_ros.io.recordings import open_recordings
+from allan_ros.core.allan.document import sums_to_document
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.writing import write_recording
 
 FAST = {
@@ -30,7 +30,7 @@ FAST = {
 
 def offline(*batches: ImuBatch) -> list[dict]:
     """Return the documents of the sums of the batches, as any offline analysis makes them."""
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     for batch in batches:
         accumulator.update(batch)
     accumulator.end()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from allan_ros.core.parameters import describe
+from allan_ros.core.settings import describe
 from allan_ros.nodes.settings import GROUPS
 
 

@@ -13,17 +13,16 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.allan.recent import Change
 from allan_ros.core.compare import Comparison
 from allan_ros.core.findings import finding
-from allan_ros.core.fit.values import TERMS, AxisFit, Coefficient
-from allan_ros.core.health import Counts, StreamHealth
-from allan_ros.core.input_health import Reception
-from allan_ros.core.recent import Change
+from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.health import Counts, StreamHealth
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.transport import TransportStatistics
 from allan_ros.io.results import AxisResult
-from allan_ros.nodes.axis_diagnostics import AxisView, axis_status
-from allan_ros.nodes.diagnostics import InputView, input_status, key_values
+from allan_ros.nodes.diagnostics import AxisView, InputView, axis_status, input_status, key_values
 
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
 N = 0.2 * DEG_PER_SQRT_H
@@ -32,7 +31,7 @@ NOT_SEEN = Coefficient(None, None, 1e-6, 'not_observable')
 
 @pytest.fixture(scope='module')
 def sums():
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     noise = np.random.default_rng(0).normal(size=(5000, 6))
     accumulator.update(ImuBatch(10**18 + np.arange(5000) * 5 * 10**6, noise, frame_id='imu'))
     return accumulator.result().sums[0]
@@ -118,7 +117,7 @@ def test_a_change_is_told_in_the_coefficient_that_rules_there(sums):
 
 def view(**changes) -> InputView:
     health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'still', 200.0)
-    reception = Reception(received=9000)
+    reception = TransportStatistics(received=9000)
     given = InputView('/imu', health, reception, (), (), (), ('/driver',), 0.0, 'draining')
     return replace(given, **changes)
 

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from allan_ros.core.accumulator import ImuAccumulator
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import results_from_document, results_to_document
 from allan_ros.io.results import Provenance, analyse_sums
 
@@ -105,7 +105,7 @@ def test_a_sensor_worse_than_its_datasheet_is_warned_of(graph, still_imu, tmp_pa
 
 def test_a_sensor_worse_than_it_was_is_warned_of(graph, still_imu, tmp_path: Path):
     def results_of(batch):
-        accumulator = ImuAccumulator()
+        accumulator = ImuStream()
         accumulator.update(batch)
         accumulator.end()
         return analyse_sums(accumulator.result().sums, Provenance(), 'gls')

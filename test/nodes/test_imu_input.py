@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.imu import ImuBatch
 from allan_ros.nodes.imu_input import ImuInput
 from allan_ros.nodes.settings import InputSettings
 

@@ -15,10 +15,10 @@ pytest.importorskip('rclpy')
 
 from sensor_msgs.msg import Imu
 
-from allan_ros.core.batch import ImuBatch
+from allan_ros.core.imu import ImuBatch
 from allan_ros.io.writing import write_recording
-from allan_ros.nodes.handshake import Handshake
 from allan_ros.nodes.imu_input import ImuInput
+from allan_ros.nodes.player import Handshake
 from allan_ros.nodes.settings import InputSettings
 
 

@@ -14,12 +14,11 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from allan_ros.core.accumulator import ImuAccumulator
-from allan_ros.core.batch import ImuBatch
-from allan_ros.core.sample_variance import white_variances
+from allan_ros.core.filters.noise_parameters import white_variances
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import results_to_document
-from allan_ros.io.imu_cdr import encode_imus, imu_dtype
-from allan_ros.io.imu_patch import CovariancePatch
+from allan_ros.io.readers.cdr import CovariancePatch, encode_imus, imu_dtype
 from allan_ros.io.results import Provenance, Results, analyse_sums
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
@@ -38,7 +37,7 @@ def results() -> Results:
     rng = np.random.default_rng(7)
     samples = rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (4000, 6))
     stamps = 10**18 + np.arange(4000) * 5_000_000
-    accumulator = ImuAccumulator()
+    accumulator = ImuStream()
     accumulator.update(ImuBatch(stamps, samples, frame_id='imu'))
     accumulator.end()
     return analyse_sums(accumulator.result().sums, Provenance(), 'gls')

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from allan_ros.nodes.watch_rows import Row, gravest_first, headline, picture, plain_line, row
+from allan_ros.nodes.watch import Row, headline, most_severe_first, picture, plain_line, row
 
 ADVICE = 'no message on /imu for 3.2 s; look at the driver [and its cable]'
 
@@ -40,7 +40,7 @@ def rows() -> list[Row]:
     silent = status('allan_monitor: imu input', DiagnosticStatus.ERROR, ADVICE)
     louder = status('robot/allan_estimator: imu gyro y', DiagnosticStatus.WARN, 'N rose')
     late = status('allan_monitor: imu accel z', message='N 0.01')
-    return gravest_first([gyro(), row(louder, 0.4), row(late, 12.3), row(silent, 0.1)])
+    return most_severe_first([gyro(), row(louder, 0.4), row(late, 12.3), row(silent, 0.1)])
 
 
 def drawn(shown: list[Row], columns: int, encoding: str = 'utf-8') -> list[str]:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from allan_ros.core.batch import AXES, LARGEST
-from allan_ros.core.sums import AllanSums
+from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.imu import AXES, LARGEST
 
 from .sums import sums_of
 

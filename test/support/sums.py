@@ -4,8 +4,9 @@
 
 import numpy as np
 
-from allan_ros.core.engine import RunningAllan
-from allan_ros.core.sums import AllanSums, ImuIdentity
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.imu import ImuIdentity
 
 TICK_NS = 10_000_000
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
+from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..sums import AllanSums
-from .values import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseFit, Sinusoid
+from .model import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseModel, Sinusoid
 
 __all__ = [
     'METHODS',
@@ -17,10 +17,10 @@ __all__ = [
     'AxisFit',
     'Coefficient',
     'GaussMarkov',
-    'NoiseFit',
+    'NoiseModel',
     'Sinusoid',
+    'clear_cache',
     'fit_noise',
-    'forget',
 ]
 
 METHODS = {
@@ -31,7 +31,7 @@ METHODS = {
 """method -> what it does. Each is the module of that name here, with ``fit_<name>(sums)``."""
 
 
-def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseFit:
+def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseModel:
     """Return the five terms of every axis of the sums.
 
     Parameters
@@ -49,12 +49,12 @@ def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseFit:
     if method not in METHODS:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
     # A method is imported when it is used: they are slow to load, and most runs use one.
-    fit: NoiseFit = getattr(import_module(f'.{method}', __name__), f'fit_{method}')(sums)
+    fit: NoiseModel = getattr(import_module(f'.{method}', __name__), f'fit_{method}')(sums)
     return fit
 
 
-def forget() -> None:
+def clear_cache() -> None:
     """Forget what the fits remember of each other: for processes that fit seldom and live long."""
-    evidence = sys.modules.get(f'{__name__}.evidence')
+    evidence = sys.modules.get(f'{__name__}.table')
     if evidence is not None:  # else no method has been used that remembers
-        evidence.forget()
+        evidence.clear_cache()

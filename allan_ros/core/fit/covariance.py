@@ -24,7 +24,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grid import FIRST_FACTORS, LEVEL_FACTORS, counts, grid
+from ..allan.sums import FIRST_FACTORS, LEVEL_FACTORS, counts, grid
 from .model import DIFFERENCE, Floats, walk_from_cubic
 
 Ints = NDArray[np.int64]
@@ -207,7 +207,7 @@ def pair_sums(samples: int) -> PairSums:
     return PairSums(samples, m, count, squares, singles)
 
 
-def forget_pair_sums() -> None:
+def clear_pair_sums() -> None:
     """Forget what `pair_sums` remembers, and the table it is made from."""
     _lag_table.cache_clear()
     pair_sums.cache_clear()

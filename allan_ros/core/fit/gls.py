@@ -8,18 +8,24 @@ import math
 
 import numpy as np
 
+from ..allan.sums import AllanSums
 from ..findings import Finding
-from ..sums import AllanSums
-from .evidence import Evidence, Table
-from .explain import explain, explain_nothing, joined
-from .extra import GaussMarkovTerm
-from .frame import Chosen, choose_frame
-from .intervals import PowerInterval, power_interval
-from .model import RANDOM_TERMS, Floats, to_si
-from .ramp_interval import RampInterval, ramp_interval
-from .search import Candidate
+from .findings import explain, explain_nothing, joined
+from .intervals import CoefficientInterval, RampInterval, coefficient_interval, ramp_interval
+from .model import (
+    RANDOM_TERMS,
+    TERMS,
+    AxisFit,
+    Coefficient,
+    Floats,
+    GaussMarkov,
+    NoiseModel,
+    Sinusoid,
+    coefficient_to_si,
+)
+from .select import Candidate, SelectedOptions, select_options
 from .solve import K, N, Q, solve
-from .values import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseFit, Sinusoid
+from .table import GaussMarkovTerm, PooledTable, Table
 
 LEAST_FACTORS = 5
 """With no more averaging factors than terms a table says nothing of the terms."""
@@ -28,12 +34,12 @@ AT_AN_END = 1e-9
 """A value this close to an end of its interval, relative, stands on it: the rest is rounding."""
 
 
-def fit_gls(sums: AllanSums) -> NoiseFit:
+def fit_gls(sums: AllanSums) -> NoiseModel:
     """Return the five terms of every axis with 95 % intervals and verdicts.
 
     Never fails for want of data: a term of which the sums say nothing has neither value nor limit.
     """
-    evidence = Evidence(sums)
+    evidence = PooledTable(sums)
     tau0 = sums.tau0 or 1.0
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
@@ -41,19 +47,19 @@ def fit_gls(sums: AllanSums) -> NoiseFit:
         fit, found = _fit_axis(evidence, a, tau0)
         axes[name] = fit
         findings += found
-    return NoiseFit('gls', tau0, axes, joined(findings))
+    return NoiseModel('gls', tau0, axes, joined(findings))
 
 
-def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
+def _fit_axis(evidence: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
     """Return the fit of one axis, and what to know of it."""
     constant = evidence.is_noiseless(axis)
     if constant or len(evidence.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(evidence, axis, constant)
-    chosen = choose_frame(evidence, axis)
+    chosen = select_options(evidence, axis)
     table, power, frame = chosen.fit.table, chosen.fit.power, chosen.fit.frame
     if len(table.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(evidence, axis, constant)
-    intervals = [power_interval(table, t, power, frame.misfit) for t in range(len(power))]
+    intervals = [coefficient_interval(table, t, power, frame.misfit) for t in range(len(power))]
     values = _consistent(table, power, intervals, frame.misfit)
     noise = {
         name: _coefficient(name, float(values[t]), intervals[t], tau0)
@@ -75,7 +81,7 @@ def _fit_axis(evidence: Evidence, axis: int, tau0: float) -> tuple[AxisFit, list
 
 
 def _consistent(
-    table: Table, power: Floats, intervals: list[PowerInterval], misfit: float
+    table: Table, power: Floats, intervals: list[CoefficientInterval], misfit: float
 ) -> Floats:
     """Return the powers, those outside of their interval replaced by what the interval is about.
 
@@ -92,13 +98,18 @@ def _consistent(
     return out
 
 
-def _coefficient(name: str, power: float, interval: PowerInterval, tau0: float) -> Coefficient:
+def _coefficient(
+    name: str, power: float, interval: CoefficientInterval, tau0: float
+) -> Coefficient:
     """Return a random term in SI units."""
     if not (interval.observable and math.isfinite(interval.high)):
-        return _unseen(to_si(name, power, tau0), to_si(name, interval.upper, tau0))
+        return _unseen(
+            coefficient_to_si(name, power, tau0), coefficient_to_si(name, interval.upper, tau0)
+        )
     ends = (min(interval.low, power), max(interval.high, power))
     return Coefficient(
-        to_si(name, power, tau0), (to_si(name, ends[0], tau0), to_si(name, ends[1], tau0))
+        coefficient_to_si(name, power, tau0),
+        (coefficient_to_si(name, ends[0], tau0), coefficient_to_si(name, ends[1], tau0)),
     )
 
 
@@ -124,7 +135,7 @@ def _nothing() -> AxisFit:
     return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
 
 
-def _size_ends(term: Candidate, power: float, interval: PowerInterval) -> tuple[float, float]:
+def _size_ends(term: Candidate, power: float, interval: CoefficientInterval) -> tuple[float, float]:
     """Return the interval of the size of an extra term: at its shape, and over its shapes.
 
     The two are independent, so their half-widths add as squares.
@@ -135,7 +146,7 @@ def _size_ends(term: Candidate, power: float, interval: PowerInterval) -> tuple[
 
 
 def _extras(
-    chosen: Chosen, intervals: list[PowerInterval], tau0: float
+    chosen: SelectedOptions, intervals: list[CoefficientInterval], tau0: float
 ) -> tuple[GaussMarkov | None, Sinusoid | None]:
     """Return the extra terms in SI units."""
     gauss_markov: GaussMarkov | None = None

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc, ndtri
 
-from .evidence import Table
-from .intervals import power_interval
+from .intervals import coefficient_interval
 from .model import Floats
 from .solve import JITTER, K, Whitening, solve, weights_at
+from .table import Table
 
 Z_FAIL = 3.0
 """A table of the model's own noise is further off than this once in several hundred."""
@@ -82,7 +82,7 @@ def goodness(table: Table, power: Floats, misfit: float = 0.0) -> Goodness:
     return Goodness(float(rest @ rest), max(freedom, 1.0))
 
 
-def sag(table: Table, power: Floats, misfit: float = 0.0) -> float:
+def long_tau_deficit(table: Table, power: Floats, misfit: float = 0.0) -> float:
     """Return how far the lowest of the long averages lies below the model, as a normal deviate.
 
     An Allan variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), here with
@@ -98,7 +98,7 @@ def sag(table: Table, power: Floats, misfit: float = 0.0) -> float:
     return float(ndtri(np.maximum(below.min(), np.finfo(float).tiny)))
 
 
-def fairest(table: Table, power: Floats) -> Goodness:
+def best_case_goodness(table: Table, power: Floats) -> Goodness:
     """Return the goodness at the fitted powers, or with the walk at its upper limit if better.
 
     Where a walk rules the longest averages, k rests on few degrees of freedom, and a low draw makes
@@ -109,14 +109,14 @@ def fairest(table: Table, power: Floats) -> Goodness:
     if not first.fails or first.z > Z_HOPELESS:
         return first
     most = power.copy()
-    most[K] = power_interval(table, K, power).upper
+    most[K] = coefficient_interval(table, K, power).upper
     if not np.isfinite(most[K]):
         return first
     other = goodness(table, most)
     return other if other.z < first.z else first
 
 
-def misfit_that_sags_not(table: Table, power: Floats, signed: bool, misfit: float) -> float:
+def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: float) -> float:
     """Return the least fractional error, from ``misfit`` up, at which no long average sags.
 
     With it the fit follows the whole curve instead of its precise part only.
@@ -125,7 +125,7 @@ def misfit_that_sags_not(table: Table, power: Floats, signed: bool, misfit: floa
     eps = max(misfit, MISFIT_START / 2.0)
     for _ in range(MISFIT_STEPS):
         power = solve(table, power, signed=signed, misfit=eps)
-        low, high = (low, eps) if sag(table, power, eps) > Z_SAGS else (eps, high)
+        low, high = (low, eps) if long_tau_deficit(table, power, eps) > Z_SAGS else (eps, high)
         if high - low < MISFIT_TOLERANCE * high:
             break
         eps = min(2.0 * eps, high) if high == MISFIT_LIMIT else (low + high) / 2.0

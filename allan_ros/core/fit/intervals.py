@@ -17,26 +17,30 @@ by the cube root of Wilson & Hilferty (PNAS 17, 1931).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
-from .active_set import RIDGE
-from .evidence import Table
 from .model import Floats
-from .solve import Q, Whitening, solve, weights_at, white_floor, with_floor
+from .solve import RIDGE, K, PointFit, Q, Whitening, solve, weights_at, white_floor, with_floor
+from .table import PooledTable, Table, variances
 
 Z_TWO_SIDED = 1.96
 """Normal quantile of 97.5 %."""
 
+
 Z_ONE_SIDED = 1.645
 """Normal quantile of 95 %: where the upper limit of an unseen term lies."""
+
 
 Z_DETECT = 2.33
 """Normal quantile of 99 %: a term that is 0 passes for one in 1 % of records."""
 
+
 ENOUGH = 0.01
 """How near z must come to its target: half a percent of the half-width."""
+
 
 EVALUATIONS = 25
 """Bound on each half of the search for an end, which takes four to eight in all."""
@@ -47,7 +51,7 @@ LITTLE_SKEW = 1e-3
 
 
 @dataclass(frozen=True)
-class PowerInterval:
+class CoefficientInterval:
     """What the table says of one power: z at zero, and its two ends or its upper limit."""
 
     z_zero: float
@@ -120,7 +124,9 @@ def normal_deviate(z: float, skewness: float) -> float:
     return float((root - 1.0) * 6.0 / skewness + skewness / 6.0)
 
 
-def power_interval(table: Table, term: int, power: Floats, misfit: float = 0.0) -> PowerInterval:
+def coefficient_interval(
+    table: Table, term: int, power: Floats, misfit: float = 0.0
+) -> CoefficientInterval:
     """Return the interval of one power about a fit of the table."""
     score = Score(table, term, power, misfit)
     z_zero = score(0.0)
@@ -132,10 +138,10 @@ def power_interval(table: Table, term: int, power: Floats, misfit: float = 0.0) 
         deviation = score.deviation
         high = cross(score, -Z_TWO_SIDED, middle, middle + 2.0 * deviation, np.inf)
         low = cross(score, Z_TWO_SIDED, middle, middle - 2.0 * deviation, 0.0)
-        return PowerInterval(z_zero, low, high, high)
+        return CoefficientInterval(z_zero, low, high, high)
     # An estimate below zero counts as zero: the limit is then what the record could have shown.
     upper = cross(lambda c: score(c, 0.0), -Z_ONE_SIDED, 0.0, middle + 2.0 * deviation, np.inf)
-    return PowerInterval(z_zero, 0.0, upper, upper)
+    return CoefficientInterval(z_zero, 0.0, upper, upper)
 
 
 def cross(
@@ -172,3 +178,81 @@ def cross(
             a, fa = b, fb
         b, fb = c, fc
     return b
+
+
+Z_DETECT_RAMP = 2.58
+"""Normal quantile of 99.5 %: R has a sign, so both tails count for 1 % false alarms."""
+
+
+AGREE = 0.01
+"""Segments whose ramps differ as much as noise makes them once in a hundred have their own."""
+
+
+@dataclass(frozen=True)
+class RampInterval:
+    """A ramp per sample, its 95 % interval and verdicts.
+
+    ``shared`` is False where the segments' ramps differ: it is then that of the longest.
+    """
+
+    value: float
+    low: float
+    high: float
+    observable: bool
+    shared: bool
+
+
+def ramp_interval(
+    evidence: PooledTable, axis: int, fit: PointFit, walk: float
+) -> RampInterval | None:
+    """Return the ramp of one axis, or None where no segment can show one.
+
+    Parameters
+    ----------
+    evidence : PooledTable
+    axis : int
+    fit : PointFit
+    walk : float
+        The upper limit of k.
+    """
+    variance = fit.ramp_variance
+    chosen = np.flatnonzero(variance > 0.0)
+    if not len(chosen):
+        return None
+    ramps = fit.table.ramps[chosen]
+    value, deviation = _mean(ramps, variance[chosen])
+    spread = float(np.sum((ramps - value) ** 2 / variance[chosen]))
+    shared = len(chosen) == 1 or bool(chdtrc(len(chosen) - 1, spread) > AGREE)
+    if not shared:
+        chosen, ramps = chosen[:1], ramps[:1]
+        value, deviation = _mean(ramps, variance[chosen])
+
+    ignored = np.zeros(len(variance))
+    ignored[chosen] = np.nan
+
+    def z(c: float) -> float:
+        known = np.full(len(variance), np.nan)
+        known[chosen] = c
+        less = fit.frame.table(evidence, axis, fit.power, known)
+        held = solve(less, fit.power, signed=fit.frame.signed, misfit=fit.frame.misfit)
+        noise = fit.frame.noise(with_floor(less, held))
+        free, effects = evidence.ramps(axis, noise, ignored)
+        r, sd = _mean(free[chosen], (variances(effects) @ noise)[chosen])
+        return (r - c) / sd
+
+    bound = np.inf
+    if np.isfinite(walk):
+        most = fit.power.copy()
+        most[K] = max(walk, most[K])
+        bound = _mean(ramps, replace(fit, power=most).ramp_variance[chosen])[1]
+    reach = Z_TWO_SIDED * bound
+    low = cross(z, Z_TWO_SIDED, value, value - 2.0 * deviation, value - reach)
+    high = cross(z, -Z_TWO_SIDED, value, value + 2.0 * deviation, value + reach)
+    observable = abs(value) > Z_DETECT_RAMP * bound or abs(z(0.0)) > Z_DETECT_RAMP
+    return RampInterval(value, low, high, observable, shared)
+
+
+def _mean(ramps: Floats, variance: Floats) -> tuple[float, float]:
+    """Return the mean weighted by 1/variance, and its standard deviation."""
+    weight = 1.0 / variance
+    return float(weight @ ramps / weight.sum()), float(1.0 / np.sqrt(weight.sum()))

@@ -1,38 +1,34 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The five noise terms in sample units, and their way back to SI.
-
-Sample units: the sample period is 1 and the phase theta is the running sum of the samples. Four
-terms are random and enter as their squares, ``power = (q, w, b, k)``; the ramp r is not random
-and is estimated from the signed sums, so it has no column here.
-
-    q = Q^2/tau0^2    w = N^2/tau0    b = B^2    k = K^2 tau0    r = R tau0
-
-    E avar(m) = 3 q/m^2 + w/m + (2 ln2/pi) b + k (m/3 + 1/(6 m)) + r^2 m^2/2
-
-IEEE Std 952-2020 annex C; the k term is that of a walk that steps once a sample (exact at
-small m), its 1/(6 m) is what a sampled walk has beyond the continuous one.
-"""
+"""What a fit says: five terms per axis, each with its interval and verdict."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..terms import NoiseTerms, term_avar
+from ..findings import Finding
+from ..noise import NoiseTerms, term_avar
 
 Floats = NDArray[np.float64]
+
 
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')
 """The terms with a column, in the order of every array of powers."""
 
+
 WHITE = np.array([0.0, 1.0, 0.0, 0.0])
 """Powers of nothing but white noise: what weights are made for before the noise is known."""
 
+
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
 """coefficient = sqrt(power) tau0^exponent."""
+
 
 DIFFERENCE = (1.0, -2.0, 1.0)
 """d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u)."""
@@ -65,8 +61,107 @@ def phase_covariance(t: Floats) -> Floats:
     )
 
 
-def to_si(term: str, power: float, tau0: float) -> float:
+def coefficient_to_si(term: str, power: float, tau0: float) -> float:
     """Return the SI coefficient of a power (q, w, b, k) or of the ramp r; 0 below 0."""
     if term == 'R':
         return power / tau0
     return math.sqrt(max(power, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])
+
+
+TERMS = ('Q', 'N', 'B', 'K', 'R')
+"""Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
+
+
+Status = Literal['estimated', 'not_observable']
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One of the five terms on one axis, in SI units.
+
+    Attributes
+    ----------
+    value : float or None
+        The point estimate; None where none can be given. |R| for the ramp.
+    ci95 : (low, high) or None
+        95 % interval; None where the method gives none.
+    upper95 : float or None
+        95 % upper limit: what is known of a term that is not observable.
+    status : 'estimated' or 'not_observable'
+    sign : int
+        Sign of the ramp (R only), else 0.
+    """
+
+    value: float | None
+    ci95: tuple[float, float] | None = None
+    upper95: float | None = None
+    status: Status = 'estimated'
+    sign: int = 0
+
+
+@dataclass(frozen=True)
+class GaussMarkov:
+    """First-order Gauss-Markov noise (IEEE 952's exponentially correlated noise).
+
+    ``sigma`` is its standard deviation in the unit of the samples, ``correlation_time`` in s.
+    """
+
+    sigma: float
+    sigma_ci95: tuple[float, float]
+    correlation_time: float
+    correlation_time_ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Sinusoid:
+    """A line in the spectrum (IEEE 952's sinusoidal noise): amplitude and frequency in Hz."""
+
+    amplitude: float
+    amplitude_ci95: tuple[float, float]
+    frequency: float
+    frequency_ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """The fit of one axis.
+
+    Attributes
+    ----------
+    noise : mapping of term to Coefficient
+        All five of `TERMS`.
+    misfit : float
+        Fractional model error eps that makes the five terms fit (0: they describe the curve).
+    m_min : int
+        Smallest averaging factor used; above 1 where a low-pass filter hides the shorter ones.
+    gof_z : float or None
+        Goodness of fit as a normal deviate, before eps; None where the method has none.
+    gauss_markov, sinusoid : extra terms, only where the fit demanded them.
+    """
+
+    noise: Mapping[str, Coefficient]
+    misfit: float = 0.0
+    m_min: int = 1
+    gof_z: float | None = None
+    gauss_markov: GaussMarkov | None = None
+    sinusoid: Sinusoid | None = None
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """The fit of all axes of one `AllanSums`.
+
+    Attributes
+    ----------
+    method : str
+        'gls', 'relative' or 'paper'.
+    tau0 : float
+        Sample period in s.
+    axes : mapping of axis name to AxisFit
+    findings : tuple of Finding
+    """
+
+    method: str
+    tau0: float
+    axes: Mapping[str, AxisFit]
+    findings: tuple[Finding, ...] = field(default=())

@@ -16,13 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..curve import degrees_of_freedom, sample_period
+from ..allan.curve import degrees_of_freedom, noise_types_of_avar, sample_period
+from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from ..noise_type import noise_types_of_avar
-from ..sums import AllanSums
-from ..terms import FLICKER_FLOOR
-from ..units import sensor_of, to_datasheet
-from .values import TERMS, AxisFit, Coefficient, NoiseFit
+from ..imu import sensor_of, to_datasheet
+from ..noise import FLICKER_FLOOR
+from .model import TERMS, AxisFit, Coefficient, NoiseModel
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +43,7 @@ class Polynomial(NamedTuple):
     error: Floats
 
 
-def fit_paper(sums: AllanSums) -> NoiseFit:
+def fit_paper(sums: AllanSums) -> NoiseModel:
     """Return the coefficients as the paper computed them; no intervals.
 
     A term whose A_p is negative has no value, and a finding says so. Another finding carries the
@@ -70,7 +69,7 @@ def fit_paper(sums: AllanSums) -> NoiseFit:
         gain = _gain(axis, groups, overlapped, i)
         if gain:
             findings.append(gain)
-    return NoiseFit('paper', sample_period(sums), axes, tuple(findings))
+    return NoiseModel('paper', sample_period(sums), axes, tuple(findings))
 
 
 def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:

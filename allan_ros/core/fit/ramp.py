@@ -24,8 +24,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cascade import PHASE_POINTS
-from ..grid import counts, grid_for
+from ..allan.engine import PHASE_POINTS
+from ..allan.sums import counts, grid_for
 from .model import DIFFERENCE, RANDOM_TERMS, Floats, phase_covariance, walk_from_cubic
 
 _FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)

@@ -14,20 +14,20 @@ import math
 
 import numpy as np
 
-from ..curve import sample_period
+from ..allan.curve import sample_period
+from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from ..sums import AllanSums
-from ..terms import NoiseTerms, term_avar
-from .active_set import nonnegative_least_squares
+from ..noise import NoiseTerms, term_avar
+from .model import TERMS, AxisFit, Coefficient, NoiseModel
 from .paper import sign_of_ramp
-from .values import TERMS, AxisFit, Coefficient, NoiseFit
+from .solve import nonnegative_least_squares
 
 MIN_GROUPS = 9
 """Averaging times that must fit into the record. Beyond, a point may be several times too low by
 chance, and its relative residual then outweighs all the others."""
 
 
-def fit_relative(sums: AllanSums) -> NoiseFit:
+def fit_relative(sums: AllanSums) -> NoiseModel:
     """Return the coefficients by relative least squares over terms >= 0; no intervals.
 
     A term that the fit leaves at zero has no value: the curve does not show it.
@@ -55,4 +55,4 @@ def fit_relative(sums: AllanSums) -> NoiseFit:
                 for term, square in zip(TERMS, squares.tolist())
             }
         )
-    return NoiseFit('relative', tau0, axes, tuple(findings))
+    return NoiseModel('relative', tau0, axes, tuple(findings))

@@ -10,30 +10,82 @@ covariance as well would be biased.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
 from ..errors import AllanError
-from .active_set import nonnegative_least_squares
-from .evidence import EMPTY_ROW, Table
-from .model import RANDOM_TERMS, Floats
+from .model import RANDOM_TERMS, WHITE, Floats
+from .table import EMPTY_ROW, Extra, PooledTable, Table, with_extras
+
+RIDGE = 1e-12
+"""Added to the normal equations of unit columns, so that too few points give a wide answer
+instead of none."""
+
+
+def nonnegative_least_squares(
+    columns: Floats, target: Floats, signed: tuple[int, ...] = ()
+) -> Floats:
+    """Return x >= 0 that minimises |columns x - target|.
+
+    The minimiser is the unconstrained one of some set of columns (Lawson & Hanson, Solving Least
+    Squares Problems, 1974, ch. 23), and five columns have 31 sets: if that of all columns will
+    not do, all are tried, which is exact and quicker than importing a general solver.
+
+    Parameters
+    ----------
+    columns : (points, terms) float64 array
+        A few columns, of any scale.
+    target : (points,) float64 array
+        What they are to make.
+    signed : tuple of int
+        Columns whose coefficient may be negative.
+
+    Returns
+    -------
+    (terms,) float64 array
+    """
+    scale = np.sqrt((columns**2).sum(axis=0))
+    scale[scale == 0.0] = 1.0
+    scaled = columns / scale
+    gram, moment = scaled.T @ scaled, scaled.T @ target
+    bound = [c for c in range(len(scale)) if c not in signed]
+    best, most = np.zeros(len(scale)), -np.inf
+    for size in range(len(bound), -1, -1):
+        for chosen in combinations(bound, size):
+            active = sorted((*chosen, *signed))
+            part = gram[np.ix_(active, active)] + RIDGE * np.eye(len(active))
+            x = np.linalg.solve(part, moment[active])
+            gain = float(x @ moment[active])
+            if gain > most and (x[[c in chosen for c in active]] >= 0.0).all():
+                best, most = np.zeros(len(scale)), gain
+                best[active] = x
+        if size == len(bound) and most > -np.inf:
+            break
+    return np.asarray(best / scale)
+
 
 JITTER = 1e-4
 """Added to the correlation matrix of the table before it is factored: neighbouring factors are
 almost one and the same number, and the covariance is only known to about this."""
 
+
 TOLERANCE = 1e-3
 """Relative change of the powers at which the iteration stops: far below their errors."""
+
 
 ROUNDS = 12
 """Bound on the rounds of a fit, which settles in two to five."""
 
+
 SWING = 0.25
 """A power that turns back by more than this part of its last step is swinging."""
 
+
 NOISE_FLOOR = 1e-6
 """White noise assumed at least, relative to the least that the table could hide."""
+
 
 Q, N, B, K = range(len(RANDOM_TERMS))
 
@@ -181,3 +233,89 @@ def weights_at(table: Table, power: Floats, misfit: float) -> Floats:
     diagonal = np.maximum(np.diag(covariance), EMPTY_ROW * model**2) + (misfit * model) ** 2
     covariance[np.diag_indices_from(covariance)] = diagonal
     return covariance
+
+
+RAMP_ROUNDS = 4
+"""Rounds of ramp and table; powers settle in two or three."""
+
+
+RAMP_TOLERANCE = 1e-2
+"""Relative change of the powers that no longer matters to the weights of the ramp."""
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How the table of an axis is fitted.
+
+    Attributes
+    ----------
+    m_min : int
+        Smallest averaging factor that is used.
+    signed : bool
+        Whether q may be negative, as it looks behind a low-pass filter.
+    misfit : float
+        Fractional error of the model.
+    extras : tuple of Extra
+        Terms beside the five.
+    """
+
+    m_min: int = 1
+    signed: bool = False
+    misfit: float = 0.0
+    extras: tuple[Extra, ...] = ()
+
+    def table(
+        self, evidence: PooledTable, axis: int, power: Floats, ramps: Floats | None = None
+    ) -> Table:
+        """Return the table of an axis with the ramps that are best under the powers."""
+        table = evidence.table(axis, self.noise(power), ramps)
+        return with_extras(table.rows(table.m >= self.m_min), self.extras)
+
+    def noise(self, power: Floats) -> Floats:
+        """Return q, w, b, k >= 0 of noise that is like the model's over long times."""
+        four: Floats = np.maximum(power[: len(RANDOM_TERMS)], 0.0)
+        for extra, p in zip(self.extras, power[len(RANDOM_TERMS) :]):
+            four[N] += p * extra.white()
+        return four
+
+
+@dataclass(frozen=True)
+class PointFit:
+    """Powers, the table (with its ramps) they were fitted to, and how."""
+
+    power: Floats
+    table: Table
+    frame: FitOptions = field(default_factory=FitOptions)
+
+    @property
+    def ramp_variance(self) -> Floats:
+        """Variance of the ramp of each kept segment, (segments,); 0 where it has none."""
+        return np.asarray(self.table.ramp_variance @ self.frame.noise(self.power))
+
+
+def point_fit(
+    evidence: PooledTable, axis: int, frame: FitOptions = FitOptions(), power: Floats | None = None
+) -> PointFit:
+    """Return the powers of one axis: ramps out, powers in, until both are steady.
+
+    Parameters
+    ----------
+    evidence : PooledTable
+    axis : int
+        Position among the axes of the sums.
+    frame : Frame
+    power : (4,) float64 array, optional
+        Where to begin.
+    """
+    if power is None:
+        power = first_guess(evidence.table(axis, WHITE))
+    power = np.concatenate([power, np.zeros(len(RANDOM_TERMS) + len(frame.extras) - len(power))])
+    table = frame.table(evidence, axis, power)
+    for _ in range(RAMP_ROUNDS):
+        new = solve(table, power, signed=frame.signed, misfit=frame.misfit)
+        settled = np.all(np.abs(new - power) <= RAMP_TOLERANCE * np.abs(power))
+        power = new
+        if settled:
+            break
+        table = frame.table(evidence, axis, power)
+    return PointFit(power, table, frame)

@@ -83,10 +83,10 @@ def make_export(
         hold, or the existing text cannot take it.
     """
     from .header import header_lines
-    from .model import NoiseModel
+    from .model import FilterNoise
 
     target = target_of(name)
-    model = NoiseModel(results, options, target)
+    model = FilterNoise(results, options, target)
     entries = list(target.entries(model))
     header = header_lines(name, target, model, entries)
     text = (
@@ -114,7 +114,7 @@ def export(
     AllanError
         As `make_export`, or when the folder cannot be written.
     """
-    from ..atomic import write_atomic
+    from ..files import write_atomic
 
     path = Path(folder) / target_of(name).file_name
     write_atomic(path, make_export(results, name, options).text)

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
-from ...core.noise_model import walk_rate_std, white_std
-from ...core.units import SI_UNITS
-from .model import NoiseModel, clamped
+from ...core.filters.noise_parameters import walk_rate_std, white_std
+from ...core.imu import SI_UNITS
+from .model import FilterNoise, clamped
 from .target import Entry
 
 FLOOR_NOTE = (
@@ -32,7 +32,7 @@ class Parameter(NamedTuple):
     high: float
 
 
-def step_entries(model: NoiseModel, parameters: Mapping[str, Parameter]) -> Iterator[Entry]:
+def step_entries(model: FilterNoise, parameters: Mapping[str, Parameter]) -> Iterator[Entry]:
     """Yield the parameters, each within its range."""
     for key, (sensor, term, low, high) in parameters.items():
         convert = white_std if term == 'N' else walk_rate_std

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.units import SI_UNITS
+from ...core.imu import SI_UNITS
 from .json_form import JsonForm
-from .model import NoiseModel
+from .model import FilterNoise
 from .target import Entry, Target
 
 PARENT = ('value0',)
@@ -27,7 +27,7 @@ KEYS = {
 """Key -> the sensor and term it is."""
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     yield Entry((*PARENT, 'imu_update_rate'), model.rate)
     for key, (sensor, term) in KEYS.items():
         yield model.three((*PARENT, key), sensor, term, '', SI_UNITS[sensor][term])

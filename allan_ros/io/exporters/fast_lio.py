@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.noise_model import walk_rate_std, white_std
-from ...core.units import SI_UNITS
-from .model import NoiseModel
+from ...core.filters.noise_parameters import walk_rate_std, white_std
+from ...core.imu import SI_UNITS
+from .model import FilterNoise
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
 PARENT = ('/**', 'ros__parameters', 'mapping')
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     for key, sensor in (('acc_cov', 'accel'), ('gyr_cov', 'gyro')):
         yield model.number(
             (*PARENT, key),

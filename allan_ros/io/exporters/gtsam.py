@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from ...core.errors import AllanError
-from ...core.units import SI_UNITS
-from .model import NoiseModel
+from ...core.imu import SI_UNITS
+from .model import FilterNoise
 from .target import Entry, Target
 
 COVARIANCES = {
@@ -65,7 +65,7 @@ class _PythonForm:
         raise AllanError('gtsam writes a Python module: import it, or leave out --merge-into')
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     for key, (sensor, term) in COVARIANCES.items():
         unit = f'({SI_UNITS[sensor][term]})^2'
         yield model.three((key,), sensor, term, f'{term}^2', unit, lambda value: value**2)

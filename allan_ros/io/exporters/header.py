@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 
 from ... import __version__
+from ..format import duration_text, significant
 from ..results import Results
-from ..shown import duration_text, significant
-from .model import NoiseModel
+from .model import FilterNoise
 from .target import Entry, Target
 
 SHOWN_SOURCES = 3
@@ -28,7 +28,7 @@ RULE_WORDS = {
 
 
 def header_lines(
-    name: str, target: Target, model: NoiseModel, entries: Sequence[Entry]
+    name: str, target: Target, model: FilterNoise, entries: Sequence[Entry]
 ) -> list[str]:
     """Return the lines, without the mark of a comment; each holds printable characters only."""
     results, inflate = model.results, model.options.inflate

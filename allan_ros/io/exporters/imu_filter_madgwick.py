@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.batch import AXES, SENSORS
-from ...core.noise_model import madgwick_drift_gain, madgwick_gain, madgwick_ramp_gain
-from .model import NoiseModel, clamped, level_words, rounded
+from ...core.filters.noise_parameters import madgwick_drift_gain, madgwick_gain, madgwick_ramp_gain
+from ...core.imu import AXES, SENSORS
+from .model import FilterNoise, clamped, level_words, rounded
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
@@ -22,12 +22,12 @@ GAIN_RANGE = (0.0, 1.0)
 ZETA_RANGE = (-1.0, 1.0)
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     yield clamped(_gain(model), *GAIN_RANGE)
     yield clamped(_zeta(model), *ZETA_RANGE)
 
 
-def _gain(model: NoiseModel) -> Entry:
+def _gain(model: FilterNoise) -> Entry:
     horizon = model.options.horizon
     n, b = model.level('gyro', 'N'), model.level('gyro', 'B')
     levels = (*n.levels, *b.levels)
@@ -40,7 +40,7 @@ def _gain(model: NoiseModel) -> Entry:
     )
 
 
-def _zeta(model: NoiseModel) -> Entry:
+def _zeta(model: FilterNoise) -> Entry:
     """Return zeta from the ramp where every axis shows one, else from the random walk."""
     horizon, path = model.options.horizon, (*PARENT, 'zeta')
     gyro = [model.results.axes[axis].fit.noise['R'] for axis in AXES[SENSORS['gyro']]]

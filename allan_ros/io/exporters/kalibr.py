@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.units import SI_UNITS
-from .model import NoiseModel
+from ...core.imu import SI_UNITS
+from .model import FilterNoise
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
@@ -27,7 +27,7 @@ DEFAULT_TOPIC = '/imu0'
 """What Kalibr's own examples call it."""
 
 
-def imu_entries(model: NoiseModel, parent: tuple[str, ...] = ()) -> Iterator[Entry]:
+def imu_entries(model: FilterNoise, parent: tuple[str, ...] = ()) -> Iterator[Entry]:
     """Yield the keys of one IMU as Kalibr names them, below ``parent``."""
     for key, (sensor, term) in KEYS.items():
         unit = SI_UNITS[sensor][term]

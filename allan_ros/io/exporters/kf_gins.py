@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from ...core.findings import finding
-from ...core.units import HOUR
-from .model import NoiseModel, in_unit, rounded
+from ...core.imu import HOUR
+from .model import FilterNoise, in_unit, rounded
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
@@ -27,7 +27,7 @@ BIASES = {'gbstd': ('gyro', 'deg/h'), 'abstd': ('accel', 'mGal')}
 """Key -> the sensor whose bias it is, and its unit."""
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     for key, sensor, unit in (('arw', 'gyro', 'deg/sqrt(h)'), ('vrw', 'accel', 'm/s/sqrt(h)')):
         yield model.three((*PARENT, key), sensor, 'N', '', unit, in_unit(unit))
     for key, (sensor, unit) in BIASES.items():
@@ -40,7 +40,7 @@ def _entries(model: NoiseModel) -> Iterator[Entry]:
     yield _correlation_time(model)
 
 
-def _correlation_time(model: NoiseModel) -> Entry:
+def _correlation_time(model: FilterNoise) -> Entry:
     """Return the one correlation time of the file: the shortest found, as the bias moves most."""
     path = (*PARENT, 'corrtime')
     found = [

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.units import SI_UNITS
-from .model import NoiseModel
+from ...core.imu import SI_UNITS
+from .model import FilterNoise
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
@@ -25,7 +25,7 @@ KEYS = {
 """Key -> the sensor and term it is."""
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     for key, (sensor, term) in KEYS.items():
         yield model.number((*PARENT, key), sensor, term, '', SI_UNITS[sensor][term])
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`NoiseModel`: the results as the exporters ask for them, every number with its words."""
+"""`FilterNoise`: the results as the exporters ask for them, every number with its words."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from ...core.batch import AXES, SENSORS
 from ...core.errors import AllanError
+from ...core.filters.noise_parameters import (
+    Level,
+    SensorLevel,
+    axis_level,
+    bias_level,
+    sensor_level,
+)
 from ...core.findings import finding
-from ...core.noise_model import Level, SensorLevel, axis_level, bias_level, sensor_level
-from ...core.units import SI_UNITS, UNITS, sensor_of
+from ...core.imu import AXES, SENSORS, SI_UNITS, UNITS, sensor_of
+from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results import Results
-from ..shown import LIMIT_DIGITS, VALUE_DIGITS, significant
 from .options import AXIS_RULE, ExportOptions
 from .target import Entry, Target
 
@@ -31,7 +36,7 @@ def _same(value: float) -> float:
     return value
 
 
-class NoiseModel:
+class FilterNoise:
     """The noise of one IMU, under one set of options, for one target.
 
     Attributes

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from .kalibr import imu_entries
-from .model import NoiseModel
+from .model import FilterNoise
 from .target import Entry, Target, Value
 from .yaml_form import YamlForm
 
@@ -35,7 +35,7 @@ NOT_MEASURED: dict[str, Value] = {
 """What the file must have besides: that of an IMU without scale, axis and time errors."""
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     yield from imu_entries(model, PARENT)
     for key, value in NOT_MEASURED.items():
         yield Entry((*PARENT, key), value, keep=True)

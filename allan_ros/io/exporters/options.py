@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...core.parameters import check, parameter
+from ...core.settings import check, parameter
 
 AXIS_RULE = 'worst'
 """The rule where the file takes one number a sensor and none is given: Kalibr users expect it."""

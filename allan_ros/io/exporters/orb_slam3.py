@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...core.units import SI_UNITS
-from .model import NoiseModel
+from ...core.imu import SI_UNITS
+from .model import FilterNoise
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
@@ -24,7 +24,7 @@ KEYS = {
 """Key -> the sensor and term it is."""
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     for key, (sensor, term) in KEYS.items():
         yield model.number((key,), sensor, term, '', SI_UNITS[sensor][term])
     yield Entry(('IMU.Frequency',), model.rate)

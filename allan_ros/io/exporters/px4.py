@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from .autopilot import FLOOR_NOTE, Parameter, step_entries
 from .line_form import LineForm
-from .model import NoiseModel
+from .model import FilterNoise
 from .target import Entry, Target
 
 EKF_RATE_HZ = 100.0
@@ -26,7 +26,7 @@ PARAMETERS = {
 }
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     return step_entries(model, PARAMETERS)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from ...core.findings import Finding
 
 if TYPE_CHECKING:
-    from .model import NoiseModel
+    from .model import FilterNoise
 
 Value = float | str | list[float] | list[list[float]]
 """What a file can hold under a key."""
@@ -90,7 +90,7 @@ class Target:
 
     file_name: str
     convention: str
-    entries: Callable[[NoiseModel], Iterable[Entry]]
+    entries: Callable[[FilterNoise], Iterable[Entry]]
     form: Form
     three: bool = False
     rate_hz: float | None = None

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
+from ...core.filters.noise_parameters import midpoint_white_std, walk_rate_std, white_std
 from ...core.findings import finding
-from ...core.noise_model import midpoint_white_std, walk_rate_std, white_std
-from ...core.units import SI_UNITS
-from .model import NoiseModel
+from ...core.imu import SI_UNITS
+from .model import FilterNoise
 from .target import Entry, Target
 from .yaml_form import YamlForm
 
@@ -25,7 +25,7 @@ SENSORS = {'acc': 'accel', 'gyr': 'gyro'}
 """Prefix of the keys -> sensor."""
 
 
-def _entries(model: NoiseModel) -> Iterator[Entry]:
+def _entries(model: FilterNoise) -> Iterator[Entry]:
     exact = model.options.exact
     white, formula = (midpoint_white_std, 'N sqrt(2 f)') if exact else (white_std, 'N sqrt(f)')
     said = () if exact else (finding('export_half_of_noise', keys='acc_n and gyr_n'),)

@@ -6,29 +6,176 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+import yaml
+from numpy.typing import ArrayLike, NDArray
 
-from ...core.batch import AXES, SENSORS
+from ...core.allan.spectrum import Spectrum
 from ...core.compare import Reference
-from ...core.fit import TERMS
-from ...core.spectrum import Spectrum
-from ...core.terms import NoiseTerms, term_avar
-from ..outline import Outline
+from ...core.fit import TERMS, Coefficient
+from ...core.imu import AXES, SENSORS
+from ...core.noise import NoiseTerms, term_avar
+from ..format import (
+    ShownUnit,
+    interval_text,
+    pretty_unit,
+    shown_density_unit,
+    shown_signal_unit,
+    shown_unit,
+    value_text,
+)
 from ..plot_style import BELOW_CURVE
 from ..results import AxisResult, Results
-from ..shown import ShownUnit, pretty_unit, shown_density_unit, shown_signal_unit, shown_unit
-from .clipboard import copies
-from .model_spectrum import model_density
+from ..signal_summary import SignalSummary
+
+TERM_NAMES = {
+    'gyro': {
+        'Q': 'quantization',
+        'N': 'angle random walk',
+        'B': 'bias instability',
+        'K': 'rate random walk',
+        'R': 'rate ramp',
+    },
+    'accel': {
+        'Q': 'quantization',
+        'N': 'velocity random walk',
+        'B': 'bias instability',
+        'K': 'acceleration random walk',
+        'R': 'acceleration ramp',
+    },
+}
+"""sensor -> term -> its name in IEEE Std 952 and 1293."""
+
+
+VERDICT_WORDS = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
+"""Verdict of a comparison -> how the page says it."""
+
+
+def in_units(html_of: Callable[[str], str]) -> str:
+    """Return the HTML of both systems of units, of which the page shows the chosen one."""
+    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
+
+
+def cell(text: str, what: str = '') -> str:
+    """Return a table cell of escaped text."""
+    return f'<td{f" class={what!r}" if what else ""}>{escape(text)}</td>'
+
+
+Floats = NDArray[np.float64]
+
+
+def model_density(axis: AxisResult, frequency: Floats) -> Floats:
+    """Return the one-sided power spectral density of the fit, (frequencies,), SI unit^2/Hz.
+
+    Twice the two-sided densities of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C for
+    samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
+    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
+    ramp has none: a block's mean is taken off, and what is left of it is far below. Only terms
+    that are observable count.
+    """
+    value = {
+        term: c.value if c.status == 'estimated' and c.value is not None else 0.0
+        for term, c in axis.fit.noise.items()
+    }
+    omega = 2.0 * np.pi * frequency
+    step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
+    density: Floats = (
+        (value['Q'] * step) ** 2 / axis.tau0
+        + value['N'] ** 2
+        + value['B'] ** 2 / omega
+        + (value['K'] * axis.tau0 / step) ** 2
+    )
+    drift = axis.fit.gauss_markov
+    if drift is not None:
+        time = drift.correlation_time
+        density = density + 2.0 * drift.sigma**2 * time / (1.0 + (omega * time) ** 2)
+    return 2.0 * density
+
+
+COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
+"""Of the table for spreadsheets."""
+
+
+CHART_DIGITS = 5
+"""Significant digits of a point of a chart: a tenth of a pixel on any screen."""
+
+DIGITS = 6
+"""Significant digits of a copied number: more than any interval is known to."""
+
+
+def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
+    """Return the coefficients of some axes as tab-separated values, Markdown and YAML.
+
+    Units are in ASCII here, so that they survive wherever the text is pasted.
+    """
+    return {
+        'TSV': _tsv(results, axes, units),
+        'Markdown': _markdown(results, axes, units),
+        'YAML': _yaml(results, axes, units),
+    }
+
+
+def _tsv(results: Results, axes: Sequence[str], units: str) -> str:
+    lines = ['\t'.join(COLUMNS)]
+    for axis in axes:
+        for term in TERMS:
+            unit = shown_unit(axis, term, units)
+            numbers = _numbers(results.axes[axis].fit.noise[term], unit)
+            shown = ('' if number is None else f'{number:g}' for number in numbers)
+            lines.append('\t'.join([axis, term, *shown, unit.name]))
+    return '\n'.join(lines) + '\n'
+
+
+def _markdown(results: Results, axes: Sequence[str], units: str) -> str:
+    rows = [['term', 'unit', *axes], ['---'] * (len(axes) + 2)]
+    for term in TERMS:
+        cells = []
+        for axis in axes:
+            coefficient, unit = results.axes[axis].fit.noise[term], shown_unit(axis, term, units)
+            interval = interval_text(coefficient, unit)
+            cells.append(value_text(coefficient, unit) + (f' ({interval})' if interval else ''))
+        rows.append([term, shown_unit(axes[0], term, units).name, *cells])
+    return '\n'.join(f'| {" | ".join(row)} |' for row in rows) + '\n'
+
+
+def _yaml(results: Results, axes: Sequence[str], units: str) -> str:
+    tree: dict[str, dict[str, dict[str, object]]] = {}
+    for axis in axes:
+        tree[axis] = {}
+        for term in TERMS:
+            unit = shown_unit(axis, term, units)
+            value, low, high, upper = _numbers(results.axes[axis].fit.noise[term], unit)
+            known: dict[str, object] = {'unit': unit.name}
+            if value is not None:
+                known['value'] = value
+            if low is not None:
+                known['ci95'] = [low, high]
+            if upper is not None:
+                known['upper95'] = upper
+            tree[axis][term] = known
+    text: str = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+    return text
+
+
+def _numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
+    """Return value, interval and limit in a unit; what is not known is None.
+
+    Of a term that is not observable only the limit is given: its estimate means nothing.
+    """
+    seen = c.status == 'estimated'
+    low, high = c.ci95 if seen and c.ci95 is not None else (None, None)
+    sign = -1.0 if c.sign < 0 else 1.0
+    value = c.value * sign if seen and c.value is not None else None
+    numbers = (value, low, high, None if seen else c.upper95)
+    return tuple(None if n is None else float(f'{n * unit.factor:.{DIGITS}g}') for n in numbers)
+
 
 SYSTEMS = ('datasheet', 'si')
 """The units one may switch between."""
-
-DIGITS = 5
-"""Significant digits of a point: a tenth of a pixel on any screen."""
 
 
 def sensor_charts(
@@ -37,7 +184,7 @@ def sensor_charts(
     references: Sequence[Reference],
     former: Mapping[str, Results],
     spectra: Sequence[Spectrum],
-    outline: Outline | None,
+    outline: SignalSummary | None,
 ) -> dict[str, Any]:
     """Return what is drawn of one sensor.
 
@@ -50,7 +197,7 @@ def sensor_charts(
     former : mapping of name to Results
         Earlier runs: their curves are drawn.
     spectra : sequence of Spectrum
-    outline : Outline or None
+    outline : SignalSummary or None
     """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
@@ -179,7 +326,7 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
     return None
 
 
-def _signal(axes: Mapping[str, AxisResult], outline: Outline) -> dict[str, Any]:
+def _signal(axes: Mapping[str, AxisResult], outline: SignalSummary) -> dict[str, Any]:
     """Return the outline of each axis about its middle."""
     shown = []
     for name in axes:
@@ -204,7 +351,7 @@ def _signal(axes: Mapping[str, AxisResult], outline: Outline) -> dict[str, Any]:
     }
 
 
-def warmth_chart(outline: Outline | None) -> dict[str, Any] | None:
+def temperature_chart(outline: SignalSummary | None) -> dict[str, Any] | None:
     """Return the temperature over the time of the signals, or None where none was recorded."""
     if outline is None or outline.warmth is None:
         return None
@@ -214,9 +361,9 @@ def warmth_chart(outline: Outline | None) -> dict[str, Any] | None:
 
 
 def _rounded(values: ArrayLike) -> list[float | None]:
-    """Return numbers to `DIGITS` digits, None for what is not finite."""
+    """Return numbers to `CHART_DIGITS` digits, None for what is not finite."""
     return [
-        float(f'{v:.{DIGITS}g}') if math.isfinite(v) else None
+        float(f'{v:.{CHART_DIGITS}g}') if math.isfinite(v) else None
         for v in np.asarray(values, float).tolist()
     ]
 

@@ -9,26 +9,120 @@ of its scripts by its hash, so that none but ours can run, whatever a recording 
 from __future__ import annotations
 
 import base64
+import datetime
 import hashlib
+import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
+from pathlib import Path
+
+import numpy
+import scipy
 
 from ... import __version__
-from ...core.batch import AXES, SENSORS
+from ...core.allan.spectrum import Spectrum
 from ...core.compare import Comparison, Reference, compare, reference_of_run
 from ...core.findings import Finding
-from ...core.spectrum import Spectrum
-from ..outline import Outline
+from ...core.imu import AXES, SENSORS
+from ..format import SENSOR_NAMES, duration_text, significant
 from ..results import AxisResult, Results
-from ..shown import SENSOR_NAMES, duration_text, significant
-from .background import background, recorded_on
-from .chart_data import sensor_charts, to_script, warmth_chart
+from ..signal_summary import SignalSummary
+from .chart_data import sensor_charts, temperature_chart, to_script
 from .tables import coefficient_table, datasheet_table, former_table
 from .verdict import Verdict, verdict_of
 
+EARLIEST_S = 978_307_200
+"""2001-01-01: a first stamp before it is no date, but the time since a machine was started."""
+
+
+NS = 10**9
+
+
+def recorded_on(results: Results) -> str:
+    """Return when the evidence begins, in UTC, or '' where the stamps are no dates."""
+    spans = results.provenance.spans
+    start = min((span.start_ns for span in spans), default=0) // NS
+    if start < EARLIEST_S:
+        return ''
+    when = datetime.datetime.fromtimestamp(start, datetime.timezone.utc)
+    return f'{when:%Y-%m-%d %H:%M} UTC'
+
+
+def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
+    """Yield the section.
+
+    Parameters
+    ----------
+    results : Results
+    method : mapping of str to str
+        What else one needs to do it again: the command, the fingerprint of the sums.
+    """
+    yield '<h3>Inputs</h3>' + _table(dict(_inputs(results)))
+    yield '<h3>What became of the samples</h3>' + _table(dict(_fates(results)))
+    yield '<h3>To repeat it</h3>' + _table({**method, **_versions()})
+    settings = results.provenance.settings
+    if settings:
+        rows = {key: _value(value) for key, value in settings.items()}
+        yield (f'<details><summary>Every setting ({len(rows)})</summary>{_table(rows)}</details>')
+
+
+def _inputs(results: Results) -> Iterator[tuple[str, str]]:
+    for source in results.provenance.sources:
+        what = [part for part in (source.topic, source.type, source.storage) if part]
+        yield source.path, ', '.join([*what, *_size(Path(source.path))])
+
+
+def _size(path: Path) -> Iterator[str]:
+    """Yield the size of an input, if it is still there."""
+    try:
+        files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+        stats = [file.stat() for file in files]
+    except OSError:
+        return
+    if stats:
+        yield f'{sum(stat.st_size for stat in stats):,} bytes'
+
+
+def _fates(results: Results) -> Iterator[tuple[str, str]]:
+    counts = results.provenance.counts
+    yield (
+        'evidence',
+        f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
+        f'{duration_text(results.duration_s)} in {results.segments} '
+        f'segment{"" if results.segments == 1 else "s"}',
+    )
+    for name, number in vars(counts).items():
+        if isinstance(number, int) and number:
+            yield name.replace('_', ' '), f'{number:,}'
+    yield 'cuts', ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none'
+
+
+def _versions() -> dict[str, str]:
+    return {
+        'versions': f'allan_ros {__version__}, Python {platform.python_version()}, '
+        f'numpy {numpy.__version__}, scipy {scipy.__version__}',
+        'machine': f'{platform.system()} {platform.machine()}',
+    }
+
+
+def _value(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        return ', '.join(str(v) for v in value) or '–'
+    return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    cells = ''.join(
+        f'<tr><th scope="row">{escape(key)}</th><td>{escape(value)}</td></tr>'
+        for key, value in rows.items()
+    )
+    return f'<table class="facts"><tbody>{cells}</tbody></table>'
+
+
 STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
+
 SCRIPTS = (
     'uplot/uPlot.iife.min.js',
     'chart.js',
@@ -38,12 +132,14 @@ SCRIPTS = (
 )
 """Files beside this one, in the order in which they stand in the page."""
 
+
 ICONS = {
     'good': '<path d="M7 12.5l3.5 3.5L17 9"/>',
     'caution': '<path d="M12 6.5v7M12 17v.5"/>',
     'bad': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
 """Light -> the sign in its disc: the light is told by sign and word as well as by colour."""
+
 
 FOLDED = 3
 """More notes than this are folded away under their number."""
@@ -57,7 +153,7 @@ class Beside:
     ----------
     pictures : mapping of sensor to str
         ``<svg>`` elements: for print, and where there is no script.
-    outline : Outline or None
+    outline : SignalSummary or None
         The raw signal.
     spectra : sequence of Spectrum
     former : mapping of name to Results
@@ -69,7 +165,7 @@ class Beside:
     """
 
     pictures: Mapping[str, str] = field(default_factory=dict)
-    outline: Outline | None = None
+    outline: SignalSummary | None = None
     spectra: Sequence[Spectrum] = ()
     former: Mapping[str, Results] = field(default_factory=dict)
     margin: float = 0.0
@@ -147,7 +243,9 @@ def _data(results: Results, beside: Beside, sensors: Sequence[str], units: str) 
         sensor_charts(results, sensor, references, beside.former, beside.spectra, beside.outline)
         for sensor in sensors
     ]
-    return to_script({'units': units, 'warmth': warmth_chart(beside.outline), 'sensors': charts})
+    return to_script(
+        {'units': units, 'warmth': temperature_chart(beside.outline), 'sensors': charts}
+    )
 
 
 def _with_datasheet(results: Results) -> list[Comparison]:

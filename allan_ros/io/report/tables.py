@@ -10,16 +10,9 @@ from html import escape
 from ...core.compare import Comparison
 from ...core.fit import TERMS, Coefficient
 from ..datasheet_comparison import DatasheetComparison
+from ..format import NOTHING_KNOWN, interval_text, pretty_unit, region_text, shown_unit, value_text
 from ..results import AxisResult, Results
-from ..shown import (
-    NOTHING_KNOWN,
-    interval_text,
-    pretty_unit,
-    region_text,
-    shown_unit,
-    value_text,
-)
-from .words import TERM_NAMES, VERDICT_WORDS, in_units
+from .chart_data import TERM_NAMES, VERDICT_WORDS, in_units
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict -> a sign beside its word and colour."""

@@ -9,15 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from ...core.batch import AXES, SENSORS
 from ...core.compare import Comparison
 from ...core.findings import Finding
 from ...core.fit import TERMS
-from ...core.fit.duration import record_times
-from ...core.fit.explain import FARTHEST, about
-from ...core.units import sensor_of
+from ...core.fit.findings import FARTHEST, about, record_times
+from ...core.imu import AXES, SENSORS, sensor_of
+from ..format import duration_text, pretty_unit, shown_unit, significant, value_text
 from ..results import Results
-from ..shown import duration_text, pretty_unit, shown_unit, significant, value_text
 
 Light = Literal['good', 'caution', 'bad']
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.fit import forget
+from allan_ros.core.allan.sums import counts, grid_for
+from allan_ros.core.fit import clear_cache
 from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
 from allan_ros.core.fit.model import DIFFERENCE, avar_terms, phase_covariance
-from allan_ros.core.grid import counts, grid_for
 
 
 def by_enumeration(samples):
@@ -69,9 +69,9 @@ def test_covariance_of_long_records_is_positive():
 
 
 def test_what_is_forgotten_is_made_anew():
-    import allan_ros.core.fit.evidence  # noqa: F401  (which remembers; a method loads it)
+    import allan_ros.core.fit.table  # noqa: F401  (which remembers; a method loads it)
 
     before = pair_sums(1000)
-    forget()
+    clear_cache()
     assert pair_sums.cache_info().currsize == 0
     assert np.array_equal(pair_sums(1000).squares, before.squares)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.engine import RunningAllan
+from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.fit.gls import fit_gls
-from allan_ros.core.fit.values import TERMS
+from allan_ros.core.fit.model import TERMS
+from allan_ros.core.imu import from_datasheet
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
-from allan_ros.core.units import from_datasheet
 
 TAU0 = 0.01
 

@@ -5,17 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from allan_ros.core.engine import RunningAllan
-from allan_ros.core.fit.evidence import Evidence
+from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.fit.goodness import (
     Z_SAGS,
     goodness,
+    long_tau_deficit,
     misfit_of,
-    misfit_that_sags_not,
-    sag,
+    misfit_without_deficit,
 )
-from allan_ros.core.fit.point import point_fit
-from allan_ros.core.fit.solve import solve
+from allan_ros.core.fit.solve import point_fit, solve
+from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 TAU0 = 0.01
@@ -27,7 +26,7 @@ def fit_of(seed, samples=20000, terms=NoiseTerms(N=1e-3, B=3e-4)):
     y = simulate_axis(samples, TAU0, terms, rng)
     engine.update(y[:, None], 0, round((samples - 1) * TAU0 * 1e9))
     engine.end_segment()
-    return point_fit(Evidence(engine.sums), 0)
+    return point_fit(PooledTable(engine.sums), 0)
 
 
 def test_the_model_itself_fits_to_nothing():
@@ -63,7 +62,7 @@ def test_misfit_is_the_error_that_was_made(error):
 def test_long_averages_of_the_models_own_noise_do_not_sag(terms):
     """40 records each; the fit follows them, so none comes near the limit."""
     fits = [fit_of(seed, terms=terms) for seed in range(40)]
-    assert min(sag(f.table, f.power) for f in fits) > Z_SAGS
+    assert min(long_tau_deficit(f.table, f.power) for f in fits) > Z_SAGS
 
 
 def test_a_curve_that_levels_off_sags_until_the_misfit_allows_for_it():
@@ -72,8 +71,10 @@ def test_a_curve_that_levels_off_sags_until_the_misfit_allows_for_it():
     bend = len(model) - 32
     level = np.where(np.arange(len(model)) < bend, model, model[bend])
     table = replace(fit.table, avar=level)
-    assert sag(table, fit.power) < Z_SAGS - 1.0
-    eps = misfit_that_sags_not(table, fit.power, False, 0.0)
+    assert long_tau_deficit(table, fit.power) < Z_SAGS - 1.0
+    eps = misfit_without_deficit(table, fit.power, False, 0.0)
     assert 0.0 < eps < 1.0
     again = solve(table, fit.power, misfit=eps)
-    assert sag(table, again, eps) > Z_SAGS - 0.1  # the fit ends where it began, to its tolerance
+    assert (
+        long_tau_deficit(table, again, eps) > Z_SAGS - 0.1
+    )  # the fit ends where it began, to its tolerance

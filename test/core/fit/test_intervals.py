@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy import special
 
-from allan_ros.core.engine import RunningAllan
+from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit.evidence import Evidence
-from allan_ros.core.fit.intervals import Score, cross, normal_deviate, power_interval
-from allan_ros.core.fit.point import point_fit
-from allan_ros.core.fit.solve import JITTER, B, K, N, Whitening, weights_at
+from allan_ros.core.fit.intervals import Score, coefficient_interval, cross, normal_deviate
+from allan_ros.core.fit.solve import JITTER, B, K, N, Whitening, point_fit, weights_at
+from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 
@@ -21,7 +20,7 @@ def fit():
     y = simulate_axis(60000, 0.01, NoiseTerms(N=1e-3, K=3e-4), rng)
     engine.update(y[:, None], 0, 599_990_000_000)
     engine.end_segment()
-    return point_fit(Evidence(engine.sums), 0)
+    return point_fit(PooledTable(engine.sums), 0)
 
 
 @pytest.mark.parametrize('freedom', [6.0, 15.0, 60.0])
@@ -49,7 +48,7 @@ def test_what_is_never_reached_is_the_limit():
 
 @pytest.mark.parametrize('term', [N, K])
 def test_ends_are_where_the_score_says(fit, term):
-    interval = power_interval(fit.table, term, fit.power)
+    interval = coefficient_interval(fit.table, term, fit.power)
     assert interval.observable
     assert interval.low < fit.power[term] < interval.high
     score = Score(fit.table, term, fit.power)
@@ -65,17 +64,17 @@ def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
     engine = RunningAllan(axes=('gyro_z',))
     engine.update(y[:, None], 0, 7_199_990_000_000)
     engine.end_segment()
-    fit = point_fit(Evidence(engine.sums), 0)
+    fit = point_fit(PooledTable(engine.sums), 0)
     at_zero = Score(fit.table, K, fit.power)
     at_zero(0.0)
     assert at_zero.estimate > 2.0 * fit.power[K]
-    interval = power_interval(fit.table, K, fit.power)
+    interval = coefficient_interval(fit.table, K, fit.power)
     assert interval.low < 0.7 * fit.power[K] < 1.5 * fit.power[K] < interval.high
     assert interval.high < at_zero.estimate
 
 
 def test_an_absent_term_has_a_limit_and_no_interval(fit):
-    interval = power_interval(fit.table, B, fit.power)
+    interval = coefficient_interval(fit.table, B, fit.power)
     assert not interval.observable
     assert interval.low == 0.0
     assert 0.0 < interval.upper < np.inf

@@ -6,14 +6,14 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from allan_ros.core.engine import RunningAllan
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, fit_noise
 from allan_ros.core.fit.paper import fit_polynomials, fitted_factors
+from allan_ros.core.imu import from_datasheet
+from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
-from allan_ros.core.sums import AllanSums
-from allan_ros.core.terms import term_avar
-from allan_ros.core.units import from_datasheet
 
 AXES = ('gyro_x', 'accel_z')
 TRUTH = NoiseTerms(Q=4e-6, N=7e-5, B=2.5e-5, K=2.6e-6, R=1e-7)

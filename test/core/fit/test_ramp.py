@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.engine import RunningAllan
-from allan_ros.core.fit.evidence import Evidence
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums, counts, grid_for
 from allan_ros.core.fit.model import DIFFERENCE, phase_covariance
 from allan_ros.core.fit.ramp import ramp_geometry
-from allan_ros.core.grid import counts, grid_for
-from allan_ros.core.sums import AllanSums
+from allan_ros.core.fit.table import PooledTable
 
 SAMPLES = 300
 POWERS = np.array(
@@ -55,7 +54,7 @@ def test_no_other_weights_are_better(power):
 def test_expectation_less_the_ramp_is_exact(power):
     """sum over starts of E (d - r m^2)^2, every d and r as weights on the phase."""
     sums = one_segment(np.random.default_rng(0).normal(size=SAMPLES))
-    table = Evidence(sums).table(0, power)
+    table = PooledTable(sums).table(0, power)
     geometry = ramp_geometry(SAMPLES)
     weights = geometry.best_weights(power)
     x = np.arange(geometry.points) * geometry.step
@@ -83,7 +82,7 @@ def test_pooled_segments_keep_their_own_ramps():
         segment = one_segment(y)
         sums = sums + segment.__class__(**{**segment.__dict__, 'intervals': 0, 'elapsed_ns': 0})
         assert len(sums.segments) == min(s + 1, 32)
-    table = Evidence(sums).table(0, POWERS[1])
+    table = PooledTable(sums).table(0, POWERS[1])
     # 60 segments of 400 white samples: the longest factors have few degrees of freedom each, but
     # 60 times as many together; 5 sigma.
     assert np.all(

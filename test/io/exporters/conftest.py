@@ -8,13 +8,13 @@ import json
 
 import pytest
 
-from allan_ros.core.batch import AXES
 from allan_ros.core.fit import AxisFit, Coefficient
-from allan_ros.core.health import Span
-from allan_ros.core.sums import ImuIdentity
-from allan_ros.io.documents import results_from_document, results_to_document, to_json
-from allan_ros.io.recordings import SourceInfo
+from allan_ros.core.imu import AXES, ImuIdentity
+from allan_ros.core.stream.health import Segment
+from allan_ros.io.documents import results_from_document, results_to_document
+from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.results import AxisResult, Provenance, Results
+from allan_ros.io.text import to_json
 
 RATE = 200.0
 SHARES = {'x': 0.6, 'y': 0.8, 'z': 1.0}
@@ -55,7 +55,7 @@ def known_results() -> Results:
         7200.0,
         1,
         {axis: AxisResult(1.0 / RATE, axis_fit(axis)) for axis in AXES},
-        Provenance((source,), (Span(START_NS, 1_440_000, 7200.0),)),
+        Provenance((source,), (Segment(START_NS, 1_440_000, 7200.0),)),
         (),
     )
     return results_from_document(json.loads(to_json(results_to_document(results))))

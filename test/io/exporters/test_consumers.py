@@ -16,8 +16,8 @@ import pytest
 from numpy.typing import NDArray
 
 from allan_ros.core.fit import Coefficient
+from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
-from allan_ros.core.terms import NoiseTerms
 from allan_ros.io.exporters import make_export
 from allan_ros.io.results import Results
 

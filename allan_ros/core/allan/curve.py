@@ -1,0 +1,377 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Equivalent degrees of freedom of an Allan variance, and the chi-squared limits they give.
+
+An estimate V of M second differences d has edf = 2 V^2 / Var V, and for Gaussian noise
+Var V = (2 V^2 / M^2) sum over pairs of rho^2, rho being the correlation of two d's (Greenhall &
+Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003, eq. 10;
+NIST SP 1065 section 5.4.1). Pooled segments are independent, so their variances add. The sum is
+taken in full over the lags where rho is not negligible, without the tables and fits of the source.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import AllanError
+from .sums import AllanSums, counts
+
+Floats = NDArray[np.float64]
+
+
+CI_LEVEL = 0.683
+"""Confidence level of the limits on a curve: one sigma, as NIST SP 1065 and Stable32 write it."""
+
+
+WHITE_PHASE, FLICKER_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 1, 0, -1, -2
+"""Noise types by the exponent alpha of their spectrum S_y ~ f^alpha (NIST SP 1065 table 2)."""
+
+
+REACH = 6
+"""Correlations are summed to that many m: beyond, rho^2 of flicker adds under 1e-4."""
+
+
+FAR = 100.0
+"""Samples from which the flicker phase autocovariance is its continuous limit, to 1e-5."""
+
+
+def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
+    """Return the equivalent degrees of freedom of an Allan variance pooled over segments.
+
+    Parameters
+    ----------
+    noise_type : int
+        Exponent alpha of S_y ~ f^alpha, 2 .. -2.
+    m, stride : int
+        Averaging factor, and samples between the starts of two second differences.
+    counts : (segments,) array
+        Second differences in each segment (or in each of the groups of `number`).
+    number : (segments,) array
+        How many segments there are of each count.
+
+    Returns
+    -------
+    float
+        NaN when there are no differences.
+    """
+    counts = np.atleast_1d(np.asarray(counts, np.int64))
+    number = np.broadcast_to(np.asarray(number), counts.shape)
+    number, counts = number[counts > 0], counts[counts > 0]
+    if not len(counts):
+        return float('nan')
+    # rho^2 summed over lags -j .. j, and |j| rho^2: a pair at lag j occurs M - |j| times.
+    lags = np.arange(1, min(int(counts.max()), REACH * m // stride + 1))
+    squares = correlation(noise_type, m, stride * lags) ** 2
+    pairs = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
+    missing = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
+    last = np.minimum(counts, len(pairs)) - 1
+    variance = np.sum(number * (counts * pairs[last] - missing[last]))
+    return float(np.sum(number * counts)) ** 2 / float(variance)  # int64 ends at 3e9 squared
+
+
+def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
+    """Return the correlation of two second differences of averaging factor m.
+
+    It is the fourth difference, with step m, of the generalised autocovariance of the phase.
+
+    Parameters
+    ----------
+    noise_type : int
+        Exponent alpha of S_y ~ f^alpha, 2 .. -2.
+    m : int
+        Averaging factor.
+    lags : (n,) array
+        Samples between their starts.
+    """
+    steps = np.arange(-2, 3) * m
+    weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+    lags = np.atleast_1d(np.asarray(lags, np.int64))
+    near = _phase_autocovariance(noise_type, m, lags[:, None] + steps) @ weights
+    variance = _phase_autocovariance(noise_type, m, steps) @ weights
+    return np.asarray(near / variance)
+
+
+def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floats:
+    """Return the generalised autocovariance of the phase at t samples, up to a factor.
+
+    Of sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
+    |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, in discrete time).
+    Flicker phase is the second difference of -t^2 ln|t|. Time counts in units of m, which changes
+    only multiples of t^2 that the fourth difference removes.
+    """
+    if noise_type == WHITE_PHASE:
+        return np.asarray(t == 0, float)
+    u = np.abs(t) / m
+    if noise_type == FLICKER_PHASE:
+        near: Floats = np.diff(_square_log(t[..., None] + np.array([-1.0, 0.0, 1.0])), 2)[..., 0]
+        far = 2.0 * np.log(np.maximum(np.abs(t), 1.0)) + 3.0
+        return -np.where(np.abs(t) < FAR, near, far)
+    if noise_type == WHITE:
+        return -u
+    if noise_type == FLICKER:
+        return _square_log(u)
+    return np.asarray(u**3 - u / m**2)
+
+
+def _square_log(t: ArrayLike) -> Floats:
+    """Return t^2 ln|t|, 0 at 0."""
+    t = np.asarray(t, float)
+    return np.asarray(t**2 * np.log(np.where(t == 0.0, 1.0, np.abs(t))))
+
+
+def chi_squared_limits(
+    avar: ArrayLike, degrees: ArrayLike, level: float = CI_LEVEL
+) -> tuple[Floats, Floats]:
+    """Return the confidence limits of the deviation sqrt(avar), NIST SP 1065 section 5.3.1.
+
+    Parameters
+    ----------
+    avar : array
+        Allan variances.
+    degrees : array of the same shape
+        Their equivalent degrees of freedom; NaN gives NaN.
+    level : float
+        Probability between the limits.
+
+    Returns
+    -------
+    low, high : float64 arrays
+        sqrt(avar edf / chi^2) at the upper and lower quantile.
+    """
+    from scipy.special import chdtri  # 20 MB: a node that only accumulates draws no limits
+
+    avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
+    tail = (1.0 - level) / 2.0
+    low, high = (np.sqrt(avar * degrees / chdtri(degrees, p)) for p in (tail, 1.0 - tail))
+    return low, high
+
+
+MIN_AVERAGES = 30
+"""Fewest averages for the lag-1 method (NIST SP 1065 section 5.5.6)."""
+
+
+FLICKER_EDGE = -1.75
+"""Where flicker ends and random walk begins. Once differenced, averages of flicker have
+r1 = (9 ln3 - 16 ln2)/(8 ln2), so alpha = -1.45; those of a random walk have -2 (m = 1) to -2.4. Of
+2000 averages, plain rounding would take every fifth flicker for a random walk."""
+
+
+SLOPE_SPAN = 4.0
+"""A slope is taken from m/4 to 4 m: two octaves each way steady it against single points."""
+
+
+MIN_BLOCKS = 16
+"""Averaging times that must fit into the record for a slope to mean something."""
+
+
+QUANTIZATION_SLOPE = -1.5
+"""Slopes of sigma^2 below this are -2: white or flicker phase, which cannot be told apart."""
+
+
+def noise_type_of_samples(y: ArrayLike, m: int) -> int | None:
+    """Return the exponent alpha at factor m from the lag-1 autocorrelation of the averages.
+
+    NIST SP 1065 section 5.5.6 (Riley & Greenhall, Power law noise identification using the lag 1
+    autocorrelation, 18th EFTF, 2004): difference the averages until r1/(1 + r1) < 1/4, at most
+    twice; then alpha = -2 (r1/(1 + r1) + differences), rounded (but see `FLICKER_EDGE`).
+
+    Parameters
+    ----------
+    y : (n,) array
+        Samples at the period of m = 1.
+    m : int
+        Averaging factor.
+
+    Returns
+    -------
+    int or None
+        2 .. -2; None with fewer than 30 averages, or when they do not vary.
+    """
+    y = np.asarray(y, float)
+    blocks = len(y) // m
+    if blocks < MIN_AVERAGES:
+        return None
+    z = y[: blocks * m].reshape(blocks, m).mean(axis=1)
+    for differences in range(3):
+        z = z - z.mean()
+        power = float(z @ z)
+        if power == 0.0:
+            return None
+        r1 = float(z[:-1] @ z[1:]) / power
+        delta = r1 / (1.0 + r1)
+        alpha = -2.0 * (delta + differences)
+        if delta < 0.25:
+            break
+        z = np.diff(z)
+    if alpha < WHITE - 0.5:
+        return FLICKER if alpha > FLICKER_EDGE else RANDOM_WALK
+    return min(round(alpha), WHITE_PHASE)
+
+
+def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:
+    """Return the exponent alpha at every factor from the slope mu of log sigma^2 on log tau.
+
+    alpha = -1 - mu (NIST SP 1065 table 4). For sums, whose samples are gone. A slope of -2 is read
+    as white phase, which in an IMU is quantization. Where the record holds under 16 averaging
+    times a slope means nothing, and the type of the factor before goes on.
+
+    Parameters
+    ----------
+    m : (factors,) int64 array
+        Ascending.
+    avar : (factors, axes) float64 array
+        Allan variance; NaN or 0 where there is none.
+    samples : int
+        Length of the record.
+
+    Returns
+    -------
+    (factors, axes) int64 array
+        2 .. -2; white (0) where nothing is known.
+    """
+    slopes = local_slopes(m, avar, np.where(MIN_BLOCKS * m <= samples, samples / m, 0.0))
+    out = np.empty(avar.shape, np.int64)
+    for axis in range(avar.shape[1]):
+        last = WHITE
+        for i, slope in enumerate(slopes[:, axis]):
+            if MIN_BLOCKS * m[i] <= samples and np.isfinite(slope):
+                steep = slope < QUANTIZATION_SLOPE
+                last = WHITE_PHASE if steep else max(round(-1.0 - slope), RANDOM_WALK)
+            out[i, axis] = last
+    return out
+
+
+def local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
+    """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
+
+    Parameters
+    ----------
+    m : (factors,) int64 array
+        Averaging factors.
+    avar : (factors, axes) float64 array
+        Allan variance.
+    weights : (factors,) float64 array
+        Of the points, such as their degrees of freedom; 0 leaves one out.
+
+    Returns
+    -------
+    (factors, axes) float64 array
+        NaN where fewer than two points with a weight and a positive variance are near.
+    """
+    x = np.log(m.astype(float))
+    span = np.log(SLOPE_SPAN) * (1.0 + 1e-9)
+    out = np.full(avar.shape, np.nan)
+    for axis in range(avar.shape[1]):
+        good = (weights > 0.0) & (avar[:, axis] > 0.0)
+        xs, ws, ys = x[good], weights[good], np.log(avar[good, axis])
+        for i in range(len(m)):
+            near = np.abs(xs - x[i]) <= span
+            if np.count_nonzero(near) < 2:
+                continue
+            w = ws[near] / ws[near].sum()
+            dx = xs[near] - w @ xs[near]
+            out[i, axis] = (w * dx) @ ys[near] / ((w * dx) @ dx)
+    return out
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Overlapping Allan deviation of all axes, with limits.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        The last dimension.
+    m : (factors,) int64 array
+        Averaging factors in samples.
+    tau : (factors,) float64 array
+        Averaging times in s.
+    n : (factors,) int64 array
+        Second differences in each point.
+    adev, ci_low, ci_high : (factors, axes) float64 arrays
+        Deviation and its chi-squared limits of level `edf.CI_LEVEL`, in the unit of the samples.
+    edf : (factors, axes) float64 array
+        Equivalent degrees of freedom.
+    noise_type : (factors, axes) int64 array
+        Exponent alpha of S ~ f^alpha they were counted for: 2 (Q), 1, 0 (N), -1 (B), -2 (K, R).
+    """
+
+    axes: tuple[str, ...]
+    m: NDArray[np.int64]
+    tau: Floats
+    n: NDArray[np.int64]
+    adev: Floats
+    ci_low: Floats
+    ci_high: Floats
+    edf: Floats
+    noise_type: NDArray[np.int64]
+
+
+def sample_period(sums: AllanSums) -> float:
+    """Return tau0 in s.
+
+    Raises
+    ------
+    AllanError
+        When there are fewer than two samples, so that it is not known.
+    """
+    if sums.tau0 is None:
+        raise AllanError('there is no Allan curve of fewer than two samples: record some minutes')
+    return sums.tau0
+
+
+def allan_curve(sums: AllanSums) -> AllanCurve:
+    """Return the curve of the factors that have data.
+
+    The degrees of freedom are those of the noise type found at each point and of the segments as
+    they are: segments pooled by length count with their mean length.
+
+    Raises
+    ------
+    AllanError
+        When there are fewer than two samples, so that no sample period is known.
+    """
+    tau0 = sample_period(sums)
+    some = sums.count > 0
+    m, stride, avar = sums.m[some], sums.stride[some], sums.avar[some]
+    types = noise_types_of_avar(m, avar, sums.samples)
+    degrees = degrees_of_freedom(sums, m, stride, types)
+    low, high = chi_squared_limits(avar, degrees)
+    tau = np.asarray(m * tau0, float)
+    return AllanCurve(sums.axes, m, tau, sums.count[some], np.sqrt(avar), low, high, degrees, types)
+
+
+def degrees_of_freedom(
+    sums: AllanSums, m: NDArray[np.int64], stride: NDArray[np.int64], types: NDArray[np.int64]
+) -> Floats:
+    """Return the equivalent degrees of freedom of variances pooled over the segments of the sums.
+
+    Parameters
+    ----------
+    sums : AllanSums
+        Its histogram of segment lengths is used.
+    m, stride : (factors,) int64 arrays
+        Averaging factors, and samples between starts: those of the grid, or m itself for groups
+        that do not overlap.
+    types : (factors, axes) int64 array
+        Noise type at each.
+
+    Returns
+    -------
+    (factors, axes) float64 array
+        NaN where no segment is long enough.
+    """
+    lengths = [round(samples) for samples, _ in sums.length_histogram]
+    number = [how_many for _, how_many in sums.length_histogram]
+    degrees = np.empty(types.shape)
+    for i in range(len(m)):
+        per_segment = np.array([counts(n, m[i], stride[i]) for n in lengths])
+        of_type = {
+            t: edf(t, int(m[i]), int(stride[i]), per_segment, number)
+            for t in set(types[i].tolist())
+        }
+        degrees[i] = [of_type[t] for t in types[i].tolist()]
+    return degrees

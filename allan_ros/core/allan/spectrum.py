@@ -1,0 +1,208 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The power spectral density of a stream, in one pass and in memory that does not grow with time.
+
+Welch's method (IEEE Trans. Audio Electroacoustics 15(2), 1967): periodograms of Hann-windowed
+blocks that overlap by half are averaged. A block of `BLOCK` samples reaches only so far down, so
+the same is done of averages of `DECIMATION` samples, of averages of those, and so on: each level
+adds a range of lower frequencies at a quarter of the cost of the one above it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AllanError
+from .curve import chi_squared_limits
+
+Floats = NDArray[np.float64]
+
+
+BLOCK = 1024
+"""Samples of a block: lines as narrow as 0.1 % of the sample rate stand apart."""
+
+
+DECIMATION = 4
+"""Samples of one level that make a sample of the next."""
+
+
+LEVELS = 12
+"""4^11 samples make one of the last level: 12 h at 100 Hz, so that a block of it takes years."""
+
+
+KEPT_BELOW = 1.0 / 16.0
+"""Highest frequency taken of averaged samples, over their rate: below it the average takes 1.3 %
+of the power at most (sinc^2), and white noise, folded back by it, comes out exactly."""
+
+
+LOWEST_BIN = 2
+"""Below it the window passes what is left of the mean."""
+
+
+PER_DECADE = 40
+"""Points a decade of frequency."""
+
+
+OVERLAP_LOSS = 1.0 + 2.0 * (1.0 / 6.0) ** 2
+"""Variance of an average of Hann blocks that overlap by half, over that of as many independent
+blocks (Welch 1967, eq. 17 with the window's own correlation of 1/6)."""
+
+
+BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
+"""The same for neighbouring bins, whose amplitudes the Hann window correlates by 2/3 and 1/6."""
+
+
+@dataclass(frozen=True)
+class SpectrumSums:
+    """Sums of periodograms: those of separate records of one sensor add up.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    power : (LEVELS, BLOCK/2 + 1, axes) float64 array
+        Sum of the one-sided periodograms of each level, per sample of that level.
+    blocks : (LEVELS,) int64 array
+        How many.
+    """
+
+    axes: tuple[str, ...]
+    power: Floats
+    blocks: NDArray[np.int64]
+
+    def __add__(self, other: SpectrumSums) -> SpectrumSums:
+        if self.axes != other.axes:
+            raise AllanError(f'spectra of {self.axes} and {other.axes} do not add up')
+        return SpectrumSums(self.axes, self.power + other.power, self.blocks + other.blocks)
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral density of all axes, with 68.3 % limits.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    frequency : (points,) float64 array
+        In Hz, evenly spaced in its logarithm where there are enough.
+    psd, low, high : (points, axes) float64 arrays
+        In the squared unit of the samples per Hz.
+    """
+
+    axes: tuple[str, ...]
+    frequency: Floats
+    psd: Floats
+    low: Floats
+    high: Floats
+
+
+class RunningSpectrum:
+    """Sums of periodograms of one stream of evenly spaced samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> running = RunningSpectrum(('gyro_x',))
+    >>> running.update(np.random.default_rng(0).normal(size=(1, 4096)))
+    >>> running.sums.blocks[:3]
+    array([7, 1, 0])
+    """
+
+    def __init__(self, axes: tuple[str, ...]) -> None:
+        self._power = np.zeros((LEVELS, BLOCK // 2 + 1, len(axes)))
+        self._blocks = np.zeros(LEVELS, np.int64)
+        self._axes = axes
+        self.end_segment()
+
+    def update(self, rows: Floats) -> None:
+        """Add samples, (axes, n), that follow on the last ones without a cut."""
+        for level in range(LEVELS):
+            waiting = np.concatenate([self._waiting[level], rows], axis=1)
+            self._waiting[level] = self._take_blocks(level, waiting)
+            if level + 1 == LEVELS:
+                return
+            odd = np.concatenate([self._odd[level], rows], axis=1)
+            whole = odd.shape[1] // DECIMATION * DECIMATION
+            self._odd[level] = odd[:, whole:].copy()
+            if not whole:
+                return
+            rows = odd[:, :whole].reshape(len(odd), -1, DECIMATION).mean(axis=2)
+
+    def end_segment(self) -> None:
+        """Cut: no block straddles it."""
+        nothing = np.empty((len(self._axes), 0))
+        self._waiting = [nothing] * LEVELS
+        self._odd = [nothing] * LEVELS
+
+    @property
+    def sums(self) -> SpectrumSums:
+        """The sums so far; what comes later does not change them."""
+        return SpectrumSums(self._axes, self._power.copy(), self._blocks.copy())
+
+    def _take_blocks(self, level: int, waiting: Floats) -> Floats:
+        """Add the blocks that are full, and return the samples that the next one needs."""
+        step = BLOCK // 2
+        count = (waiting.shape[1] - step) // step
+        if count < 1:
+            return waiting.copy()
+        blocks = np.lib.stride_tricks.sliding_window_view(waiting, BLOCK, axis=1)[:, ::step]
+        windowed = (blocks - blocks.mean(axis=2, keepdims=True)) * _WINDOW
+        spectrum = np.fft.rfft(windowed, axis=2)
+        power = (spectrum.real**2 + spectrum.imag**2).sum(axis=1).T
+        self._power[level] += power * _ONE_SIDED[:, None]
+        self._blocks[level] += count
+        return waiting[:, count * step :].copy()
+
+
+def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
+    """Return the density of the sums, or None when no segment is as long as a block.
+
+    Parameters
+    ----------
+    sums : SpectrumSums
+    tau0 : float
+        Sample period in s.
+    """
+    some = np.flatnonzero(sums.blocks)
+    if not len(some):
+        return None
+    frequency, psd, blocks = [], [], []
+    for level in some:
+        period = tau0 * DECIMATION**level
+        top = BLOCK // 2 if level == 0 else int(BLOCK * KEPT_BELOW)
+        bottom = LOWEST_BIN if level == some[-1] else int(BLOCK * KEPT_BELOW) // DECIMATION
+        bins = np.arange(bottom, top)  # the next level ends where this one begins
+        frequency.append(bins / (BLOCK * period))
+        psd.append(sums.power[level, bins] * period / sums.blocks[level])
+        blocks.append(np.full(len(bins), float(sums.blocks[level])))
+    f = np.concatenate(frequency)
+    return _in_log_bins(sums.axes, f, np.concatenate(psd), np.concatenate(blocks))
+
+
+def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) -> Spectrum:
+    """Average the bins that fall into one of `PER_DECADE` steps, each by its number of blocks."""
+    order = np.argsort(f)
+    f, psd, blocks = f[order], psd[order], blocks[order]
+    groups = np.floor(np.log10(f) * PER_DECADE).astype(int)
+    starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
+    weight = np.add.reduceat(blocks, starts)
+    number = np.diff(np.append(starts, len(f)))
+    mean = np.add.reduceat(psd * blocks[:, None], starts, axis=0) / weight[:, None]
+    frequency = np.exp(np.add.reduceat(np.log(f) * blocks, starts) / weight)
+    degrees = 2.0 * weight / OVERLAP_LOSS / np.where(number > 1, BIN_LOSS, 1.0)
+    spread = np.broadcast_to(degrees[:, None], mean.shape)
+    # the limits are those of a deviation: squared, they are those of the density
+    low, high = chi_squared_limits(mean, spread)
+    return Spectrum(axes, frequency, mean, low**2, high**2)
+
+
+_WINDOW = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(BLOCK) / BLOCK)
+"""Hann's window, periodic."""
+
+
+_ONE_SIDED = np.full(BLOCK // 2 + 1, 2.0 / float(np.sum(_WINDOW**2)))
+"""What makes |FFT|^2 a one-sided periodogram: doubled but for the mean and the Nyquist bin."""
+
+_ONE_SIDED[[0, -1]] /= 2.0

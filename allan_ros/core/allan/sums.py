@@ -1,0 +1,419 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`AllanSums`: all that is kept of an IMU's samples, as one addable value.
+
+Sample units: the phase theta is the running sum of the samples less the segment's first sample,
+and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u). tau0 only scales the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AllanError
+from ..imu import AXES, ImuIdentity
+
+FIRST_FACTORS = (1, 2, 3, 4, 6)
+"""Factors that only level 0 has."""
+
+
+LEVEL_FACTORS = (8, 10, 12, 14)
+"""Factors of every level, in units of the level's stride 2^j."""
+
+
+MAX_LEVELS = 42
+"""2^41 x 14 samples are 970 years at 1 kHz: a bound for what is read from strangers, and as far as
+the lags of a covariance fit their search keys."""
+
+
+def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the averaging factors and their strides of the first levels, ascending.
+
+    Parameters
+    ----------
+    levels : int
+        How many levels, at least 1.
+
+    Returns
+    -------
+    m, stride : (5 + 4 levels,) int64 arrays
+        In samples.
+    """
+    m = list(FIRST_FACTORS)
+    stride = [1] * len(m)
+    for j in range(levels):
+        m += [f << j for f in LEVEL_FACTORS]
+        stride += [1 << j] * len(LEVEL_FACTORS)
+    return np.array(m, np.int64), np.array(stride, np.int64)
+
+
+def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the factors m <= samples/2 of the grid, and their strides."""
+    levels = max(1, samples.bit_length() - 3)
+    m, stride = grid(levels)
+    keep = 2 * m <= samples
+    return m[keep], stride[keep]
+
+
+def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how many second differences a segment of that many samples has at each factor.
+
+    n samples make n + 1 phase points; starts are 0, stride, 2 stride .. n - 2 m.
+    """
+    number: NDArray[np.int64] = np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
+    return number
+
+
+Floats = NDArray[np.float64]
+
+
+KEPT_SEGMENTS = 32
+"""How many of the longest segments keep their own signed sums and phase record."""
+
+
+LENGTH_CLASS_RATIO = 1.1
+"""Shorter segments are pooled with others of the same length within 10 %."""
+
+
+TAU0_TOLERANCE = 1e-3
+"""Sums whose sample periods differ by more than 0.1 % are of different streams."""
+
+
+LEAST_VARIANCE = 1e-80
+"""A smaller variance is none: no IMU has steps of 1e-40, and what fits do with a variance, its cube
+and its inverse square over all averaging times, stays within the numbers of full precision."""
+
+
+@dataclass(frozen=True)
+class SegmentRecord:
+    """What is kept of one segment beside its share of the sums: the evidence of its ramp.
+
+    Attributes
+    ----------
+    start_ns : int
+        Stamp of its first sample.
+    samples : int
+        How many samples it has.
+    signed : (factors, axes) float64 array
+        Sum of d for the first factors of the grid (those with m <= samples/2).
+    phase : (points, axes) float64 array
+        Phase at sample 0, ``phase_step``, 2 ``phase_step`` ... : at most 128 points.
+    phase_step : int
+        Samples between two phase points, a power of two.
+    """
+
+    start_ns: int
+    samples: int
+    signed: Floats
+    phase: Floats
+    phase_step: int
+
+    @cached_property
+    def order(self) -> tuple[int, int, int]:
+        """Longest first, then earliest: the order that decides which segments are kept."""
+        return (-self.samples, self.start_ns, self.phase_step)
+
+    @property
+    def length_class(self) -> int:
+        """Index of its length class: segments of one class differ by less than 10 %."""
+        return int(np.log(self.samples) / np.log(LENGTH_CLASS_RATIO))
+
+    def ols_ramp(self) -> Floats:
+        """Return the slope of the samples over the segment by least squares, per sample.
+
+        It is the fixed linear estimator by which pooled segments are freed of their ramp (the
+        32 longest get the efficient one when they are fitted). Zero with under three points.
+        """
+        slope: Floats = ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase
+        return slope
+
+
+def ols_ramp_weights(points: int, step: int) -> Floats:
+    """Return w such that w @ phase is the least-squares slope of the samples, per sample.
+
+    The interval means of the samples are (theta_{k+1} - theta_k)/step; w is the least-squares
+    slope of those on time, written in terms of theta. Exact for a pure ramp, 0 for a constant.
+
+    Returns
+    -------
+    (points,) float64 array
+        All zero when there are fewer than two intervals.
+    """
+    k = np.arange(points - 1, dtype=float)
+    k -= k.mean() if points > 1 else 0.0
+    spread = float(k @ k)
+    if spread == 0.0:
+        return np.zeros(points)
+    slope = k / (spread * step * step)
+    weights: Floats = np.concatenate([[0.0], slope]) - np.concatenate([slope, [0.0]])
+    return weights
+
+
+@dataclass(frozen=True)
+class LengthClass:
+    """Segments of one length within 10 %, pooled.
+
+    Attributes
+    ----------
+    index : int
+        floor(log(samples) / log(1.1)).
+    count, samples : int
+        How many segments, and their samples in all.
+    ramp_correction : (factors, axes) float64 array
+        What to add to the sums of d^2 to free these segments of their own ramps:
+        sum over segments of -2 m^2 r D + M m^4 r^2, with r = `SegmentRecord.ols_ramp`, D the
+        signed sum and M the count of the segment (the square of d - r m^2, less d^2).
+    """
+
+    index: int
+    count: int
+    samples: int
+    ramp_correction: Floats
+
+    @classmethod
+    def of(cls, segment: SegmentRecord) -> LengthClass:
+        """Return the class of one segment alone."""
+        n_m = len(segment.signed)
+        m, stride = (a[:n_m] for a in grid(_levels(n_m)))
+        r = segment.ols_ramp()
+        m2 = m.astype(float)[:, None] ** 2
+        number = counts(segment.samples, m, stride)[:, None]
+        correction = -2.0 * m2 * r * segment.signed + number * (m2 * r) ** 2
+        return cls(segment.length_class, 1, segment.samples, correction)
+
+    def __add__(self, other: LengthClass) -> LengthClass:
+        if self.index != other.index:
+            raise AllanError(f'length classes {self.index} and {other.index} do not add')
+        return LengthClass(
+            self.index,
+            self.count + other.count,
+            self.samples + other.samples,
+            _add_padded(self.ramp_correction, other.ramp_correction),
+        )
+
+
+@dataclass(frozen=True)
+class AllanSums:
+    """Running Allan sums of one stream; ``+`` adds those of another run of the same IMU.
+
+    Attributes
+    ----------
+    identity : ImuIdentity
+    axes : tuple of str
+        The axes that are present, in the order of `AXES`: the last dimension of the arrays.
+    count : (factors,) int64 array
+        Second differences summed at each factor of ``grid(levels)``.
+    sum_sq : (factors, axes) float64 array
+        Sum of d^2, in the unit of the samples squared (theta is a sum of samples).
+    group_count, group_sum_sq : as count and sum_sq
+        The same over starts 0, m, 2m ... only: the paper's groups that do not overlap.
+    segments : tuple of SegmentRecord
+        The 32 longest, longest first.
+    classes : tuple of LengthClass
+        All others, by length, shortest first.
+    elapsed_ns, intervals : int
+        Time between the first and last stamp of each segment, and the sample periods in it,
+        summed over the segments: tau0 is their quotient, refined with every sample.
+    """
+
+    identity: ImuIdentity
+    axes: tuple[str, ...]
+    count: NDArray[np.int64]
+    sum_sq: Floats
+    group_count: NDArray[np.int64]
+    group_sum_sq: Floats
+    segments: tuple[SegmentRecord, ...] = ()
+    classes: tuple[LengthClass, ...] = ()
+    elapsed_ns: int = 0
+    intervals: int = 0
+
+    @classmethod
+    def empty(
+        cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
+    ) -> AllanSums:
+        """Return sums of nothing: the neutral element of ``+``."""
+        none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
+        return cls(identity, axes, none, no_sums, none, no_sums)
+
+    @property
+    def m(self) -> NDArray[np.int64]:
+        """Averaging factors in samples, (factors,)."""
+        return grid(_levels(len(self.count)))[0][: len(self.count)]
+
+    @property
+    def stride(self) -> NDArray[np.int64]:
+        """Samples between the starts of two second differences at each factor, (factors,)."""
+        return grid(_levels(len(self.count)))[1][: len(self.count)]
+
+    @property
+    def tau0(self) -> float | None:
+        """Sample period in seconds, or None before two samples have come."""
+        return self.elapsed_ns / self.intervals * 1e-9 if self.intervals else None
+
+    @property
+    def samples(self) -> int:
+        """Samples in all segments."""
+        return sum(s.samples for s in self.segments) + sum(c.samples for c in self.classes)
+
+    @property
+    def segment_count(self) -> int:
+        """How many segments there are."""
+        return len(self.segments) + sum(c.count for c in self.classes)
+
+    @property
+    def length_histogram(self) -> tuple[tuple[float, int], ...]:
+        """(mean samples, number) of the segments: kept ones one by one, then each class."""
+        kept = [(float(s.samples), 1) for s in self.segments]
+        return tuple(kept + [(c.samples / c.count, c.count) for c in reversed(self.classes)])
+
+    @property
+    def avar(self) -> Floats:
+        """Overlapping Allan variance at ``m``, (factors, axes), squared unit of the samples.
+
+        Pooled over segments. NaN without data.
+        """
+        return allan_variance(self.sum_sq, self.m, self.count)
+
+    @property
+    def group_avar(self) -> Floats:
+        """Allan variance over groups that do not overlap, as the paper computed it."""
+        return allan_variance(self.group_sum_sq, self.m, self.group_count)
+
+    @property
+    def _end_slack(self) -> float:
+        """Relative error of tau0 when both ends of each segment are stamped a period off."""
+        return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
+
+    def __deepcopy__(self, memo: object) -> AllanSums:
+        """Return itself: a value never changes."""
+        return self
+
+    def __add__(self, other: AllanSums) -> AllanSums:
+        """Return the sums of both.
+
+        Raises
+        ------
+        AllanError
+            When the two are of different IMUs, axes, or sample periods (over 0.1 % apart, and more
+            than stamps a period off at the ends of the segments explain).
+        """
+        self.refuse_stranger(other)
+        if self.axes != other.axes:
+            raise AllanError(
+                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} do not add: '
+                'analyse them apart'
+            )
+        return self.extended(other)
+
+    def extended(self, other: AllanSums) -> AllanSums:
+        """Return the sums of both, which the caller knows to be of one stream."""
+        segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
+        classes = {c.index: c for c in self.classes}
+        for more in (*other.classes, *(LengthClass.of(s) for s in segments[KEPT_SEGMENTS:])):
+            have = classes.get(more.index)
+            classes[more.index] = more if have is None else have + more
+        return replace(
+            self,
+            count=_add_padded(self.count, other.count),
+            sum_sq=_add_padded(self.sum_sq, other.sum_sq),
+            group_count=_add_padded(self.group_count, other.group_count),
+            group_sum_sq=_add_padded(self.group_sum_sq, other.group_sum_sq),
+            segments=tuple(segments[:KEPT_SEGMENTS]),
+            classes=tuple(classes[i] for i in sorted(classes)),
+            elapsed_ns=self.elapsed_ns + other.elapsed_ns,
+            intervals=self.intervals + other.intervals,
+        )
+
+    def refuse_stranger(self, other: AllanSums) -> None:
+        """Do nothing if both are of one stream, whichever axes they have.
+
+        Raises
+        ------
+        AllanError
+            When the two are of different IMUs or sample periods, as `+` says.
+        """
+        if self.identity != other.identity:
+            raise AllanError(
+                f'sums of {self.identity} and of {other.identity} do not add: '
+                'they are different IMUs, analyse them apart'
+            )
+        a, b = self.tau0, other.tau0
+        if a and b and abs(a - b) > a * (TAU0_TOLERANCE + self._end_slack + other._end_slack):
+            raise AllanError(
+                f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
+                f'{TAU0_TOLERANCE:.1%} apart, analyse them apart'
+            )
+
+
+def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
+    """Return sum d^2 / (2 m^2 count), NIST SP 1065 eq. 11; NaN without data.
+
+    Parameters
+    ----------
+    sum_sq : (factors, axes) float64 array
+    m, count : (factors,) int64 arrays
+
+    Returns
+    -------
+    (factors, axes) float64 array
+        0 where it is below `LEAST_VARIANCE`.
+    """
+    number = m.astype(float) ** 2 * count  # in int64 it overflows after weeks at 1 kHz
+    with np.errstate(invalid='ignore', divide='ignore'):
+        variance: Floats = sum_sq / (2.0 * number[:, None])
+    return np.where(variance < LEAST_VARIANCE, 0.0, variance)
+
+
+def _levels(factors: int) -> int:
+    """Return how many levels of the grid hold that many factors (at least one)."""
+    return max(1, -(-(factors - 5) // 4))
+
+
+def _add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
+    """Return a + b along the first axis, the shorter one filled with zeros."""
+    if len(a) < len(b):
+        a, b = b, a
+    out = a.copy()
+    out[: len(b)] += b
+    return out
+
+
+def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
+    """Return the sums of both runs: those of the same axes added, neither argument changed.
+
+    A run has one `AllanSums` with all axes, or one a sensor where their rates differ. A run that
+    has none yet adds nothing.
+
+    Raises
+    ------
+    AllanError
+        When the two are of different IMUs, rates, or axes.
+    """
+    if not a or not b:
+        return tuple(a or b)
+    if [s.axes for s in a] != [s.axes for s in b]:
+        shown = (' and '.join(', '.join(s.axes) for s in run) for run in (a, b))
+        raise AllanError(
+            f'sums of {next(shown)} and of {next(shown)} do not add: the sensors of the two runs '
+            'differ, analyse them apart'
+        )
+    return tuple(x + y for x, y in zip(a, b))
+
+
+def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
+    """Do nothing if both may be of one stream, one of them later on with more axes.
+
+    Raises
+    ------
+    AllanError
+        When an axis that both have is of different IMUs or rates.
+    """
+    for x, y in product(a, b):
+        if not set(x.axes).isdisjoint(y.axes):
+            x.refuse_stranger(y)

@@ -1,0 +1,327 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a running filter out of the five terms: which values, how sure, when to set them.
+
+A value is worth setting when it is known: its interval is that of its expression over the 95 %
+intervals of the terms it uses, so a term that cannot be seen yet holds a value back only as far as
+it matters to it.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+from ..errors import AllanError
+from ..fit.model import TERMS, AxisFit, Coefficient
+from ..imu import AXES, SENSORS
+from .noise_parameters import RULES
+
+MAX_LENGTH = 200
+"""Characters of an expression: no formula of a filter needs more."""
+
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+
+_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {'sqrt': math.sqrt, 'abs': abs, 'max': max}
+
+
+class Expression:
+    """One formula, checked when it is made.
+
+    >>> Expression('sqrt(3/4) * N / sqrt(h)').value({'N': 2.0, 'h': 3.0})
+    1.0
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    AllanError
+        When it is too long, or holds anything but arithmetic.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        if len(text) > MAX_LENGTH:
+            raise AllanError(f'an expression has {len(text)} characters: at most {MAX_LENGTH}')
+        try:
+            self._root = ast.parse(text.strip(), mode='eval').body
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise AllanError(f'{text!r} is no expression: write it as in 2 * N**2 * f') from error
+        names: set[str] = set()
+        self._check(self._root, names)
+        self.names = frozenset(names)
+
+    def value(self, values: Mapping[str, float]) -> float:
+        """Return its value.
+
+        Raises
+        ------
+        AllanError
+            When a name has no value, or the result is no finite number.
+        """
+        missing = sorted(self.names - values.keys())
+        if missing:
+            raise AllanError(
+                f'{self.text!r} names {missing[0]}: there are {", ".join(sorted(values))}'
+            )
+        try:
+            result = self._evaluate(self._root, values)
+        except (ArithmeticError, ValueError) as error:
+            raise AllanError(f'{self.text!r} has no value ({error})') from error
+        if isinstance(result, complex) or not math.isfinite(result):
+            raise AllanError(f'{self.text!r} has no finite value')
+        return float(result)
+
+    def _check(self, node: ast.expr, names: set[str]) -> None:
+        """Refuse whatever is not arithmetic, and collect the names."""
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            return
+        if isinstance(node, ast.Name):
+            names.add(node.id)
+            return
+        if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+            self._check(node.left, names)
+            self._check(node.right, names)
+            return
+        if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
+            self._check(node.operand, names)
+            return
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in _FUNCTIONS
+            and node.args
+            and not node.keywords
+        ):
+            for argument in node.args:
+                self._check(argument, names)
+            return
+        raise AllanError(
+            f'{self.text!r} holds {ast.unparse(node)!r}: use numbers, names, + - * / ** and '
+            f'{", ".join(_FUNCTIONS)} only'
+        )
+
+    def _evaluate(self, node: ast.expr, values: Mapping[str, float]) -> Any:
+        if isinstance(node, ast.Constant):
+            return float(node.value)  # type: ignore[arg-type]  # checked to be a number
+        if isinstance(node, ast.Name):
+            return values[node.id]
+        if isinstance(node, ast.BinOp):
+            left, right = self._evaluate(node.left, values), self._evaluate(node.right, values)
+            return _BINARY[type(node.op)](left, right)
+        if isinstance(node, ast.UnaryOp):
+            return _UNARY[type(node.op)](self._evaluate(node.operand, values))
+        assert isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        arguments = [self._evaluate(argument, values) for argument in node.args]
+        try:
+            return _FUNCTIONS[node.func.id](*arguments)
+        except TypeError as error:  # sqrt of two numbers, max of one
+            raise ValueError(str(error)) from error
+
+
+RATE = 'f'
+"""The name of the rate in expressions, in Hz."""
+
+
+@dataclass(frozen=True)
+class FilterParameter:
+    """One parameter of a filter.
+
+    Attributes
+    ----------
+    name : str
+        As the node declares it.
+    sensor : 'gyro' or 'accel'
+    expression : Expression
+        In the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants.
+    rule : str
+        One of `RULES`; 'each' makes an array of three.
+    limits : (low, high)
+        What the filter can use; a value beyond is moved to the limit.
+    """
+
+    name: str
+    sensor: str
+    expression: Expression
+    rule: str = 'worst'
+    limits: tuple[float, float] = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class FilterMapping:
+    """The parameters of one kind of filter, and the constants of their expressions."""
+
+    name: str
+    parameters: tuple[FilterParameter, ...]
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What a parameter should be.
+
+    Attributes
+    ----------
+    name : str
+    values : tuple of float
+        One, or three where each axis speaks for itself.
+    low, high : float
+        95 % interval; of the axis whose interval is widest, where there are three.
+    limited : bool
+        Whether a value was moved to a limit of the parameter.
+    """
+
+    name: str
+    values: tuple[float, ...]
+    low: float
+    high: float
+    limited: bool = False
+
+    @property
+    def ratio(self) -> float:
+        """Upper over lower end of the interval; infinite where the lower one is not above 0."""
+        return self.high / self.low if self.low > 0.0 else math.inf
+
+    def differs(self, current: Sequence[float], change: float) -> bool:
+        """Return whether a value differs from the current one by more than that fraction."""
+        if len(current) != len(self.values):
+            return True
+        return any(abs(v - c) > change * abs(c) for v, c in zip(self.values, current))
+
+
+def propose(
+    parameter: FilterParameter,
+    axes: Mapping[str, AxisFit],
+    rate: float,
+    constants: Mapping[str, float],
+) -> Proposal:
+    """Return what a parameter should be.
+
+    A term that is not observable counts with its 95 % upper limit, and from 0 in the interval.
+
+    Raises
+    ------
+    AllanError
+        When the sensor is absent, a term has neither value nor limit, or the expression no value.
+    """
+    names = AXES[SENSORS[parameter.sensor]]
+    if any(name not in axes for name in names):
+        raise AllanError(f'{parameter.name}: the noise model has no {parameter.sensor}')
+    spoken = {
+        term: _by_rule(
+            [_ends(name, term, axes[name].noise[term]) for name in names], parameter.rule
+        )
+        for term in sorted(parameter.expression.names & set(TERMS))
+    }
+    known = {RATE: rate, **constants}
+    count = len(names) if parameter.rule == 'each' else 1
+    triples = [
+        _evaluate(parameter, {term: ends[i] for term, ends in spoken.items()}, known)
+        for i in range(count)
+    ]
+    low_limit, high_limit = parameter.limits
+    values = tuple(min(max(value, low_limit), high_limit) for _, value, _ in triples)
+    limited = any(value != triple[1] for value, triple in zip(values, triples))
+    low, _, high = max(triples, key=lambda t: t[2] / t[0] if t[0] > 0.0 else math.inf)
+    return Proposal(parameter.name, values, low, high, limited)
+
+
+def narrow_enough(
+    proposals: Sequence[Proposal], ratio: float
+) -> tuple[list[Proposal], dict[str, str]]:
+    """Return the proposals whose interval is narrower than the ratio, and why others are not."""
+    ready = [p for p in proposals if p.ratio <= ratio]
+    waiting = {
+        p.name: f'between {p.low:.3g} and {p.high:.3g}: it waits until that is within a factor of '
+        f'{ratio:g}'
+        for p in proposals
+        if p.ratio > ratio
+    }
+    return ready, waiting
+
+
+def _ends(axis: str, term: str, coefficient: Coefficient) -> tuple[float, float, float]:
+    """Return lower end, value and upper end of a term on one axis."""
+    value, limit = coefficient.value, coefficient.upper95
+    if coefficient.status == 'estimated' and value is not None and math.isfinite(value):
+        low, high = coefficient.ci95 or (0.0, math.inf)
+        return max(low, 0.0), value, high
+    if limit is None or not 0.0 < limit < math.inf:
+        raise AllanError(f'{term} of {axis} has neither a value nor a limit: rest for longer')
+    return 0.0, limit, limit
+
+
+def _by_rule(
+    ends: Sequence[tuple[float, float, float]], rule: str
+) -> list[tuple[float, float, float]]:
+    """Return what three axes say together, as `noise_model.sensor_level` does."""
+    if rule == 'each':
+        return list(ends)
+    if rule == 'mean':
+        low, value, high = (math.sqrt(sum(v * v for v in e) / len(ends)) for e in zip(*ends))
+        return [(low, value, high)]
+    return [max(ends, key=lambda e: e[1])]
+
+
+def _evaluate(
+    parameter: FilterParameter,
+    terms: Mapping[str, tuple[float, float, float]],
+    known: Mapping[str, float],
+) -> tuple[float, float, float]:
+    """Return lower end, value and upper end of the expression.
+
+    The ends are those over all corners of the intervals, which is exact where the expression
+    rises or falls in each term.
+    """
+    evaluate = parameter.expression.value
+    value = evaluate({**known, **{term: v for term, (_, v, _) in terms.items()}})
+    try:
+        corners = [
+            evaluate({**known, **dict(zip(terms, corner))})
+            for corner in product(*((low, high) for low, _, high in terms.values()))
+        ]
+    except AllanError:  # infinite at an end: nothing is known yet
+        return 0.0, value, math.inf
+    return min(corners), value, max(corners)
+
+
+def check_mapping(mapping: FilterMapping) -> None:
+    """Refuse a mapping whose rules, limits or names make no sense.
+
+    Raises
+    ------
+    AllanError
+        Naming the parameter and what is wrong with it.
+    """
+    for p in mapping.parameters:
+        if p.sensor not in SENSORS:
+            raise AllanError(f'{p.name}: sensor {p.sensor!r}: choose one of {", ".join(SENSORS)}')
+        if p.rule not in RULES:
+            raise AllanError(f'{p.name}: axis {p.rule!r}: choose one of {", ".join(RULES)}')
+        if not p.limits[0] < p.limits[1]:
+            raise AllanError(f'{p.name}: limits {list(p.limits)}: give the lower one first')
+        unknown = sorted(p.expression.names - {*TERMS, RATE, *mapping.constants})
+        if unknown:
+            raise AllanError(
+                f'{p.name}: {p.expression.text!r} names {unknown[0]}: there are '
+                f'{", ".join((*TERMS, RATE, *mapping.constants))}'
+            )

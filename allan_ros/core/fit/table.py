@@ -1,0 +1,420 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Allan table of pooled segments, freed of their ramps, with its expectation and covariance.
+
+Segments are independent, so their sums add, and so do the sums over pairs that make up the
+covariance: V = sum M_s V_s / sum M_s, C = sum (M_s/M)^2 C_s. Every segment has a ramp of its own;
+it is taken out of every difference with weights that are fixed before the table is fitted, which
+leaves both moments exact (module `ramp`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..allan.sums import (
+    LENGTH_CLASS_RATIO,
+    AllanSums,
+    LengthClass,
+    SegmentRecord,
+    allan_variance,
+    counts,
+    ols_ramp_weights,
+)
+from ..noise import gauss_markov_avar, sinusoid_avar
+from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, pair_sums
+from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
+from .ramp import RampEffect, RampGeometry, ramp_geometry, ramp_shift
+
+Ints = NDArray[np.int64]
+
+
+ROUNDING = 1e-12
+"""Part of the variance that is rounding when all else of it is the ramp's."""
+
+
+RAMP_MATTERS = 500
+"""Of the scatter at factors below this part of the segment the ramp takes less than 1e-5."""
+
+
+EMPTY_ROW = 1e-6
+"""A factor whose differences keep less than this part of their variance without the ramp is left
+out: a record of two differences is mostly its own ramp."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The pooled Allan table of one axis and its first two moments under the noise model.
+
+    Attributes
+    ----------
+    m, count : (factors,) int64 arrays
+        Averaging factors and numbers of differences.
+    avar : (factors,) float64 array
+        Allan variance of the samples less the ramps.
+    terms : (factors, 4) float64 array
+        Its expectation for unit q, w, b, k; further columns where terms were added.
+    squares : (10, pairs) float64 array
+        Its covariance for the products of powers `TERM_PAIRS`, at pairs i <= j.
+    ramps : (segments,) float64 array
+        The ramp taken out of each kept segment, per sample; 0 where none could be estimated.
+    ramp_variance : (segments, 4) float64 array
+        Its variance per unit power.
+    exponents : tuple of float
+        For each added term, the power of its relative share that the covariance grows with.
+    """
+
+    m: Ints
+    count: Ints
+    avar: Floats
+    terms: Floats
+    squares: Floats
+    ramps: Floats
+    ramp_variance: Floats
+    exponents: tuple[float, ...] = ()
+
+    def covariance(self, power: Floats) -> Floats:
+        """Return the covariance of ``avar`` under the powers, (factors, factors)."""
+        p = np.maximum(power, 0.0)
+        packed = np.array([p[a] * p[b] for a, b in TERM_PAIRS]) @ self.squares
+        covariance = packed[_packing(len(self.m))]
+        shares = self.terms * p
+        noise = shares[:, : len(RANDOM_TERMS)].sum(axis=1)
+        for exponent, share in zip(self.exponents, shares.T[len(RANDOM_TERMS) :]):
+            growth = (1.0 + share / noise) ** (exponent / 2.0)
+            covariance *= np.outer(growth, growth)
+        return covariance
+
+    def rows(self, keep: NDArray[np.bool_]) -> Table:
+        """Return the table of some of its factors."""
+        i, j = np.triu_indices(len(self.m))
+        return replace(
+            self,
+            m=self.m[keep],
+            count=self.count[keep],
+            avar=self.avar[keep],
+            terms=self.terms[keep],
+            squares=self.squares[:, keep[i] & keep[j]],
+        )
+
+
+@lru_cache(maxsize=8)
+def _packing(size: int) -> Ints:
+    """Return where each element of a symmetric matrix stands among its pairs i <= j."""
+    at = np.empty((size, size), np.int64)
+    i, j = np.triu_indices(size)
+    at[i, j] = at[j, i] = np.arange(len(i))
+    at.flags.writeable = False
+    return at
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One kept segment, or the segments of one length class.
+
+    Attributes
+    ----------
+    number : int
+        How many segments of this length.
+    pairs : PairSums
+    geometry : RampGeometry
+    at : (pairs,) int64 array
+        Positions of its pairs i <= j among those of the pooled table.
+    long : (long pairs,) int64 array
+        Which of its pairs are of factors that the ramp matters to.
+    """
+
+    number: int
+    pairs: PairSums
+    geometry: RampGeometry
+    at: Ints
+    long: Ints
+
+    @classmethod
+    def of(cls, samples: int, number: int, factors: int) -> _Part:
+        pairs = pair_sums(samples)
+        i, j = np.triu_indices(len(pairs.m))
+        at = i * factors - i * (i - 1) // 2 + (j - i)
+        long = np.flatnonzero(pairs.m[i] * RAMP_MATTERS > samples)
+        return cls(number, pairs, ramp_geometry(samples), at, long)
+
+    def add(self, squares: Floats) -> None:
+        """Add its pair sums to the pooled ones, (10, pairs), its ramps left in."""
+        squares[:, self.at] += self.number * self.pairs.squares
+
+    def take_out(self, effect: RampEffect, terms: Floats, squares: Floats) -> None:
+        """Change the pooled expectation, (factors, 4), and pair sums to those less its ramps."""
+        m = self.pairs.m
+        shift = ramp_shift(m, effect)
+        terms[: len(m)] += (self.number * self.pairs.count)[:, None] * shift
+        self.take_out_of_squares(effect, squares)
+
+    def take_out_of_squares(self, effect: RampEffect, squares: Floats) -> None:
+        """Change the pooled pair sums, (10, pairs), to those less its ramps."""
+        m = self.pairs.m.astype(float)
+        # d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is
+        # the same for all starts when r is the best estimate, and near it for any good one.
+        i, j = (x[self.long] for x in np.triu_indices(len(m)))
+        less = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
+        less -= effect.variance[:, None] * (m[i] * m[j] / 2.0)
+        pairs = self.pairs.count[i].astype(float) * self.pairs.count[j]
+        single = self.pairs.singles[:, self.long]
+        at = self.at[self.long]
+        for n, (a, b) in enumerate(TERM_PAIRS):
+            twice = 2.0 if a == b else 4.0
+            change = pairs * less[a] * less[b] - less[a] * single[b] - less[b] * single[a]
+            squares[n, at] += self.number * twice * change
+
+
+class PooledTable:
+    """All that the sums say, ready to be fitted axis by axis."""
+
+    def __init__(self, sums: AllanSums) -> None:
+        self.sums = sums
+        factors = len(sums.count)
+        self.m = sums.m
+        self.terms = avar_terms(self.m)
+        self._kept = [_Part.of(s.samples, 1, factors) for s in sums.segments]
+        self._pooled_sums = sums.sum_sq.copy()
+        self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
+        pooled = sums.count.copy()
+        for part in self._kept:
+            part.add(self._pooled_squares)
+            pooled[: len(part.pairs.m)] -= part.pairs.count
+        for length_class in sums.classes:
+            self._pool(length_class, factors)
+        self._pooled_terms = pooled_shift(sums.classes, self.m, sums.stride, pooled)
+
+    def _pool(self, pool: LengthClass, factors: int) -> None:
+        part = _Part.of(round(pool.samples / pool.count), pool.count, factors)
+        effect = fixed_effect(part.pairs.samples)
+        part.add(self._pooled_squares)
+        if effect is not None:
+            part.take_out_of_squares(effect, self._pooled_squares)
+        self._pooled_sums[: len(pool.ramp_correction)] += pool.ramp_correction
+
+    @property
+    def segments(self) -> Sequence[SegmentRecord]:
+        """The kept segments, longest first."""
+        return self.sums.segments
+
+    def is_noiseless(self, axis: int) -> bool:
+        """Return whether the samples of an axis are constant or a straight line, to rounding."""
+        if not np.any(self.sums.avar[:, axis] > 0.0):
+            return True
+        table = self.table(axis, WHITE)
+        raw = self.sums.avar[np.isin(self.m, table.m), axis]
+        return not np.any(table.avar > ROUNDING * raw)
+
+    def ramps(
+        self, axis: int, power: Floats, known: Floats
+    ) -> tuple[Floats, list[RampEffect | None]]:
+        """Return the ramp of each kept segment, and what estimating it does.
+
+        Parameters
+        ----------
+        axis : int
+        power : (4,) float64 array
+            The noise that the weights of the ramps are made for.
+        known : (segments,) float64 array
+            Known ramps per sample, NaN where the ramp is to be estimated.
+        """
+        found = np.where(np.isfinite(known), known, 0.0)
+        effects: list[RampEffect | None] = []
+        for s, (part, record) in enumerate(zip(self._kept, self.segments)):
+            weights = None if np.isfinite(known[s]) else part.geometry.best_weights(power)
+            effects.append(None if weights is None else part.geometry.effect(weights))
+            if weights is not None:
+                found[s] = weights @ record.phase[:, axis]
+        return found, effects
+
+    def table(self, axis: int, power: Floats, ramps: Floats | None = None) -> Table:
+        """Return the table of one axis, its ramps estimated as is best under the powers.
+
+        Parameters
+        ----------
+        axis : int
+            Position among the axes of the sums.
+        power : (4,) float64 array
+            The noise that the weights of the ramps are made for.
+        ramps : (segments,) float64 array, optional
+            Known ramps per sample, NaN where the ramp is to be estimated.
+        """
+        sum_sq = self._pooled_sums[:, axis].copy()
+        terms, squares = self._pooled_terms.copy(), self._pooled_squares.copy()
+        known = np.full(len(self._kept), np.nan) if ramps is None else ramps
+        found, effects = self.ramps(axis, power, known)
+        for part, record, r, effect in zip(self._kept, self.segments, found, effects):
+            if effect is not None:
+                part.take_out(effect, terms, squares)
+            m2 = part.pairs.m.astype(float) ** 2
+            sum_sq[: len(m2)] += (
+                -2.0 * r * m2 * record.signed[:, axis] + part.pairs.count * (m2 * r) ** 2
+            )
+        count = self.sums.count.astype(float)
+        i, j = np.triu_indices(len(count))
+        table = Table(
+            self.m,
+            self.sums.count,
+            allan_variance(sum_sq[:, None], self.m, self.sums.count)[:, 0],
+            self.terms + terms / count[:, None],
+            squares / (count[i] * count[j]),
+            found,
+            variances(effects),
+        )
+        return table.rows(_informative(table, self.terms, power))
+
+
+def clear_cache() -> None:
+    """Forget what fits remember of the lengths of records: some 20 MB, made anew in 0.2 s."""
+    clear_pair_sums()
+    ramp_geometry.cache_clear()
+
+
+def variances(effects: Sequence[RampEffect | None]) -> Floats:
+    """Return the variance of each ramp per unit power, (segments, 4); 0 where it has none."""
+    none = np.zeros(len(RANDOM_TERMS))
+    return np.array([none if e is None else e.variance for e in effects]).reshape(-1, len(none))
+
+
+def _informative(table: Table, whole: Floats, power: Floats) -> NDArray[np.bool_]:
+    """Return which factors still vary once the ramps are out."""
+    p = np.maximum(power, 0.0)
+    keep = (table.count > 0) & (table.terms @ p > EMPTY_ROW * (whole @ p))
+    diagonal = np.diag(table.covariance(power))
+    return np.asarray(keep & (diagonal > (EMPTY_ROW * (whole @ p)) ** 2))
+
+
+def pooled_shift(classes: Sequence[LengthClass], m: Ints, stride: Ints, count: Ints) -> Floats:
+    """Return what taking the ramps out adds to the expected sums over the pooled differences.
+
+    Parameters
+    ----------
+    classes : sequence of LengthClass
+    m, stride, count : (factors,) int64 arrays
+        Averaging factors, samples between two starts, and differences of all pooled segments.
+
+    Returns
+    -------
+    (factors, 4) float64 array
+        Per unit power, for sums of d^2/(2 m^2).
+    """
+    taken = np.zeros((len(m), len(RANDOM_TERMS)))
+    number = np.zeros(len(m))
+    partly = np.zeros(len(m), np.int64)
+    for pool in classes:
+        mean, low, high = _lengths(pool)
+        whole = np.flatnonzero(2 * m <= low)
+        here = pool.count * _differences(pool, mean, m[whole], stride[whole])
+        number[whole] += here
+        taken[whole] += here[:, None] * _shift(round(mean))[whole]
+        partly[(2 * m > low) & (2 * m < high)] = round(mean)
+    for i in np.flatnonzero(partly):
+        rest = max(count[i] - number[i], 0.0)
+        number[i] += rest
+        taken[i] += rest * _shift(max(int(partly[i]), 2 * int(m[i])))[i]
+    return np.asarray(taken * (count / np.maximum(number, 1.0))[:, None])
+
+
+def fixed_effect(samples: int) -> RampEffect | None:
+    """Return what the least-squares ramp of a pooled segment does; None where it has none."""
+    geometry = ramp_geometry(samples)
+    if geometry.points < 3:
+        return None
+    return geometry.effect(ols_ramp_weights(geometry.points, geometry.step))
+
+
+def _lengths(pool: LengthClass) -> tuple[float, float, float]:
+    """Return the mean of the lengths of a class, and between what they lie."""
+    mean = pool.samples / pool.count
+    if pool.count == 1:
+        return mean, mean, mean
+    low = LENGTH_CLASS_RATIO ** np.floor(np.log(mean) / np.log(LENGTH_CLASS_RATIO))
+    return mean, min(low, mean), low * LENGTH_CLASS_RATIO
+
+
+def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Floats:
+    """Return how many differences a segment of a class has at the factors, on average."""
+    if pool.count == 1:
+        return counts(pool.samples, m, stride).astype(float)
+    # The mean of floor((n - 2 m)/s) + 1 over lengths n of any remainder.
+    return np.asarray((mean - 2 * m) / stride + (1.0 + 1.0 / stride) / 2.0)
+
+
+def _shift(samples: int) -> Floats:
+    """Return what taking the ramp out of a segment adds to each difference, (its factors, 4)."""
+    m, effect = ramp_geometry(samples).m, fixed_effect(samples)
+    if effect is None:
+        return np.zeros((len(m), len(RANDOM_TERMS)))
+    return ramp_shift(m, effect)
+
+
+N = RANDOM_TERMS.index('N')
+
+
+LINE_PEAK = 0.371
+"""f m where sin^4(pi f m)/(pi f m)^2 is largest."""
+
+
+@dataclass(frozen=True)
+class GaussMarkovTerm:
+    """First-order Gauss-Markov noise; its shape is the correlation time in samples."""
+
+    shape: float
+
+    exponent = 2.0
+    """It scatters like the noise it joins: the covariance grows as V^2."""
+
+    @property
+    def scale(self) -> float:
+        """Averaging factor at which it stands out."""
+        return self.shape
+
+    def column(self, table: Table) -> Floats:
+        """Return its Allan variance at unit power, (factors,).
+
+        What removing the ramps took from it is what they took from its white noise.
+        """
+        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
+        return gauss_markov_avar(table.m, self.shape) - self.white() * taken
+
+    def white(self) -> float:
+        """Return the w of white noise that it looks like over long times, at unit power."""
+        return 2.0 * self.shape
+
+
+@dataclass(frozen=True)
+class SinusoidTerm:
+    """A line in the spectrum; its shape is the frequency in cycles per sample."""
+
+    shape: float
+
+    exponent = 1.0
+    """It does not scatter, but multiplies with the noise: the covariance grows as V."""
+
+    @property
+    def scale(self) -> float:
+        """Averaging factor at which it stands out."""
+        return LINE_PEAK / self.shape
+
+    def column(self, table: Table) -> Floats:
+        """Return its Allan variance at unit power, (factors,)."""
+        return sinusoid_avar(table.m, self.shape)
+
+    def white(self) -> float:
+        """Return the w of white noise that it looks like over long times: none."""
+        return 0.0
+
+
+Extra = GaussMarkovTerm | SinusoidTerm
+
+
+def with_extras(table: Table, extras: tuple[Extra, ...]) -> Table:
+    """Return the table with a column for each extra term."""
+    columns = np.column_stack([table.terms, *(e.column(table) for e in extras)])
+    return replace(table, terms=columns, exponents=tuple(e.exponent for e in extras))

@@ -1,0 +1,202 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Units of the five terms: SI inside, the datasheets' when shown or read.
+
+Needs only the standard library, so that option parsers can name units.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import AllanError
+
+AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
+"""The axes, in the order of the last dimension of every six-axis array."""
+
+
+SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
+"""Where each three-axis sensor stands among `AXES`."""
+
+
+LARGEST = 1e30
+"""Larger numbers, either way, no IMU measures; their squares, summed over years, stay finite."""
+
+
+MAX_NAME = 1000
+"""Longest frame_id or hardware id, in characters: what is longer is damage, or meant ill."""
+
+
+@dataclass(frozen=True)
+class ImuBatch:
+    """A run of consecutive Imu samples, as they came.
+
+    Attributes
+    ----------
+    stamps_ns : (n,) int64 array
+        Header stamps in nanoseconds. Nothing is promised of them: they may repeat, go back or be 0.
+    samples : (n, 6) float64 array
+        Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN where a
+        sensor is absent (covariance[0] is -1) or a value is not a number.
+    record_ns : (n,) int64 array or None
+        When each sample was recorded or received, in nanoseconds; used where the header stamps
+        cannot be. None when the source has no such time.
+    frame_id : str
+        ``header.frame_id`` of all samples of this batch; '' when the source has none.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    samples: NDArray[np.float64]
+    record_ns: NDArray[np.int64] | None = None
+    frame_id: str = ''
+
+    def __post_init__(self) -> None:
+        n = len(self.stamps_ns)
+        if self.samples.shape != (n, len(AXES)):
+            raise AllanError(
+                f'a batch of {n} stamps needs samples of shape ({n}, {len(AXES)}), '
+                f'got {self.samples.shape}: pass one row of six axes per stamp'
+            )
+        if len(self.frame_id) > MAX_NAME:
+            raise AllanError(
+                f'frame_id has {len(self.frame_id)} characters, {self.frame_id[:20]!r} ...: '
+                'a name is expected'
+            )
+        if self.record_ns is not None and self.record_ns.shape != (n,):
+            raise AllanError(
+                f'a batch of {n} stamps needs {n} record times, got {self.record_ns.shape}'
+            )
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> ImuBatch:
+        """Return the rows as a batch of their own (views of a slice, copies of what is listed)."""
+        record = None if self.record_ns is None else self.record_ns[rows]
+        return ImuBatch(self.stamps_ns[rows], self.samples[rows], record, self.frame_id)
+
+
+DEGREE = math.pi / 180.0
+
+HOUR = 3600.0
+
+STANDARD_GRAVITY = 9.80665
+"""m/s^2 (BIPM, The International System of Units, 9th ed., 2019)."""
+
+MICRO_G = STANDARD_GRAVITY * 1e-6
+
+
+class Unit(NamedTuple):
+    """The SI unit of the same quantity, and how much of it one is."""
+
+    si: str
+    factor: float
+
+
+SI_UNITS = {
+    'gyro': {
+        'Q': 'rad',
+        'N': 'rad/s/sqrt(Hz)',
+        'B': 'rad/s',
+        'K': 'rad/s^2/sqrt(Hz)',
+        'R': 'rad/s^2',
+    },
+    'accel': {
+        'Q': 'm/s',
+        'N': 'm/s^2/sqrt(Hz)',
+        'B': 'm/s^2',
+        'K': 'm/s^3/sqrt(Hz)',
+        'R': 'm/s^3',
+    },
+}
+"""sensor -> term -> SI unit. The deviation itself is in the unit of B."""
+
+
+DATASHEET_UNITS = {
+    'gyro': {'Q': 'urad', 'N': 'deg/sqrt(h)', 'B': 'deg/h', 'K': 'deg/h^1.5', 'R': 'deg/h^2'},
+    'accel': {'Q': 'um/s', 'N': 'm/s/sqrt(h)', 'B': 'ug', 'K': 'ug/sqrt(h)', 'R': 'ug/h'},
+}
+"""sensor -> term -> unit of the datasheets (and of the paper, for gyros)."""
+
+
+UNITS = {
+    'rad': Unit('rad', 1.0),
+    'urad': Unit('rad', 1e-6),
+    'deg': Unit('rad', DEGREE),
+    'rad/s/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', 1.0),
+    'rad/sqrt(s)': Unit('rad/s/sqrt(Hz)', 1.0),
+    'deg/s/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', DEGREE),
+    'mdeg/s/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', 1e-3 * DEGREE),
+    'deg/h/sqrt(Hz)': Unit('rad/s/sqrt(Hz)', DEGREE / HOUR),
+    'deg/sqrt(h)': Unit('rad/s/sqrt(Hz)', DEGREE / math.sqrt(HOUR)),
+    'rad/s': Unit('rad/s', 1.0),
+    'deg/s': Unit('rad/s', DEGREE),
+    'deg/h': Unit('rad/s', DEGREE / HOUR),
+    'rad/s^2/sqrt(Hz)': Unit('rad/s^2/sqrt(Hz)', 1.0),
+    'rad/s/sqrt(s)': Unit('rad/s^2/sqrt(Hz)', 1.0),
+    'deg/h^1.5': Unit('rad/s^2/sqrt(Hz)', DEGREE / HOUR**1.5),
+    'rad/s^2': Unit('rad/s^2', 1.0),
+    'deg/h^2': Unit('rad/s^2', DEGREE / HOUR**2),
+    'm/s': Unit('m/s', 1.0),
+    'um/s': Unit('m/s', 1e-6),
+    'm/s^2/sqrt(Hz)': Unit('m/s^2/sqrt(Hz)', 1.0),
+    'm/s/sqrt(s)': Unit('m/s^2/sqrt(Hz)', 1.0),
+    'm/s/sqrt(h)': Unit('m/s^2/sqrt(Hz)', 1.0 / math.sqrt(HOUR)),
+    'mg/sqrt(Hz)': Unit('m/s^2/sqrt(Hz)', 1e3 * MICRO_G),
+    'ug/sqrt(Hz)': Unit('m/s^2/sqrt(Hz)', MICRO_G),
+    'm/s^2': Unit('m/s^2', 1.0),
+    'um/s^2': Unit('m/s^2', 1e-6),
+    'g': Unit('m/s^2', STANDARD_GRAVITY),
+    'mg': Unit('m/s^2', 1e3 * MICRO_G),
+    'ug': Unit('m/s^2', MICRO_G),
+    'mGal': Unit('m/s^2', 1e-5),
+    'm/s^3/sqrt(Hz)': Unit('m/s^3/sqrt(Hz)', 1.0),
+    'm/s^2/sqrt(s)': Unit('m/s^3/sqrt(Hz)', 1.0),
+    'ug/sqrt(h)': Unit('m/s^3/sqrt(Hz)', MICRO_G / math.sqrt(HOUR)),
+    'm/s^3': Unit('m/s^3', 1.0),
+    'ug/h': Unit('m/s^3', MICRO_G / HOUR),
+}
+"""Every unit we read or show."""
+
+
+def sensor_of(axis: str) -> str:
+    """Return 'gyro' or 'accel' for an axis name such as 'gyro_x'."""
+    return axis.split('_', 1)[0]
+
+
+def to_datasheet(term: str, sensor: str, value: float) -> tuple[float, str]:
+    """Return an SI coefficient in the datasheets' unit, and that unit."""
+    unit = DATASHEET_UNITS[sensor][term]
+    return value / UNITS[unit].factor, unit
+
+
+def from_datasheet(term: str, sensor: str, value: float) -> float:
+    """Return the SI value of a coefficient given in the datasheets' unit."""
+    return value * UNITS[DATASHEET_UNITS[sensor][term]].factor
+
+
+def to_si(value: float, unit: str, si: str) -> float:
+    """Return a value in the SI unit ``si``.
+
+    Raises
+    ------
+    AllanError
+        When the unit is unknown, or one of another quantity; it lists those that fit.
+    """
+    known = UNITS.get(unit)
+    if known is None or known.si != si:
+        fitting = ', '.join(name for name, u in UNITS.items() if u.si == si)
+        raise AllanError(f'unit {unit!r} does not fit here: use one of {fitting}')
+    return value * known.factor
+
+
+class ImuIdentity(NamedTuple):
+    """Which IMU the samples came from."""
+
+    frame_id: str = ''
+    hardware_id: str = ''

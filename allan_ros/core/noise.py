@@ -1,0 +1,200 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The noise terms of one axis and the Allan variance each of them makes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import AllanError
+
+FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
+"""Allan variance of bias instability over B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
+
+
+@dataclass(frozen=True)
+class NoiseTerms:
+    """The coefficients of IEEE Std 952-1997 annex C for one axis, in SI.
+
+    Attributes
+    ----------
+    Q : float
+        Quantization: rad (gyro) or m/s (accelerometer).
+    N : float
+        Angle or velocity random walk: rad/sqrt(s) or m/s/sqrt(s).
+    B : float
+        Bias instability: rad/s or m/s^2 (the coefficient, not the curve's minimum).
+    K : float
+        Rate or acceleration random walk: rad/s/sqrt(s) or m/s^2/sqrt(s).
+    R : float
+        Rate or acceleration ramp, with its sign: rad/s^2 or m/s^3.
+
+    Raises
+    ------
+    AllanError
+        When one is not finite, or one of Q, N, B, K is negative.
+    """
+
+    Q: float = 0.0
+    N: float = 0.0
+    B: float = 0.0
+    K: float = 0.0
+    R: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in zip('QNBKR', astuple(self)):
+            if not math.isfinite(value) or (value < 0.0 and name != 'R'):
+                raise AllanError(f'{name} is {value}: give a finite number, not below 0')
+
+    def in_sample_units(self, tau0: float) -> tuple[float, float, float, float, float]:
+        """Return (q, w, b, k, r): the levels when the sample period ``tau0`` (s) is one.
+
+        q = Q^2/tau0^2, w = N^2/tau0, b = B^2, k = K^2 tau0 are variances in the squared unit of
+        the samples; r = R tau0 is the ramp per sample.
+        """
+        return (
+            (self.Q / tau0) ** 2,
+            self.N**2 / tau0,
+            self.B**2,
+            self.K**2 * tau0,
+            self.R * tau0,
+        )
+
+
+def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float64]:
+    """Return the expected Allan variance of each term at the averaging factors m.
+
+    V(m) = 3 q/m^2 + w/m + (2 ln2/pi) b + k (m/3 + 1/(6 m)) + r^2 m^2/2, the five summands of
+    IEEE Std 952-1997 eq. C.14 for samples of period tau0. The 1/(6 m) belongs to a random walk
+    that steps once a sample; it vanishes against m/3 at large m.
+
+    Parameters
+    ----------
+    m : (factors,) array
+        Averaging factors in samples.
+    tau0 : float
+        Sample period in s.
+    terms : NoiseTerms
+        The coefficients.
+
+    Returns
+    -------
+    (factors, 5) float64 array
+        Squared unit of the samples, columns in the order Q, N, B, K, R; their sum is the curve.
+    """
+    m = np.asarray(m, float)
+    q, w, b, k, r = terms.in_sample_units(tau0)
+    one = np.ones_like(m)
+    return np.stack(
+        [
+            3.0 * q / m**2,
+            w / m,
+            FLICKER_FLOOR * b * one,
+            k * (m / 3.0 + 1.0 / (6.0 * m)),
+            r**2 * m**2 / 2.0,
+        ],
+        axis=-1,
+    )
+
+
+def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
+    """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
+
+    (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
+    (exponentially correlated noise).
+
+    Parameters
+    ----------
+    m : (factors,) array
+        Averaging factors in samples.
+    correlation : float
+        Correlation time T in samples.
+
+    Returns
+    -------
+    (factors,) float64 array
+    """
+    x = np.asarray(m, float) / correlation
+    # 2x - 3 + 4 exp(-x) - exp(-2x) without the loss of digits at small x
+    growth = 2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)
+    return np.asarray(growth / x**2)
+
+
+def sinusoid_avar(m: ArrayLike, frequency: float) -> NDArray[np.float64]:
+    """Return the Allan variance of a sinusoid of unit amplitude, averaged over its phase.
+
+    sin^4(pi f m) / (m sin(pi f))^2, IEEE Std 952-2020 annex C (sinusoidal noise), here for sums
+    of samples instead of integrals.
+
+    Parameters
+    ----------
+    m : (factors,) array
+        Averaging factors in samples.
+    frequency : float
+        In cycles per sample.
+
+    Returns
+    -------
+    (factors,) float64 array
+    """
+    m = np.asarray(m, float)
+    return np.asarray(np.sin(np.pi * frequency * m) ** 4 / (m * np.sin(np.pi * frequency)) ** 2)
+
+
+@dataclass(frozen=True)
+class ProcessModel:
+    """The selected model of one axis: what is drawn, predicted from and exported.
+
+    Terms that are not resolved are 0. Where the five terms describe the curve, ``terms`` holds
+    them and the tuples are empty; else ``terms`` holds N, K (and a signed R) beside processes.
+
+    Attributes
+    ----------
+    terms : NoiseTerms
+        Q, N, B, K, R in SI (see `NoiseTerms`).
+    gauss_markov : tuple of (sigma, tau)
+        First-order Gauss-Markov processes: stationary standard deviation in the unit of the
+        samples, correlation time in s.
+    sinusoids : tuple of (amplitude, frequency)
+        Amplitude in the unit of the samples, frequency in Hz.
+    """
+
+    terms: NoiseTerms = field(default_factory=NoiseTerms)
+    gauss_markov: tuple[tuple[float, float], ...] = ()
+    sinusoids: tuple[tuple[float, float], ...] = ()
+
+    def avar(self, tau: ArrayLike, tau0: float = 0.0) -> NDArray[np.float64]:
+        """Return the Allan variance at the averaging times ``tau``.
+
+        Parameters
+        ----------
+        tau : (times,) array
+            Averaging times in s.
+        tau0 : float
+            Sample period in s. 0 gives the continuous-time curve; a positive period that of
+            the samples (the discrete walk and aliased sinusoids).
+
+        Returns
+        -------
+        (times,) float64 array
+            Squared unit of the samples.
+
+        Examples
+        --------
+        >>> ProcessModel(NoiseTerms(N=2.0)).avar([1.0, 4.0])
+        array([4., 1.])
+        """
+        tau = np.asarray(tau, float)
+        # an averaging factor counts samples; far below every tau, the period does not matter
+        step = tau0 or 1e-6 * float(tau.min(initial=1.0))
+        m = tau / step
+        total = np.asarray(term_avar(m, step, self.terms).sum(axis=-1))
+        for sigma, correlation_time in self.gauss_markov:
+            total += sigma**2 * gauss_markov_avar(m, correlation_time / step)
+        for amplitude, frequency in self.sinusoids:
+            total += amplitude**2 * sinusoid_avar(m, frequency * step)
+        return total

@@ -1,0 +1,192 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which axes tick together: one lane of six axes, or one a sensor where their rates differ.
+
+Drivers that put a slower accelerometer into every gyro message repeat its last sample, or fill the
+missing half with zeros. Both would be read as noise that is not there (a 250 Hz accelerometer held
+on 400 Hz stamps reads N 5 % too high), so such a sensor gets a lane of its own with only its
+own samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..findings import Finding, finding
+from ..imu import AXES, LARGEST, SENSORS
+from .health import Counts
+
+Floats = NDArray[np.float64]
+
+Stamps = NDArray[np.int64]
+
+
+BACKWARD_RUN = 16
+"""So many stamps in a row before the latest one are a clock set back; fewer are dropped."""
+
+
+class StampFilter:
+    """Drops samples that are no numbers of an IMU, repeat the one before, or go back in time."""
+
+    def __init__(self, axes: int, counts: Counts) -> None:
+        self._counts = counts
+        self._latest: int | None = None
+        self._latest_row: Floats = np.full(axes, np.nan)
+        self._backward = 0
+
+    def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
+        """Return the samples that stay, and where a clock that was set back starts anew.
+
+        Parameters
+        ----------
+        stamps : (n,) int64 array
+        rows : (axes, n) float64 array
+
+        Returns
+        -------
+        stamps, rows, jumped : (k,), (axes, k) and (k,) bool arrays
+        """
+        if len(stamps) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
+            finite = (np.abs(rows) <= LARGEST).all(axis=0)
+            self._counts.not_finite += int(np.count_nonzero(~finite))
+            stamps, rows = stamps[finite], rows[:, finite]
+        if not len(stamps):
+            return stamps, rows, np.zeros(0, bool)
+        latest = stamps[0] - 1 if self._latest is None else self._latest
+        step = np.diff(stamps, prepend=latest)
+        jumped = np.zeros(len(stamps), bool)
+        if step.min() <= 0 or self._backward:
+            keep, jumped = self._sift(stamps, rows, step)
+            stamps, rows, jumped = stamps[keep], rows[:, keep], jumped[keep]
+        if len(stamps):
+            self._latest, self._latest_row = int(stamps[-1]), rows[:, -1].copy()
+        return stamps, rows, jumped
+
+    def _sift(
+        self, stamps: Stamps, rows: Floats, step: Stamps
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which samples stay and which start anew, one by one."""
+        before = np.concatenate([self._latest_row[:, None], rows[:, :-1]], axis=1)
+        repeated = (step == 0) & (rows == before).all(axis=0)
+        self._counts.duplicate += int(np.count_nonzero(repeated))
+        keep = ~repeated
+        jumped = np.zeros(len(stamps), bool)
+        latest = stamps[0] if self._latest is None else self._latest
+        for i in np.flatnonzero(keep):
+            if stamps[i] >= latest:
+                self._backward = 0
+                latest = stamps[i]
+                continue
+            self._backward += 1
+            if self._backward < BACKWARD_RUN:
+                keep[i] = False
+                self._counts.backward += 1
+            else:
+                self._backward = 0
+                jumped[i] = True
+                latest = stamps[i]
+        return keep, jumped
+
+
+SHARE = 0.1
+"""Least share of repeated or zero samples that makes a sensor held or zero-filled."""
+
+
+TOGETHER_LOG_RATIO = 2.0 / 3.0
+"""Coarse values of a still sensor repeat, and are zero, by chance: then the logarithm of the share
+of all three axes is the sum of their logarithms. Held or filled together it is a third of that."""
+
+
+Sieve = Literal['all', 'held', 'zero']
+
+
+@dataclass(frozen=True)
+class SensorPlan:
+    """The axes of a lane, and which samples of the stream are none of its own."""
+
+    axes: tuple[str, ...]
+    sieve: Sieve = 'all'
+
+
+class SampleHoldFilter:
+    """Picks the samples of one lane out of the six-axis stream."""
+
+    def __init__(self, plan: SensorPlan) -> None:
+        self.plan = plan
+        self._rows = [AXES.index(axis) for axis in plan.axes]
+        self._whole = self._rows == list(range(len(AXES)))
+        self._last: Floats = np.full(len(self._rows), np.nan)
+
+    def pick(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
+        """Return stamps (k,) and rows (axes of the lane, k) of its samples; rows is (6, n)."""
+        own = rows if self._whole else rows[self._rows]
+        if self.plan.sieve == 'all' or not len(stamps):
+            return stamps, own
+        if self.plan.sieve == 'zero':
+            keep = own.any(axis=0)
+        else:
+            before = np.concatenate([self._last[:, None], own[:, :-1]], axis=1)
+            keep = (own != before).any(axis=0)
+            self._last = own[:, -1].copy()
+        return stamps[keep], own[:, keep]
+
+
+def plan_sensors(
+    stamps: Stamps, rows: Floats
+) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
+    """Return the lanes of a stream from its first samples, and what there is to say of them.
+
+    stamps : (n,) int64 array; rows : (6, n) array, NaN where a sensor is absent.
+    """
+    # messages that came twice, stamp and all, are dropped later and say nothing of a sensor
+    twice = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    rows = rows[:, np.concatenate([[True], ~twice])] if len(stamps) else rows
+    repeats = rows[:, 1:] == rows[:, :-1]
+    plans: list[SensorPlan] = []
+    findings: list[Finding] = []
+    for sensor, place in SENSORS.items():
+        axes, own = AXES[place], rows[place]
+        zeros = own == 0.0
+        sieve: Sieve = 'all'
+        if not np.isfinite(own).any():
+            findings.append(finding('sensor_absent', axes, sensor=sensor))
+            continue
+        if zeros.all():
+            findings.append(finding('sensor_all_zero', axes, sensor=sensor))
+            continue
+        if _together(zeros):
+            sieve = 'zero'
+            share = float(zeros.all(axis=0).mean())
+            findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
+        elif _together(repeats[place]):
+            sieve = 'held'
+            share = float(repeats[place].all(axis=0).mean())
+            findings.append(finding('held', axes, sensor=sensor, share=share))
+        plans.append(SensorPlan(axes, sieve))
+    if len(plans) == len(SENSORS) and _tick_together(plans, repeats):
+        plans = [SensorPlan(AXES, plans[0].sieve)]
+    return tuple(plans), tuple(findings)
+
+
+def _tick_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
+    """Return whether both sensors are new in the same messages."""
+    sieves = {plan.sieve for plan in plans}
+    if sieves == {'held'}:
+        apart = repeats[SENSORS['gyro']].all(axis=0) != repeats[SENSORS['accel']].all(axis=0)
+        return bool(apart.mean() < SHARE)
+    return sieves == {'all'}
+
+
+def _together(flags: NDArray[np.bool_]) -> bool:
+    """Return whether three axes do something together more often than by chance.
+
+    flags : (3, n). All of the time is no sign of it: a constant is a fault of another kind.
+    """
+    joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
+    if not SHARE < joint < 1.0:
+        return False
+    return bool(np.log(joint) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())

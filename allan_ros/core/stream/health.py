@@ -1,0 +1,127 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What became of every sample that came: counted, and named where it was dropped or repaired."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, fields
+from typing import Literal, NamedTuple
+
+State = Literal['waiting', 'learning', 'still', 'moving']
+"""No sample yet; the first samples are being learned from; evidence accumulates; it waits."""
+
+
+@dataclass
+class Counts:
+    """Samples by fate, and cuts by reason, since the start of a stream.
+
+    Where the sensors tick apart (two lanes) all but ``received`` and ``skipped`` are counted per
+    lane. received + bridged = used + skipped + not_finite + duplicate + backward + untimed +
+    moving + stuck + those that still wait to be judged.
+
+    Attributes
+    ----------
+    received, used : int
+        Samples that came, and those that the sums hold (bridged ones among them).
+    skipped : int
+        Left out at the start (warm-up).
+    not_finite, duplicate, backward : int
+        Dropped: NaN or inf; stamp and values of the sample before; a stamp before the latest.
+    untimed : int
+        Dropped because a thousand stamps in a row were equal.
+    lost : int
+        Samples that never came, by the stamps.
+    bridged : int
+        Lost ones that were interpolated.
+    moving, stuck : int
+        Dropped because the IMU moved, or an axis showed one value.
+    saturated : int
+        Of the moving ones, those at an extreme value held for three samples or more.
+    cuts : Counter
+        Reason -> how many times the evidence was cut.
+    """
+
+    received: int = 0
+    used: int = 0
+    skipped: int = 0
+    not_finite: int = 0
+    duplicate: int = 0
+    backward: int = 0
+    untimed: int = 0
+    lost: int = 0
+    bridged: int = 0
+    moving: int = 0
+    stuck: int = 0
+    saturated: int = 0
+    cuts: Counter[str] = field(default_factory=Counter)
+
+    def add(self, other: Counts) -> None:
+        """Add the counts of another lane."""
+        for f in fields(self):
+            if f.name != 'cuts':
+                setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
+        self.cuts.update(other.cuts)
+
+
+class Segment(NamedTuple):
+    """One segment.
+
+    Attributes
+    ----------
+    start_ns : int
+        Stamp of its first sample.
+    samples : int
+    duration_s : float
+    cut : str
+        Why it does not follow on what came before, as in ``Counts.cuts``; '' where nothing did.
+    """
+
+    start_ns: int
+    samples: int
+    duration_s: float
+    cut: str = ''
+
+
+@dataclass(frozen=True)
+class StreamHealth:
+    """The input of an accumulator, as one looks at it from outside.
+
+    Attributes
+    ----------
+    counts : Counts
+        A copy; later samples do not change it.
+    state : State
+    rate_hz : float or None
+        From the working period of the stamps; None before it is learned.
+    bursty : bool
+        Stamps come in bursts: single steps between them mean nothing.
+    first_ns, last_ns : int or None
+        First and latest stamp that came, of the present frame.
+    stamps : str
+        Which stamps are used: 'header' or 'record'.
+    frame_id : str
+        Of the latest sample.
+    evidence_frame_id : str
+        Of the sums with the longest time.
+    frame_changes : int
+        How often a sample had another frame_id than the one before.
+    """
+
+    counts: Counts
+    state: State = 'waiting'
+    rate_hz: float | None = None
+    bursty: bool = False
+    first_ns: int | None = None
+    last_ns: int | None = None
+    stamps: str = 'header'
+    frame_id: str = ''
+    evidence_frame_id: str = ''
+    frame_changes: int = 0
+
+    @property
+    def still_share(self) -> float | None:
+        """Share of the judged samples that counts as evidence; None before any was judged."""
+        c = self.counts
+        judged = c.used + c.moving + c.stuck
+        return c.used / judged if judged else None

@@ -1,0 +1,433 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From stamps to a count: which samples follow evenly on each other, and where some are missing.
+
+The samples of an IMU are even; their stamps are not. What counts is whether the *number* of samples
+keeps up with the clock: a silence that the following burst makes up for lost nothing, a silence
+that stays is a gap. So a silence is judged by the earliest arrivals (the lower envelope of stamp
+less index times period) before it and after it, with a fixed look-ahead in samples.
+
+Decisions are taken on blocks counted from the first sample, so they do not depend on how the
+samples were chunked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .health import Counts
+
+Stamps = NDArray[np.int64]
+
+
+LEARN = 1024
+"""Samples from which the period of a stream is learned."""
+
+
+CLOCK_BLOCK = 256
+"""Samples that are judged together."""
+
+
+LOOK_AHEAD = 64
+"""Samples looked back and ahead at a silence when stamps are regular."""
+
+
+BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
+"""The same when they are bursty, in s and at most in samples: a burst needs time to catch up."""
+
+
+BURST_SILENCE_S = 0.25
+"""When stamps are bursty only a silence of this length is looked at, and only a shift of this
+length is a loss: the envelope itself wanders by several samples."""
+
+
+LATE = 1.5
+"""When stamps are regular, a step above this many periods is a silence."""
+
+
+REGULAR_SHARE = 0.6
+"""Stamps are regular when this share of the steps lies within 50 % of the median step, and their
+mean is at least this share of the mean of all steps."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What was learned of a stream's stamps.
+
+    ``period_ns`` is the working sample period, ``step_ns`` the median step between two stamps;
+    ``bursty`` says that single steps mean nothing.
+    """
+
+    period_ns: float
+    step_ns: float
+    bursty: bool
+
+    @property
+    def look_ahead(self) -> int:
+        """Samples looked back and ahead at a silence."""
+        if not self.bursty:
+            return LOOK_AHEAD
+        wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
+        return int(min(max(wanted, LOOK_AHEAD), BURST_LOOK_AHEAD))
+
+    @property
+    def silence_ns(self) -> float:
+        """A longer step between two stamps is a silence."""
+        late = LATE * self.period_ns
+        return max(late, BURST_SILENCE_S * 1e9) if self.bursty else late
+
+    @property
+    def least_loss(self) -> float:
+        """Least shift of the envelope, in samples, that is a loss."""
+        return max(0.5, BURST_SILENCE_S * 1e9 / self.period_ns) if self.bursty else 0.5
+
+
+def learn_clock(stamps: Stamps) -> Clock | None:
+    """Return period and kind of the stamps, or None when no two of them differ.
+
+    stamps : (n,) int64 array in ns, as they came; backward ones are ignored.
+    """
+    if not len(stamps):
+        return None
+    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
+    if not step.any():
+        return None
+    size = max(1, min(CLOCK_BLOCK, len(step) // 4))
+    # the median of block means is a mean that one long gap does not spoil
+    mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
+    mean = mean or float(step.mean())
+    middle = float(np.median(step))
+    near = step[np.abs(step - middle) <= 0.5 * middle]
+    if middle > 0.0 and len(near) >= REGULAR_SHARE * len(step):
+        period = float(near.mean())
+        if period >= REGULAR_SHARE * mean:
+            # jitter makes long steps and short ones, lost samples only long ones
+            long_steps = np.count_nonzero(step > LATE * period)
+            jitter = 2 * np.count_nonzero(step < period / 2) >= long_steps
+            return Clock(mean if jitter else period, middle, bursty=False)
+    return Clock(mean, middle, bursty=True)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Evenly spaced samples that follow on the run before, unless ``cut`` says why they do not.
+
+    Attributes
+    ----------
+    stamps : (n,) int64 array
+        In ns, as they came (interpolated for bridged samples).
+    rows : (axes, n) float64 array
+    cut : str
+        '' or the reason why no difference may straddle the start of this run.
+    """
+
+    stamps: NDArray[np.int64]
+    rows: NDArray[np.float64]
+    cut: str = ''
+
+
+Floats = NDArray[np.float64]
+
+
+TRACK_BLOCKS = 16
+"""Blocks after which the working period is updated."""
+
+
+RATE_CHANGE = 0.02
+"""Relative change of the period over a block that is another rate."""
+
+
+RATE_CHANGE_STEP = 1.45
+"""So is a median step this many times the usual one: every step would look like a lost sample."""
+
+
+RATE_CHANGE_BURSTY = 0.10
+"""Change of the period that is another rate when stamps are bursty, over a tracking interval."""
+
+
+BRIDGED_SHARE = 0.1
+"""Where more than this share of a block would be interpolated, lost samples cut instead."""
+
+
+class ClockStage:
+    """Turns filtered samples into runs; at most a block and the look-ahead wait.
+
+    Attributes
+    ----------
+    clock : Clock
+        The working period follows the stamps.
+    rate_changed : bool
+        The stream has another rate than was learned. `waiting` has the samples from there on, and
+        no more are taken.
+    """
+
+    def __init__(self, clock: Clock, axes: int, max_bridge: int, counts: Counts) -> None:
+        self.clock = clock
+        self.rate_changed = False
+        self._max_bridge = max_bridge
+        self._counts = counts
+        self._reach = clock.look_ahead
+        # samples that wait, behind up to `_reach` that were judged already (`_past` of them)
+        self._stamps: Stamps = np.empty(0, np.int64)
+        self._rows: Floats = np.empty((axes, 0))
+        self._jumped: NDArray[np.bool_] = np.empty(0, bool)
+        self._past = 0
+        self._index: NDArray[np.int64] = np.empty(0, np.int64)  # of the past samples
+        self._since_cut = 0  # past samples since the last cut, at most `_reach`
+        self._blocks = 0
+        self._track_start: tuple[int, int] | None = None  # stamp, index; None after a cut
+
+    @property
+    def waiting(self) -> tuple[Stamps, Floats]:
+        """Samples that are not judged yet: stamps (n,) and rows (axes, n)."""
+        return self._stamps[self._past :], self._rows[:, self._past :]
+
+    def feed(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> list[Block]:
+        """Take more samples, return the runs that are certain by now."""
+        if rows.strides[1] != rows.itemsize:
+            rows = np.ascontiguousarray(rows)  # axis by axis, however they lay in memory
+        # Only the seam between what waits and what comes is copied: up to the end of a block from
+        # which on the samples that are looked back at came with these.
+        waiting = len(self._stamps) - self._past
+        seam = -(-(waiting + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - waiting + self._reach
+        self._append(stamps[:seam], rows[:, :seam], jumped[:seam])
+        runs = self._judge_ready()
+        if len(stamps) > seam:
+            if self.rate_changed:
+                self._append(stamps[seam:], rows[:, seam:], jumped[seam:])
+                return runs
+            rest = slice(seam - len(self._stamps), None)
+            self._stamps, self._rows, self._jumped = stamps[rest], rows[:, rest], jumped[rest]
+            runs += self._judge_ready()
+            self._append(stamps[:0], rows[:, :0], jumped[:0])  # a copy: lets go of the others
+        return runs
+
+    def _append(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> None:
+        """Put samples behind those that wait."""
+        self._stamps = np.concatenate([self._stamps, stamps])
+        self._rows = np.concatenate([self._rows, rows], axis=1)
+        self._jumped = np.concatenate([self._jumped, jumped])
+
+    def _judge_ready(self) -> list[Block]:
+        """Judge the whole blocks behind which there is enough to look ahead at."""
+        runs: list[Block] = []
+        first = self._past  # of samples among which nothing is missing: they pass in one run
+        while not self.rate_changed:
+            ready = (len(self._stamps) - self._past - self._reach) // CLOCK_BLOCK
+            blocks = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
+            if blocks < 1:
+                break
+            if self._are_even(blocks * CLOCK_BLOCK):
+                self._step_forward(blocks * CLOCK_BLOCK)
+                continue
+            runs += self._view(first)
+            runs += self._judge(blocks * CLOCK_BLOCK)
+            first = self._past
+        runs += self._view(first)
+        self._forget()
+        return runs
+
+    def _view(self, first: int) -> list[Block]:
+        """Return the samples from there on that were judged."""
+        judged = slice(first, self._past)
+        return [Block(self._stamps[judged], self._rows[:, judged])] if first < self._past else []
+
+    def flush(self) -> list[Block]:
+        """Return the runs of all that waits: no more samples come."""
+        runs: list[Block] = []
+        while not self.rate_changed and len(self._stamps) > self._past:
+            left = len(self._stamps) - self._past
+            room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
+            runs += self._judge(min(left, room))
+            self._forget()
+        return runs
+
+    def _are_even(self, n: int) -> bool:
+        """Return whether nothing is missing among the next n samples, nor their rate another.
+
+        It is what nearly all samples are; where it is not so, `_judge` tells what is.
+        """
+        begin = self._past
+        if begin == 0 or self._jumped[begin : begin + n].any():
+            return False
+        stamps = self._stamps[begin - 1 : begin + n]
+        clock, longest = self.clock, int((stamps[1:] - stamps[:-1]).max())
+        if clock.bursty or longest > clock.silence_ns:
+            return longest <= clock.silence_ns
+        period = np.diff(stamps[::CLOCK_BLOCK]) / CLOCK_BLOCK
+        return longest <= RATE_CHANGE_STEP * clock.step_ns and bool(
+            np.all(np.abs(period / clock.period_ns - 1.0) <= RATE_CHANGE)
+        )
+
+    def _judge(self, n: int) -> list[Block]:
+        """Judge the next n samples (whole blocks, or the last ones)."""
+        begin = self._past
+        stamps = self._stamps[begin : begin + n]
+        before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
+        step = np.diff(stamps, prepend=before)
+        silent = (step > self.clock.silence_ns) | self._jumped[begin : begin + n]
+        advance = np.ones(n, np.int64)  # index steps; 0 stands for a cut
+        missing = np.zeros(n, np.int64)
+        bridged = np.zeros(-(-n // CLOCK_BLOCK), np.int64)
+        for j in np.flatnonzero(silent):
+            if self._jumped[begin + j]:
+                advance[j] = 0
+                continue
+            missing[j] = lost = self._lost(begin + int(j), int(j), advance)
+            block = j // CLOCK_BLOCK
+            if lost > self._max_bridge or bridged[block] + lost > BRIDGED_SHARE * CLOCK_BLOCK:
+                advance[j] = 0
+            else:
+                bridged[block] += lost
+                advance[j] = 1 + lost
+        same = self._same_rate(step, advance)
+        if same < n:
+            self.rate_changed = True
+            if same == 0:
+                return []
+        self._count(begin, missing[:same], advance[:same])
+        runs = self._runs(begin, same, advance[:same])
+        self._step_forward(same, advance[:same])
+        return runs
+
+    def _count(self, begin: int, missing: NDArray[np.int64], advance: NDArray[np.int64]) -> None:
+        """Count what is missing, bridged and cut among judged samples."""
+        jumps = int(np.count_nonzero(self._jumped[begin : begin + len(advance)]))
+        gaps = int(np.count_nonzero(advance == 0)) - jumps
+        self._counts.lost += int(missing.sum())
+        self._counts.bridged += int((advance[advance > 1] - 1).sum())
+        if jumps:
+            self._counts.cuts['clock jump'] += jumps
+        if gaps:
+            self._counts.cuts['gap'] += gaps
+
+    def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
+        """Return how many of the samples come before another rate.
+
+        A block is told by its steps, the place in it by the first step out of the usual. The
+        samples the period was learned from are not asked again, so that every clock gets on.
+        """
+        if self.clock.bursty:
+            return len(step)
+        usual = self.clock.step_ns
+        for at in range(max(0, LEARN - self._blocks * CLOCK_BLOCK), len(step), CLOCK_BLOCK):
+            steps, indices = step[at : at + CLOCK_BLOCK], advance[at : at + CLOCK_BLOCK]
+            if len(steps) < CLOCK_BLOCK // 4:
+                break
+            counted = indices > 0
+            period = steps[counted].sum() / max(1, indices.sum())
+            if float(np.median(steps)) > RATE_CHANGE_STEP * usual or (
+                abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
+            ):
+                odd = (steps > RATE_CHANGE_STEP * usual) | (RATE_CHANGE_STEP * steps < usual)
+                return at + int(np.argmax(odd))
+        return len(step)
+
+    def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
+        """Return how many samples are missing before sample ``at`` of the buffer, by envelope.
+
+        j is its place among those being judged, whose index steps before j are in ``advance``.
+        """
+        period, reach = self.clock.period_ns, self._reach
+        judged = self._since_cut + j
+        cuts = np.flatnonzero(advance[:j] == 0)
+        if len(cuts):
+            judged = j - int(cuts[-1])
+        past = min(reach, judged)
+        if past == 0:
+            return 0
+        origin = self._stamps[at - 1]
+        steps = np.concatenate([np.diff(self._index, prepend=0), advance[:j]])
+        back = -np.cumsum(steps[::-1])[: past - 1]
+        index = np.concatenate([[0], back])[::-1]
+        envelope_before = ((self._stamps[at - past : at] - origin) - period * index).min()
+        after = self._stamps[at : at + reach]
+        jumps = np.flatnonzero(self._jumped[at + 1 : at + reach])
+        if len(jumps):
+            after = after[: jumps[0] + 1]
+        late = (after - origin) - period * np.arange(1, len(after) + 1)
+        shift = (float(late.min()) - float(envelope_before)) / period
+        silence = (self._stamps[at] - origin) / period - 1.0
+        least = max(0.5 * silence, self.clock.least_loss)
+        return round(shift) if shift > least else 0
+
+    def _runs(self, begin: int, n: int, advance: NDArray[np.int64]) -> list[Block]:
+        """Return the judged samples as runs, lost ones interpolated."""
+        runs: list[Block] = []
+        stamps: list[Stamps] = []
+        rows: list[Floats] = []
+        cut, at = '', 0
+
+        def close() -> None:
+            if stamps:
+                runs.append(Block(np.concatenate(stamps), np.concatenate(rows, axis=1), cut))
+            stamps.clear()
+            rows.clear()
+
+        for j in (*np.flatnonzero(advance != 1), n):
+            if j > at:
+                stamps.append(self._stamps[begin + at : begin + j])
+                rows.append(self._rows[:, begin + at : begin + j])
+            at = int(j)
+            if j == n:
+                break
+            if advance[j] == 0:
+                close()
+                cut = 'clock jump' if self._jumped[begin + j] else 'gap'
+                continue
+            left, right = begin + j - 1, begin + j
+            share = np.arange(1, advance[j]) / advance[j]
+            gap_ns = self._stamps[right] - self._stamps[left]
+            stamps.append(self._stamps[left] + np.rint(share * gap_ns).astype(np.int64))
+            step = (self._rows[:, right] - self._rows[:, left])[:, None]
+            rows.append(self._rows[:, left][:, None] + share * step)
+        close()
+        return runs
+
+    def _step_forward(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
+        """Move the judged samples into the past, follow the period; None: one index a sample."""
+        begin, end = self._past, self._past + n
+        last = int(self._index[-1]) if len(self._index) else -1
+        since_cut, cut = self._since_cut + n, False
+        if advance is None:
+            index = np.arange(last + 1, last + 1 + n)
+        else:
+            index = last + np.cumsum(advance)
+            cuts = np.flatnonzero(advance == 0)
+            if cut := bool(len(cuts)):
+                since_cut = n - int(cuts[-1])
+        self._since_cut = min(since_cut, self._reach)
+        self._track(self._stamps[begin:end], index, cut)
+        self._index = np.concatenate([self._index, index[-self._reach :]])[-self._reach :]
+        self._past = end
+
+    def _forget(self) -> None:
+        """Let go of judged samples that nobody will look back at."""
+        old = max(0, self._past - self._reach)
+        self._stamps = self._stamps[old:]
+        self._rows = self._rows[:, old:]
+        self._jumped = self._jumped[old:]
+        self._past -= old
+
+    def _track(self, stamps: Stamps, index: NDArray[np.int64], cut: bool) -> None:
+        """Update the working period after every `TRACK_BLOCKS` blocks without a cut."""
+        fresh = self._blocks % TRACK_BLOCKS == 0
+        if fresh:
+            self._track_start = (int(stamps[0]), int(index[0]))
+        if cut:
+            self._track_start = None
+        self._blocks += -(-len(stamps) // CLOCK_BLOCK)
+        if self._blocks % TRACK_BLOCKS or self._track_start is None:
+            return
+        start_ns, start = self._track_start
+        period = (int(stamps[-1]) - start_ns) / (int(index[-1]) - start)
+        off = abs(period / self.clock.period_ns - 1.0)
+        if self.clock.bursty:
+            self.rate_changed = off > RATE_CHANGE_BURSTY
+            # one silence moves the mean of an interval by as much as a true change would
+            period = self.clock.period_ns + 0.25 * (period - self.clock.period_ns)
+        if not self.rate_changed:
+            self.clock = replace(self.clock, period_ns=period)

@@ -1,0 +1,263 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether an IMU's live input is well now: silence, loss and repair within the last minute.
+
+The counts of a stream only grow, so what was wrong once would be wrong for ever. A node that runs
+for months says what is wrong now.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from ..findings import Finding, finding
+from .cleaning import BACKWARD_RUN
+from .health import StreamHealth
+
+LATELY_S = 60.0
+"""What happened within this time is said; before, only the counts tell."""
+
+
+TOLD_LOST_SHARE = 1e-3
+"""Messages lost on the way are worth a warning from this share on: bridging costs no more."""
+
+
+LEAP_S = 2.0
+"""Stamps that advance by this much more than time has passed were set forward: samples that
+wait in a queue come later, never earlier."""
+
+
+LIVE_FINDINGS = (
+    'stamps_unusable',
+    'stamps_from_rate',
+    'stamps_missing',
+    'rate_differs',
+    'sensor_all_zero',
+    'zero_filled',
+    'held',
+    'never_still',
+    'no_noise',
+)
+"""Findings of the whole stream that stay true while it runs."""
+
+
+@dataclass
+class TransportStatistics:
+    """What happened to the messages before they were looked into.
+
+    Attributes
+    ----------
+    received : int
+        Messages taken.
+    sent_before : int
+        Messages that a publisher had sent before the first of its that came: we joined late, or
+        lost them; nothing tells which.
+    skipped_numbers : int
+        Sequence numbers of the publishers that never came.
+    reported_lost : int
+        Messages that the middleware itself reported as lost.
+    malformed : int
+        Payloads that are not an Imu.
+    incompatible_qos : int
+        Publishers whose QoS does not fit, so that nothing comes from them.
+    """
+
+    received: int = 0
+    sent_before: int = 0
+    skipped_numbers: int = 0
+    reported_lost: int = 0
+    malformed: int = 0
+    incompatible_qos: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent and never came, by whichever of the two witnesses saw more."""
+        return max(self.skipped_numbers, self.reported_lost)
+
+
+@dataclass(frozen=True)
+class _Tally:
+    """The counts at one time; ``run`` has those that begin anew with a run, by finding."""
+
+    time_s: float
+    received: int
+    lost: int
+    absent: int
+    leapt: int
+    samples: int
+    run: dict[str, int]
+
+
+class TransportMonitor:
+    """Follows one input and says what is wrong with it now.
+
+    Parameters
+    ----------
+    topic : str
+    time_s : float
+        When it began to listen, on a steady clock in s.
+    """
+
+    def __init__(self, topic: str, time_s: float) -> None:
+        self._topic = topic
+        self._last_message = self._last_usable = time_s
+        self._messages = self._usable = 0
+        self._tallies: deque[_Tally] = deque()
+        self._missing = 0  # by the stamps, in this run; so the next two
+        self._leapt = 0  # those for which there was no time
+        self._elsewhere = 0  # those in whose place came samples of another frame
+        self._frame_changes = 0
+        self._absent = 0  # those that were never sent
+        self._seen_absent = 0  # the same, the last time
+        self._lost_before = 0  # on the way, before this run
+
+    def heard(self, time_s: float, messages: int) -> None:
+        """Take note of how many messages have come; called more often than `observe`."""
+        if messages != self._messages:
+            self._last_message, self._messages = time_s, messages
+
+    def silence_s(self, time_s: float) -> float:
+        """Return how long ago the last message came (or listening began)."""
+        return time_s - self._last_message
+
+    def observe(
+        self,
+        time_s: float,
+        reception: TransportStatistics,
+        health: StreamHealth,
+        publishers: tuple[str, ...],
+        stale_after: float,
+        stream: tuple[Finding, ...] = (),
+    ) -> tuple[Finding, ...]:
+        """Return what is wrong now, the gravest first.
+
+        Parameters
+        ----------
+        time_s : float
+            Now, on the same clock; called about once a second.
+        reception, health : TransportStatistics, StreamHealth
+            Counts since the start.
+        publishers : tuple of str
+            Names of the nodes that publish on the topic.
+        stale_after : float
+            Silence in s that is an error.
+        stream : tuple of Finding
+            What is known of the whole stream.
+        """
+        self._follow(time_s, reception, health)
+        found = self._silence(time_s, reception, publishers, stale_after)
+        if reception.incompatible_qos:
+            count = reception.incompatible_qos
+            found.append(finding('qos_incompatible', count=count, topic=self._topic))
+        if len(publishers) > 1:
+            names = ', '.join(publishers)
+            count = len(publishers)
+            found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
+        found += self._lately(health)
+        found += [f for f in stream if f.id in LIVE_FINDINGS]
+        gravity = ('error', 'warning', 'info')
+        return tuple(sorted(found, key=lambda f: gravity.index(f.severity)))
+
+    def _follow(self, time_s: float, reception: TransportStatistics, health: StreamHealth) -> None:
+        c = health.counts
+        self.heard(time_s, reception.received)
+        usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
+        time_there_was = time_s - self._last_usable
+        if usable != self._usable:
+            self._last_usable, self._usable = time_s, usable
+        run = {
+            'sensor_stuck': c.stuck,
+            'not_finite': c.not_finite,
+            'duplicates': c.duplicate,
+            'backward_stamps': c.backward,
+            'clock_jumps': c.cuts['clock jump'],
+            'rate_changed_lately': c.cuts['rate change'],
+            'frame_changed': health.frame_changes,
+        }
+        if self._tallies and c.received < self._tallies[-1].samples:
+            # a new run: its counts begin at zero, those of the middleware go on
+            self._missing = self._leapt = self._elsewhere = 0
+            self._absent = self._seen_absent = 0
+            self._lost_before = reception.lost
+            self._tallies = deque([_Tally(time_s, reception.received, reception.lost, 0, 0, 0, {})])
+        self._follow_stamps(time_there_was, reception, health)
+        absent, leapt = self._absent, self._leapt
+        self._tallies.append(
+            _Tally(time_s, reception.received, reception.lost, absent, leapt, c.received, run)
+        )
+        while len(self._tallies) > 2 and self._tallies[1].time_s <= time_s - LATELY_S:
+            self._tallies.popleft()
+
+    def _follow_stamps(
+        self, time_there_was: float, reception: TransportStatistics, health: StreamHealth
+    ) -> None:
+        """Tell what is missing by the stamps apart: set clocks, and samples never sent.
+
+        ``time_there_was`` is that since usable samples came before, in s.
+        """
+        c = health.counts
+        missing, self._missing = c.lost - self._missing, c.lost
+        if health.frame_changes != self._frame_changes:
+            self._elsewhere += max(0, missing)  # it was another IMU's turn
+            self._frame_changes = health.frame_changes
+        elif health.rate_hz and missing > (time_there_was + LEAP_S) * health.rate_hz:
+            self._leapt += missing
+        # What is dropped, or lost on the way, is missing by the stamps too; the latter from both
+        # lanes, where the sensors tick apart. It is dropped before it is known to be missing,
+        # so what counts is the most there ever was; and the latest samples are not judged for
+        # good yet, so it counts once it was seen twice.
+        explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
+        absent = c.lost - self._leapt - self._elsewhere - explained
+        self._absent = max(self._absent, min(absent, self._seen_absent))
+        self._seen_absent = absent
+
+    def _silence(
+        self,
+        time_s: float,
+        reception: TransportStatistics,
+        publishers: tuple[str, ...],
+        stale_after: float,
+    ) -> list[Finding]:
+        topic, seconds = self._topic, self.silence_s(time_s)
+        if seconds > stale_after:
+            if publishers:
+                count = len(publishers)
+                return [finding('input_silent', topic=topic, seconds=seconds, publishers=count)]
+            if reception.received:
+                return [finding('input_stopped', topic=topic, seconds=seconds)]
+            return [finding('no_publisher', topic=topic)]
+        unusable = time_s - self._last_usable
+        if reception.received and unusable > stale_after:
+            return [finding('input_unusable', topic=topic, seconds=unusable)]
+        return []
+
+    def _lately(self, health: StreamHealth) -> list[Finding]:
+        then, now = self._tallies[0], self._tallies[-1]
+        more = {id: count - then.run.get(id, 0) for id, count in now.run.items()}
+        found = []
+        received, lost = now.received - then.received, now.lost - then.lost
+        if lost and lost >= TOLD_LOST_SHARE * (received + lost):
+            found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
+        absent = now.absent - then.absent
+        if absent and absent >= TOLD_LOST_SHARE * (received + absent):
+            share = absent / (received + absent)
+            found.append(finding('samples_missing', count=absent, share=share))
+        if now.leapt > then.leapt and health.rate_hz:
+            seconds = (now.leapt - then.leapt) / health.rate_hz
+            found.append(finding('stamps_leapt', seconds=seconds))
+        if more['clock_jumps'] > 0:
+            # the first stamps after such a step are dropped as backward ones
+            more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
+        if more['frame_changed'] > 0:
+            times = more['frame_changed']
+            found.append(finding('frame_changed_lately', times=times, frame_id=health.frame_id))
+        if more['rate_changed_lately'] > 0 and health.rate_hz:
+            found.append(finding('rate_changed_lately', rate=health.rate_hz))
+        for id in ('sensor_stuck', 'not_finite', 'duplicates', 'clock_jumps', 'backward_stamps'):
+            if more[id] > 0:
+                found.append(finding(id, count=more[id]))
+        if health.frame_id != health.evidence_frame_id:
+            present, shown = health.frame_id, health.evidence_frame_id
+            found.append(finding('frame_waits', present=present, shown=shown))
+        return found

@@ -1,0 +1,332 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs side by side: against the first of them, and against datasheets."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.compare import (
+    FAMILY_ERROR,
+    DeviationCurve,
+    Difference,
+    coefficient_differences,
+    curve_differences,
+    settle,
+)
+from ..core.errors import AllanError
+from ..core.imu import AXES
+from .datasheet_comparison import DatasheetComparison, against_datasheet, comparison_to_document
+from .datasheets import Datasheet
+from .documents import (
+    SUMS_SCHEMA,
+    results_from_document,
+    results_to_document,
+    sums_file_from_document,
+)
+from .format import significant
+from .results import AxisCurve, Results, analyse_sums
+from .text import read_json
+
+SCHEMA = 'allan_ros/comparison/1'
+
+
+DOCUMENTS = ('results.json', 'sums.json')
+"""What is read of a folder of results, the first that is there."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One run under the name it is shown by."""
+
+    label: str
+    results: Results
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How one run differs from the first.
+
+    Attributes
+    ----------
+    first, second : str
+        Labels of the two.
+    differences : tuple of Difference
+        By axis: the five terms, then the deviations at common averaging times.
+    """
+
+    first: str
+    second: str
+    differences: tuple[Difference, ...]
+
+    @property
+    def beyond(self) -> tuple[Difference, ...]:
+        """Those that are more than chance."""
+        return tuple(d for d in self.differences if d.verdict in ('higher', 'lower'))
+
+    def of(self, axis: str, quantity: str) -> Difference | None:
+        """Return the difference of a term of an axis, where both runs have it."""
+        of_axis = (d for d in self.differences if d.axis == axis)
+        return next((d for d in of_axis if d.quantity == quantity), None)
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Several runs, what tells them apart, and how they stand to datasheets.
+
+    Attributes
+    ----------
+    runs : tuple of Subject
+        The first is what the others are compared with.
+    pairs : tuple of Pair
+        One for each other run.
+    beside : tuple of (label, DatasheetComparison)
+        Every run beside every datasheet.
+    family_error : float
+        Probability that any of all differences is called one by chance.
+    """
+
+    runs: tuple[Subject, ...]
+    pairs: tuple[Pair, ...]
+    beside: tuple[tuple[str, DatasheetComparison], ...]
+    family_error: float = FAMILY_ERROR
+
+    @property
+    def differs(self) -> bool:
+        """Whether anything differs by more than chance, or is beyond a datasheet."""
+        return any(pair.beyond for pair in self.pairs) or any(
+            comparison.verdict == 'beyond' for _, comparison in self.beside
+        )
+
+
+def compare_runs(
+    runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
+) -> RunComparison:
+    """Return each run against the first, and each beside each datasheet.
+
+    Raises
+    ------
+    AllanError
+        When there is nothing to compare, or two runs share no axis.
+    """
+    if len(runs) + len(datasheets) < 2 or not runs:
+        raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
+    first, *others = runs
+    found = [(other.label, d) for other in others for d in _differences(first, other)]
+    settled = settle([d for _, d in found])
+    by_label = [(label, d) for (label, _), d in zip(found, settled)]
+    return RunComparison(
+        tuple(runs),
+        tuple(
+            Pair(first.label, o.label, tuple(d for label, d in by_label if label == o.label))
+            for o in others
+        ),
+        tuple(
+            (run.label, against_datasheet(_noise(run.results), datasheet, margin))
+            for datasheet in datasheets
+            for run in runs
+        ),
+    )
+
+
+def read_run(path: str | os.PathLike[str], method: str = 'gls') -> Results | None:
+    """Return the results of a results.json, a sums.json or a folder of results.
+
+    None where it is none of these: a recording, perhaps.
+
+    Raises
+    ------
+    AllanError
+        When it is one of these and cannot be read.
+    """
+    place = Path(path)
+    if place.is_dir():
+        place = next((place / name for name in DOCUMENTS if (place / name).is_file()), place)
+    if place.suffix.lower() != '.json':
+        return None
+    document = read_json(place)
+    if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
+        return analyse_sums(*sums_file_from_document(document, str(place)), method)
+    return results_from_document(document, str(place))
+
+
+def labels_of(paths: Sequence[str]) -> list[str]:
+    """Return a short name for each path: its folder or stem where that tells them apart."""
+    short = [
+        Path(path).resolve().parent.name if Path(path).name in DOCUMENTS else Path(path).stem
+        for path in paths
+    ]
+    unique = len(set(short)) == len(short) and all(short)
+    return short if unique else [str(path) for path in paths]
+
+
+def comparison_document(comparison: RunComparison) -> dict[str, Any]:
+    """Return the comparison as ``allan_ros/comparison/1``, in SI."""
+    return {
+        'schema': SCHEMA,
+        'family_error': comparison.family_error,
+        'differs': comparison.differs,
+        'runs': [
+            {'label': run.label, 'results': results_to_document(run.results, curves=False)}
+            for run in comparison.runs
+        ],
+        'pairs': [
+            {
+                'first': pair.first,
+                'second': pair.second,
+                'differences': [_difference_document(d) for d in pair.differences],
+            }
+            for pair in comparison.pairs
+        ],
+        'datasheets': [
+            {'run': label, **comparison_to_document(beside)} for label, beside in comparison.beside
+        ],
+    }
+
+
+def _difference_document(difference: Difference) -> dict[str, Any]:
+    ci95 = difference.ci95
+    return {
+        'axis': difference.axis,
+        'quantity': difference.quantity,
+        'tau_s': difference.tau,
+        'ratio': difference.ratio,
+        'ci95': ci95 and [end if math.isfinite(end) else None for end in ci95],
+        'p': difference.p,
+        'verdict': difference.verdict,
+    }
+
+
+def _differences(first: Subject, second: Subject) -> Iterator[Difference]:
+    axes = [a for a in AXES if a in first.results.axes and a in second.results.axes]
+    if not axes:
+        raise AllanError(
+            f'{second.label} has {", ".join(second.results.axes)} where {first.label} has '
+            f'{", ".join(first.results.axes)}: they share no axis to compare'
+        )
+    for axis in axes:
+        a, b = first.results.axes[axis], second.results.axes[axis]
+        yield from coefficient_differences(axis, a.fit.noise, b.fit.noise)
+        if a.curve is not None and b.curve is not None:
+            yield from curve_differences(axis, _deviations(a.curve), _deviations(b.curve))
+
+
+def _deviations(curve: AxisCurve) -> DeviationCurve:
+    return DeviationCurve(curve.tau, curve.adev, curve.ci_low, curve.ci_high)
+
+
+def _noise(results: Results) -> dict[str, Any]:
+    return {axis: result.fit.noise for axis, result in results.axes.items()}
+
+
+VERDICT_TEXT = {
+    'higher': 'higher',
+    'lower': 'lower',
+    'alike': 'alike',
+    'open': 'cannot be told',
+}
+"""Verdict on the second run -> how tables say it."""
+
+
+RATIO_DIGITS = 3
+"""Significant digits of a ratio and of the ends of its interval."""
+
+
+def comparison_headline(comparison: RunComparison) -> Iterator[str]:
+    """Yield one sentence a pair and a datasheet: what differs most, or that nothing does."""
+    for pair in comparison.pairs:
+        yield _of_pair(pair, comparison.family_error)
+    for label, beside in comparison.beside:
+        yield _of_datasheet(label, beside)
+
+
+def ratio_text(difference: Difference) -> str:
+    """Return the ratio with its 95 % interval, or the bound that is known of it; '' for neither."""
+    if difference.ci95 is None:
+        return ''
+    low, high = difference.ci95
+    if difference.ratio is not None:
+        ends = '..'.join(significant(end, RATIO_DIGITS) for end in (low, high))
+        return f'{significant(difference.ratio, RATIO_DIGITS)} ({ends})'
+    if math.isinf(high):
+        return f'> {significant(low, RATIO_DIGITS)}'
+    return f'< {significant(high, RATIO_DIGITS)}'
+
+
+def verdict_text(difference: Difference) -> str:
+    """Return the verdict as tables say it."""
+    return VERDICT_TEXT[difference.verdict]
+
+
+def quantity_text(difference: Difference) -> str:
+    """Return which quantity of which axis it is of."""
+    axis = difference.axis.replace('_', ' ')
+    if difference.tau is None:
+        return f'{axis} {difference.quantity}'
+    return f'{axis} deviation at {significant(difference.tau, 2)} s'
+
+
+def _of_pair(pair: Pair, family_error: float) -> str:
+    beyond = pair.beyond
+    if not beyond:
+        terms = sum(d.tau is None and d.verdict == 'alike' for d in pair.differences)
+        deviations = sum(d.tau is not None and d.verdict == 'alike' for d in pair.differences)
+        if not terms + deviations:
+            return f'{pair.second} and {pair.first} show nothing that could be compared'
+        return (
+            f'{pair.second} and {pair.first} differ by no more than chance: {terms} coefficients '
+            f'and {deviations} deviations compared at a level of {family_error:.0%} for all'
+        )
+    # Coefficients name what differs; deviations speak where no coefficient does.
+    named = [d for d in beyond if d.tau is None] or list(beyond)
+    most = max(named, key=_surely)
+    said = f'{pair.second} is {_by(most)} {pair.first} in {quantity_text(most)} {_interval(most)}'
+    others = len(beyond) - 1
+    opposite = sum(d.verdict != most.verdict for d in beyond)
+    if others:
+        said += f', and differs in {others} more of {len(pair.differences)} comparisons'
+    if opposite:
+        said += f' ({opposite} of them the other way)'
+    return said
+
+
+def _surely(difference: Difference) -> float:
+    """Return by how much it surely differs: the end of the interval nearest to 1, as a log."""
+    low, high = difference.ci95 or (1.0, 1.0)
+    return math.log(low) if difference.verdict == 'higher' else -math.log(high)
+
+
+def _by(difference: Difference) -> str:
+    noisier = difference.verdict == 'higher'
+    word = 'noisier' if noisier else 'quieter'
+    if difference.ratio is None:
+        return f'{word} than'
+    factor = difference.ratio if noisier else 1.0 / difference.ratio
+    return f'{significant(factor, RATIO_DIGITS)}x {word} than'
+
+
+def _interval(difference: Difference) -> str:
+    low, high = difference.ci95 or (1.0, 1.0)
+    if difference.verdict == 'lower':
+        low, high = (1.0 / high, math.inf if low == 0.0 else 1.0 / low)
+    if math.isinf(high):
+        return f'(at least {significant(low, RATIO_DIGITS)}x)'
+    return f'({significant(low, RATIO_DIGITS)}..{significant(high, RATIO_DIGITS)})'
+
+
+def _of_datasheet(label: str, beside: DatasheetComparison) -> str:
+    name = beside.datasheet.name
+    if not beside.held:
+        return f'the datasheet of {name} states nothing of what {label} measured'
+    beyond = [h for h in beside.held if h.verdict == 'beyond']
+    if beyond:
+        what = ', '.join(f'{h.axis.replace("_", " ")} {h.term}' for h in beyond)
+        return f'{label} is beyond the datasheet of {name} in {what}'
+    still = sum(h.verdict == 'open' for h in beside.held)
+    rest = f'; {still} of {len(beside.held)} are not settled yet' if still else ''
+    return f'{label} keeps the datasheet of {name}{rest}'

@@ -1,0 +1,140 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers as a person reads them: in the asked units, with no digit that means nothing."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ..core.fit import Coefficient
+from ..core.fit.regions import Region
+from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
+
+SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
+"""Sensor -> its name in a heading."""
+
+
+SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
+"""Units of the raw signal where the coefficients are shown as in datasheets."""
+
+
+VALUE_DIGITS, LIMIT_DIGITS = 4, 3
+"""Significant digits of a value and of the ends of its interval."""
+
+
+DENSITY_UNITS = {
+    'datasheet': {'gyro': 'deg/s/sqrt(Hz)', 'accel': 'ug/sqrt(Hz)'},
+    'si': {'gyro': 'rad/s/sqrt(Hz)', 'accel': 'm/s^2/sqrt(Hz)'},
+}
+"""Units of the root of the power spectral density, which datasheets call noise density."""
+
+
+PRETTY = (
+    ('sqrt(Hz)', '√Hz'),
+    ('sqrt(h)', '√h'),
+    ('^1.5', '¹·⁵'),
+    ('^2', '²'),
+    ('^3', '³'),
+    ('deg', '°'),
+    ('urad', 'µrad'),
+    ('um/', 'µm/'),
+    ('ug', 'µg'),
+)
+"""What units are written as in tables, files and on terminals, and as on a page or a picture."""
+
+
+NOTHING_KNOWN = '-'
+"""Stands where there is neither a value nor a limit."""
+
+
+SHARP = 0.02
+"""An interval narrower than this share of its upper end is shown with the digits of a value."""
+
+
+class ShownUnit(NamedTuple):
+    """A unit, and what to multiply an SI value by to have it in that unit."""
+
+    name: str
+    factor: float
+
+
+def shown_unit(axis: str, term: str, units: str) -> ShownUnit:
+    """Return the unit in which a term of an axis is shown; the deviation has that of B."""
+    system = SI_UNITS if units == 'si' else DATASHEET_UNITS
+    return _shown(system[sensor_of(axis)][term])
+
+
+def shown_signal_unit(axis: str, units: str) -> ShownUnit:
+    """Return the unit in which the samples of an axis are shown."""
+    sensor = sensor_of(axis)
+    return _shown(SI_UNITS[sensor]['B'] if units == 'si' else SIGNAL_UNITS[sensor])
+
+
+def shown_density_unit(axis: str, units: str) -> ShownUnit:
+    """Return the unit in which the root of the spectral density of an axis is shown."""
+    return _shown(DENSITY_UNITS[units][sensor_of(axis)])
+
+
+def pretty_unit(name: str) -> str:
+    """Return a unit as it is typeset.
+
+    >>> pretty_unit('deg/sqrt(h)'), pretty_unit('ug'), pretty_unit('m/s^2/sqrt(Hz)')
+    ('°/√h', 'µg', 'm/s²/√Hz')
+    """
+    for plain, typeset in PRETTY:
+        name = name.replace(plain, typeset)
+    return name
+
+
+def significant(value: float, digits: int) -> str:
+    """Return a number with so many significant digits, trailing zeros kept, as short as can be.
+
+    >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
+    ('0.2420', '31.80', '12300')
+    """
+    if not math.isfinite(value) or value == 0.0:
+        return f'{value:g}'
+    exponent = math.floor(math.log10(abs(float(f'{value:.{digits - 1}e}'))))
+    if not -4 <= exponent <= 5:
+        return f'{value:.{digits - 1}e}'
+    decimals = digits - 1 - exponent
+    return f'{round(value, decimals):.{max(decimals, 0)}f}'
+
+
+def value_text(coefficient: Coefficient, unit: ShownUnit) -> str:
+    """Return the value, or ``< limit`` where only an upper limit is known; '-' for neither."""
+    if coefficient.status == 'estimated' and coefficient.value is not None:
+        sign = '-' if coefficient.sign < 0 else ''
+        return sign + significant(coefficient.value * unit.factor, VALUE_DIGITS)
+    if coefficient.upper95 is not None and math.isfinite(coefficient.upper95):
+        return f'< {significant(coefficient.upper95 * unit.factor, LIMIT_DIGITS)}'
+    return NOTHING_KNOWN
+
+
+def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
+    """Return the 95 % interval of an estimated coefficient as ``low..high``, else ''."""
+    if coefficient.status != 'estimated' or coefficient.ci95 is None:
+        return ''
+    low, high = coefficient.ci95
+    digits = VALUE_DIGITS if high - low < SHARP * high else LIMIT_DIGITS
+    return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
+
+
+def duration_text(seconds: float) -> str:
+    """Return a length of time in the unit people would use."""
+    if seconds < 120.0:
+        return f'{significant(seconds, 3)} s'
+    if seconds < 7200.0:
+        return f'{significant(seconds / 60.0, 3)} min'
+    return f'{significant(seconds / 3600.0, 3)} h'
+
+
+def region_text(region: Region) -> str:
+    """Return which noise rules where, and the slope of the curve there."""
+    low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
+    return f'{low}-{high} s {region.term} (slope {region.slope:+.2f})'
+
+
+def _shown(unit: str) -> ShownUnit:
+    return ShownUnit(unit, 1.0 / UNITS[unit].factor)

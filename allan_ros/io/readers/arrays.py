@@ -1,0 +1,304 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""numpy files: ``.npz`` with ``imu`` (and more), or a bare ``.npy`` of the same columns.
+
+``imu`` is float64 with columns t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2). ``stamps_ns`` (int64)
+takes the place of t where it is given; ``record_ns`` (int64) and ``frame_id`` (one text) may be
+there. Arrays are read in blocks, never whole.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tokenize import TokenError
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from ...core.errors import AllanError
+from ...core.imu import AXES, SENSORS, ImuBatch
+from .recording import (
+    ACCEL_UNITS,
+    BATCH,
+    GYRO_UNITS,
+    STAMP_UNITS,
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+)
+
+COLUMNS = 't, gx, gy, gz, ax, ay, az'
+
+SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
+
+MAX_FRAME_BYTES = 4096
+"""A frame_id longer than this is no frame_id."""
+
+
+class _Column:
+    """One array of a numpy file, read forward in blocks of rows."""
+
+    def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
+        self.where = f'{path}: array {name!r}' if name else f'{path}'
+        open_file = _opener(path, name)
+        self._file = stack.enter_context(open_file())
+        self.shape, fortran, self.dtype = _read_header(self._file, self.where)
+        if self.dtype.kind not in 'fiu':
+            raise AllanError(f'{self.where} is of type {self.dtype}: save it as float64 or int64')
+        self._by_column: list[IO[bytes]] = []
+        if fortran and len(self.shape) == 2:
+            # Column after column: one file handle each keeps the memory constant.
+            start = self._file.tell()
+            for column in range(self.shape[1]):
+                file = stack.enter_context(open_file())
+                file.seek(start + column * self.shape[0] * self.dtype.itemsize)
+                self._by_column.append(file)
+
+    def take(self, rows: int) -> NDArray[Any]:
+        """Return the next rows."""
+        if self._by_column:
+            return np.column_stack([self._block(file, rows) for file in self._by_column])
+        width = int(np.prod(self.shape[1:], dtype=np.int64))
+        return self._block(self._file, rows * width).reshape(rows, *self.shape[1:])
+
+    def _block(self, file: IO[bytes], count: int) -> NDArray[Any]:
+        data = file.read(count * self.dtype.itemsize)
+        if len(data) != count * self.dtype.itemsize:
+            raise AllanError(f'{self.where} ends early: the file is cut off; copy it again')
+        return np.frombuffer(data, self.dtype)
+
+
+def open_array(path: Path, options: ReadOptions) -> Recording:
+    """Open a ``.npz`` or ``.npy`` file as a recording.
+
+    Raises
+    ------
+    AllanError
+        When the file is no such thing, or its arrays do not fit each other.
+    """
+    with path.open('rb') as file:
+        zipped = file.read(4) == b'PK\x03\x04'
+    try:
+        members = _members(path) if zipped else ('',)
+        with ExitStack() as stack:
+            n = _open_columns(path, members, options, stack)[0].shape[0]
+    except _LIBRARY_ERRORS as error:
+        raise _unreadable(path, error) from error
+    storage = 'npz' if zipped else 'npy'
+    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', storage)
+    return Recording(info, n, lambda report: _read(path, members, options, report))
+
+
+_LIBRARY_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    ValueError,
+    KeyError,
+    EOFError,
+    OSError,
+    RuntimeError,  # encrypted, and NotImplementedError for other compressions
+    OverflowError,
+    MemoryError,
+    SyntaxError,
+    TokenError,
+    TypeError,
+)
+"""What zipfile and numpy raise on files that are not what they seem."""
+
+
+def _unreadable(path: Path, error: Exception) -> AllanError:
+    reason = ' '.join(str(error).split())[:120]
+    return AllanError(f'{path}: cannot be read as a numpy file ({reason}): save or copy it again')
+
+
+def _members(path: Path) -> tuple[str, ...]:
+    with zipfile.ZipFile(path) as archive:
+        members = tuple(name[:-4] for name in archive.namelist() if name.endswith('.npy'))
+    if SAMPLES not in members:
+        raise AllanError(
+            f'{path}: has no array {SAMPLES!r} (it has {", ".join(members[:10]) or "none"}): '
+            f'save the samples as {SAMPLES!r} with columns {COLUMNS}'
+        )
+    return members
+
+
+def _opener(path: Path, name: str) -> Any:
+    """Return what opens the bytes of that array (of the whole file if it is not a zip)."""
+    if not name:
+        return lambda: path.open('rb')
+    return lambda: _Member(path, name)
+
+
+class _Member:
+    """A member of a zip that closes its archive too."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self._archive = zipfile.ZipFile(path)
+        self._name = f'{name}.npy'
+
+    def __enter__(self) -> IO[bytes]:
+        return self._archive.open(self._name)
+
+    def __exit__(self, *_: object) -> None:
+        self._archive.close()
+
+
+def _read_header(file: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    version = npy.read_magic(file)
+    if version == (1, 0):
+        return npy.read_array_header_1_0(file)
+    if version == (2, 0):
+        return npy.read_array_header_2_0(file)
+    raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')
+
+
+def _open_columns(
+    path: Path, members: tuple[str, ...], options: ReadOptions, stack: ExitStack
+) -> tuple[_Column, _Column | None, _Column | None]:
+    """Open samples, stamps and record times, and check that they fit each other."""
+    name = SAMPLES if SAMPLES in members else ''
+    samples = _Column(path, name, stack)
+    stamps = _Column(path, STAMPS, stack) if STAMPS in members else None
+    record = _Column(path, RECORD, stack) if RECORD in members else None
+    if len(samples.shape) != 2 or samples.shape[1] not in (len(AXES), len(AXES) + 1):
+        raise AllanError(
+            f'{samples.where} has shape {samples.shape}: give one row a sample with columns '
+            f'{COLUMNS}'
+        )
+    if not samples.shape[0]:
+        raise AllanError(f'{samples.where} holds no sample: record or export it again')
+    if samples.shape[1] == len(AXES) and stamps is None and not options.rate_hz:
+        raise AllanError(
+            f'{samples.where} has six columns and no time: add {STAMPS!r}, put t first, '
+            'or state the sample rate with --rate'
+        )
+    for times in (stamps, record):
+        if times is None:
+            continue
+        if times.shape != samples.shape[:1] or times.dtype.kind not in 'iu':
+            raise AllanError(
+                f'{times.where} is {times.dtype} of shape {times.shape}: it must be int64, one '
+                f'for each of the {samples.shape[0]} samples'
+            )
+    return samples, stamps, record
+
+
+def _read(
+    path: Path, members: tuple[str, ...], options: ReadOptions, report: Report
+) -> Iterator[ImuBatch]:
+    del report  # an array is whole or not at all
+    scale = np.ones(len(AXES))
+    scale[SENSORS['gyro']] = GYRO_UNITS[options.gyro_unit]
+    scale[SENSORS['accel']] = ACCEL_UNITS[options.accel_unit]
+    try:
+        frame_id = _frame_id(path) if FRAME in members else ''
+        with ExitStack() as stack:
+            samples, stamps, record = _open_columns(path, members, options, stack)
+            for first in range(0, samples.shape[0], BATCH):
+                rows = min(BATCH, samples.shape[0] - first)
+                block = samples.take(rows)
+                if stamps is not None:
+                    stamps_ns = stamps.take(rows).astype(np.int64)
+                elif block.shape[1] > len(AXES):
+                    unit = STAMP_UNITS[options.stamp_unit]
+                    stamps_ns = _to_nanoseconds(block[:, 0], unit, samples.where, first)
+                else:
+                    rows_of = np.arange(first, first + rows)
+                    stamps_ns = np.rint(rows_of * (1e9 / options.rate_hz)).astype(np.int64)
+                values = block[:, -len(AXES) :].astype(np.float64)
+                if (scale != 1.0).any():
+                    values *= scale
+                record_ns = None if record is None else record.take(rows).astype(np.int64)
+                yield ImuBatch(stamps_ns, values, record_ns, frame_id)
+    except _LIBRARY_ERRORS as error:
+        raise _unreadable(path, error) from error
+
+
+def _to_nanoseconds(
+    times: NDArray[np.float64], unit: int, where: str, first: int
+) -> NDArray[np.int64]:
+    with np.errstate(over='ignore'):  # what overflows is refused below
+        times = times * unit
+    bad = ~(np.abs(times) < np.iinfo(np.int64).max)
+    if bad.any():
+        raise AllanError(
+            f'{where}: the time of row {first + int(np.argmax(bad))} is no stamp: mend it, or '
+            'state the unit of t (s, ms, us, ns)'
+        )
+    return np.rint(times).astype(np.int64)
+
+
+def _frame_id(path: Path) -> str:
+    with _Member(path, FRAME) as file:
+        shape, _, dtype = _read_header(file, f'{path}: array {FRAME!r}')
+        if shape not in ((), (1,)) or dtype.kind != 'U' or dtype.itemsize > MAX_FRAME_BYTES:
+            raise AllanError(f'{path}: array {FRAME!r} must be one text: save it as such')
+        return str(np.frombuffer(file.read(dtype.itemsize), dtype)[0]) if dtype.itemsize else ''
+
+
+def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
+    """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, if there are, ``record_ns``.
+
+    Column t is in seconds, for readers that do not know ``stamps_ns``. Memory stays constant: the
+    arrays are collected in temporary files, as their length is known only at the end.
+
+    Raises
+    ------
+    AllanError
+        When the batches name several frames, or only some of them have record times.
+    """
+    frames: list[str] = []
+    counts = {SAMPLES: 0, STAMPS: 0, RECORD: 0}
+    with ExitStack() as stack:
+        spools = {
+            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in counts
+        }
+        for batch in batches:
+            if batch.frame_id not in frames:
+                frames.append(batch.frame_id)
+            seconds = batch.stamps_ns / STAMP_UNITS['s']
+            arrays = {
+                SAMPLES: np.column_stack([seconds, batch.samples]),
+                STAMPS: batch.stamps_ns,
+                RECORD: batch.record_ns,
+            }
+            for name, array in arrays.items():
+                if array is not None:
+                    spools[name].write(np.ascontiguousarray(array).tobytes())
+                    counts[name] += len(array)
+        n = counts[SAMPLES]
+        if len(frames) > 1:
+            raise AllanError(f'{path}: npz holds one frame_id, not {len(frames)}: write a bag')
+        if counts[RECORD] not in (0, n):
+            raise AllanError(f'{path}: some batches have record times and some have none')
+        how = zipfile.ZIP_DEFLATED if deflate else zipfile.ZIP_STORED
+        with zipfile.ZipFile(path, 'w', how) as archive:
+            for name, shape, dtype in (
+                (SAMPLES, (n, len(AXES) + 1), np.dtype('<f8')),
+                (STAMPS, (n,), np.dtype('<i8')),
+                (RECORD, (n,), np.dtype('<i8')),
+            ):
+                if counts[name] or name != RECORD:
+                    spools[name].seek(0)
+                    with archive.open(f'{name}.npy', 'w', force_zip64=True) as member:
+                        header = {
+                            'descr': npy.dtype_to_descr(dtype),
+                            'fortran_order': False,
+                            'shape': shape,
+                        }
+                        npy.write_array_header_1_0(member, header)
+                        shutil.copyfileobj(spools[name], member)
+            with archive.open(f'{FRAME}.npy', 'w') as member:
+                npy.write_array(member, np.array(frames[0] if frames else ''))
+    return n

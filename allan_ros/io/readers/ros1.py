@@ -1,0 +1,193 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS 1 bag, version 2.0, with or without its index (https://wiki.ros.org/Bags/Format/2.0).
+
+The chunks are found by walking over the file, so a bag that was not closed (``.bag.active``) or
+is cut off is read as far as it is whole.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .storage import Block, ChunkStorage, Cut, Stretch, Topic, damaged, normal_type
+
+MAGIC = b'#ROSBAG V2.0\n'
+
+OP_MESSAGE, OP_BAG, OP_INDEX, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = 2, 3, 4, 5, 6, 7
+
+LENGTH = struct.Struct('<I')
+
+TIME = struct.Struct('<II')
+
+INDEX_ENTRY = struct.Struct('<III')
+"""Seconds and nanoseconds of a message, and where it begins in the chunk."""
+
+NANOSECONDS = 10**9
+
+MAX_HEADER = 1 << 20
+"""A record header is far shorter; more means that the file is damaged."""
+
+
+@dataclass(frozen=True, order=True)
+class Chunk(Stretch):
+    """A chunk, how it is compressed, and its size without."""
+
+    compression: str
+    size: int
+
+
+class Ros1Storage(ChunkStorage[Chunk]):
+    """An open ROS 1 bag."""
+
+    # LookupError for a field that is not there
+    DAMAGE = (struct.error, LookupError, ValueError, OSError, OverflowError, MemoryError)
+    REMEDY = 'copy it again, or mend it with "rosbag reindex" or "rosbag fix"'
+
+    def _survey(self) -> None:
+        magic = self._read(0, len(MAGIC))
+        if magic != MAGIC:
+            version = magic.split(b'\n')[0].decode(errors='replace')
+            raise damaged(
+                self._path, f'{version!r} is no ROS bag 2.0', 'update it with "rosbag fix"'
+            )
+        self._walk()
+
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
+        data = self._data(chunk)
+        view = memoryview(data)
+        times: list[int] = []
+        payloads: list[bytes | memoryview] = []
+        for header, start, end in _records(data):
+            if header['op'][0] == OP_MESSAGE and _number(header['conn']) in ids:
+                times.append(_time(header['time']))
+                payloads.append(view[start:end])
+        return Block(np.array(times, dtype=np.int64), payloads)
+
+    def _walk(self) -> None:
+        """Find all chunks and connections, up to where the file is cut."""
+        at = len(MAGIC)
+        bare: tuple[int, int, str, int] | None = None  # a chunk whose index was not seen yet
+        while record := self._record(at):
+            header, start, end = record
+            opcode = header['op'][0]
+            if opcode != OP_INDEX and bare:
+                self._take_unindexed(*bare)
+                bare = None
+            if opcode == OP_BAG and header.get('encryptor'):
+                raise damaged(self._path, 'it is encrypted', 'decrypt it first')
+            if opcode == OP_CHUNK:
+                compression = header['compression'].decode(errors='replace')
+                bare = (start, end - start, compression, _number(header['size']))
+            elif opcode == OP_INDEX:
+                self._take_index(header, self._file.read(end - start), bare)
+                bare = None
+            elif opcode == OP_CONNECTION:
+                self._take_connection(header, self._file.read(end - start))
+            at = end
+        if bare:
+            self._take_unindexed(*bare)
+        if at < self._size or (self._chunks and not self._topics):
+            self.cut = Cut(at, self._size)
+        if not self._topics:
+            for chunk in self._chunks:
+                self._learn_connections(self._data(chunk))
+
+    def _record(self, at: int) -> tuple[dict[str, bytes], int, int] | None:
+        """Return header, first byte and end of the record there; None where it is not whole."""
+        self._file.seek(at)
+        prefix = self._file.read(LENGTH.size)
+        if len(prefix) < LENGTH.size:
+            return None
+        (header_length,) = LENGTH.unpack(prefix)
+        start = at + 2 * LENGTH.size + header_length
+        if start > self._size or not 0 < header_length < MAX_HEADER:
+            return None
+        raw = self._file.read(header_length + LENGTH.size)
+        end = start + LENGTH.unpack_from(raw, header_length)[0]
+        return None if end > self._size else (_fields(raw[:header_length]), start, end)
+
+    def _take_index(
+        self, header: dict[str, bytes], entries: bytes, bare: tuple[int, int, str, int] | None
+    ) -> None:
+        """Count the messages of one connection in the chunk before; it tells when that began."""
+        times = [sec * NANOSECONDS + nsec for sec, nsec, _ in INDEX_ENTRY.iter_unpack(entries)]
+        self._counts[_number(header['conn'])] += len(times)
+        if bare:
+            self._chunks.append(Chunk(min(times, default=0), *bare))
+        elif times and self._chunks:
+            last = self._chunks[-1]
+            start = min(last.start_ns, *times)
+            self._chunks[-1] = Chunk(start, last.offset, last.length, last.compression, last.size)
+
+    def _take_unindexed(self, offset: int, length: int, compression: str, size: int) -> None:
+        """Learn from a chunk itself what its index would say."""
+        times = []
+        for header, _, _ in _records(self._data(Chunk(0, offset, length, compression, size))):
+            if header['op'][0] == OP_MESSAGE:
+                times.append(_time(header['time']))
+                self._counts[_number(header['conn'])] += 1
+        if times:
+            self._chunks.append(Chunk(min(times), offset, length, compression, size))
+
+    def _learn_connections(self, data: bytes) -> None:
+        for header, start, end in _records(data):
+            if header['op'][0] == OP_CONNECTION:
+                self._take_connection(header, data[start:end])
+
+    def _take_connection(self, header: dict[str, bytes], data: bytes) -> None:
+        number = _number(header['conn'])
+        fields = _fields(data)
+        self._topics[number] = Topic(
+            number,
+            '/' * header['topic'].startswith(b'/')
+            + '/'.join(part for part in header['topic'].decode().split('/') if part),
+            normal_type(fields['type'].decode()),
+            'ros1',
+            'ros1msg',
+            fields['message_definition'].decode(errors='replace'),
+        )
+
+    def _data(self, chunk: Chunk) -> bytes:
+        """Return the records of a chunk, decompressed."""
+        stored = self._read(chunk.offset, chunk.length)
+        return self._unpacked(chunk.offset, stored, chunk.compression, chunk.size)
+
+
+def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], int, int]]:
+    """Yield header, first byte and end of each record of a chunk."""
+    at = 0
+    while at < len(data):
+        (header_length,) = LENGTH.unpack_from(data, at)
+        head = at + LENGTH.size
+        start = head + header_length + LENGTH.size
+        at = start + LENGTH.unpack_from(data, head + header_length)[0]
+        if at > len(data):
+            raise struct.error('a record is longer than what holds it')
+        yield _fields(data[head : head + header_length]), start, at
+
+
+def _fields(raw: bytes) -> dict[str, bytes]:
+    """Return the ``name=value`` fields of a record header."""
+    fields = {}
+    at = 0
+    while at < len(raw):
+        (length,) = LENGTH.unpack_from(raw, at)
+        at += LENGTH.size
+        name, _, value = raw[at : at + length].partition(b'=')
+        fields[name.decode(errors='replace')] = value
+        at += length
+    return fields
+
+
+def _number(value: bytes) -> int:
+    return int.from_bytes(value, 'little')
+
+
+def _time(value: bytes) -> int:
+    sec, nsec = TIME.unpack(value)
+    return int(sec) * NANOSECONDS + int(nsec)

@@ -1,0 +1,109 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`allan compare`, `allan sensors` and `--sensor` from the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from allan_ros.cli.main import main
+from allan_ros.io.datasheets import sensor_names
+
+
+@pytest.fixture(scope='module')
+def analysed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of an analysis beside the datasheet of the simulated IMU."""
+    folder = tmp_path_factory.mktemp('analysed') / 'run'
+    words = ['analyze', str(recording), '-o', str(folder), '-q', '--sensor', 'adis16475-3']
+    assert main(words) == 0
+    return folder
+
+
+def test_analyze_keeps_the_comparison_with_a_datasheet(analysed: Path) -> None:
+    found = json.loads((analysed / 'results.json').read_text())['datasheet']
+    assert found['name'] == 'ADIS16475-3'
+    assert found['axes']['gyro_x']['N']['verdict'] == 'within'
+
+
+def test_analyze_says_how_it_stands(recording: Path, capsys) -> None:
+    assert main(['analyze', str(recording), '--sensor', 'adis16475-3']) == 0
+    said = capsys.readouterr().out
+    assert 'beside the datasheet of ADIS16475-3: ' in said
+    assert 'gyro  N  x y z within: limit 0.300 deg/sqrt(h) (stated 0.3 deg/sqrt(h))' in said
+
+
+def test_an_unknown_datasheet_is_refused_before_anything_is_read(capsys) -> None:
+    assert main(['analyze', 'no_such_recording', '--sensor', 'adis1647-3']) == 1
+    assert "no datasheet 'adis1647-3': did you mean adis16475-3" in capsys.readouterr().err
+
+
+def test_a_recording_and_its_results_are_alike(analysed: Path, recording: Path, capsys) -> None:
+    words = ['compare', str(analysed), str(recording), '--label', 'kept', '--label', 'again']
+    assert main([*words, '--fail-on-difference']) == 0
+    said = capsys.readouterr().out
+    assert said.startswith('again and kept differ by no more than chance')
+    assert 'again ratio' in said
+
+
+def test_a_difference_fails_only_when_asked(analysed: Path, tmp_path: Path, capsys) -> None:
+    document = json.loads((analysed / 'results.json').read_text())
+    noise = document['axes']['gyro_z']['noise']['N']
+    noise['value'] *= 2
+    noise['ci95'] = [2 * end for end in noise['ci95']]
+    worse = tmp_path / 'worse.json'
+    worse.write_text(json.dumps(document))
+    words = ['compare', str(analysed), str(worse)]
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith('worse is 2.00x noisier than run in gyro z N (')
+    assert main([*words, '--fail-on-difference', '--json']) == 3
+    assert json.loads(capsys.readouterr().out)['differs'] is True
+    assert main([*words, '-o', str(tmp_path / 'out'), '-q']) == 0
+    assert capsys.readouterr().out == ''
+    assert (tmp_path / 'out' / 'comparison.md').is_file()
+    assert main(['compare', str(worse), 'sensor:adis16475-3', '--fail-on-difference']) == 3
+    said = capsys.readouterr().out
+    assert said.startswith('worse is beyond the datasheet of ADIS16475-3 in gyro z N')
+
+
+@pytest.mark.parametrize(
+    'words, said',
+    [
+        (['{run}'], 'there is nothing to compare'),
+        (['sensor:adis16475-3'], 'there is nothing to compare'),
+        (['{run}', '{run}', '--label', 'x', '--label', 'x'], "two runs are called 'x'"),
+        (['{run}', '{run}', '--label', 'a', '--label', 'b', '--label', 'c'], '3 --label for 2'),
+        (['{run}', 'sensor:none'], "no datasheet 'none'"),
+        (['{run}', '{run}', '--margin', '-1'], '--margin -1: give 0 or more'),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(
+    analysed: Path, capsys, words: list[str], said: str
+) -> None:
+    assert main(['compare', *(word.format(run=analysed) for word in words)]) == 1
+    error = capsys.readouterr().err
+    assert said in error and error.count('\n') == 1
+
+
+@pytest.mark.parametrize('columns', [60, 100, 160])
+def test_the_list_fits_the_terminal(columns: int, monkeypatch, capsys) -> None:
+    monkeypatch.setenv('COLUMNS', str(columns))
+    assert main(['sensors']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= columns
+    assert [line.split()[0] for line in lines[1 : len(sensor_names()) + 1]] == sensor_names()
+
+
+def test_one_datasheet_is_shown_with_its_sources(capsys) -> None:
+    assert main(['sensors', 'ADIS16475-3']) == 0
+    said = capsys.readouterr().out
+    assert said.startswith('ADIS16475-3 (Analog Devices)\n')
+    assert 'gyro_x, gyro_y, gyro_z N: stated 0.3 deg/sqrt(h)' in said
+    assert main(['sensors', 'adis16475-3', '--json']) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown['limits']['gyro_x']['N']['stated'] == '0.3 deg/sqrt(h)'
+    assert main(['sensors', '--json']) == 0
+    assert shown in json.loads(capsys.readouterr().out)['sensors']
+    assert main(['sensors', 'adis16475']) == 1

@@ -1,0 +1,145 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+from dataclasses import astuple, fields
+
+import numpy as np
+import pytest
+
+from allan_ros.cli.main import main
+from allan_ros.core.faults import PRESETS
+from allan_ros.core.fit import TERMS
+from allan_ros.core.imu import AXES, sensor_of, to_datasheet
+from allan_ros.io.datasheets import load_sensor
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.truth import read_noise, truth_path
+
+SHORT = ['--hours', '0.01', '--rate', '50']  # 1800 samples
+
+
+def simulate(out, *arguments):
+    assert main(['simulate', str(out), *SHORT, *arguments]) == 0
+    (recording,) = open_recordings([str(out)])
+    batches = list(recording.batches())
+    return (
+        np.concatenate([b.stamps_ns for b in batches]),
+        np.concatenate([b.samples for b in batches]),
+        read_noise(truth_path(out)),
+    )
+
+
+def test_the_preset_is_table_1_of_the_paper(tmp_path):
+    stamps, samples, truth = simulate(tmp_path / 'bag', '--preset', 'paper')
+    assert len(stamps) == 1800 and np.array_equal(np.diff(stamps), [20_000_000] * 1799)
+    for axis, terms in PRESETS['paper'].items():
+        for term in TERMS:
+            value, _ = to_datasheet(term, sensor_of(axis), getattr(truth[axis], term))
+            assert value == pytest.approx(terms.get(term, 0.0))
+    assert samples[:, 5].mean() == pytest.approx(9.80665, abs=0.01)
+
+
+@pytest.mark.parametrize('name', ['bag', 'a.bag', 'a.csv', 'a.npz'])
+def test_every_form_holds_the_same_samples(tmp_path, name):
+    reference = simulate(tmp_path / 'reference.npz', '--gyro', 'N=0.3', '--seed', '3')
+    found = simulate(tmp_path / name, '--gyro', 'N=0.3', '--seed', '3')
+    assert np.array_equal(found[0], reference[0])
+    assert np.array_equal(found[1], reference[1])
+
+
+def test_single_terms_go_before_the_datasheet(tmp_path):
+    _, _, truth = simulate(
+        tmp_path / 'a.npz', '--sensor', 'adis16475-3', '--gyro-y', 'N=0.5,R=-3', '--accel', 'B=9'
+    )
+    limits = load_sensor('adis16475-3').limits['gyro_x']
+    assert astuple(truth['gyro_x']) == (0.0, limits['N'].value, limits['B'].value, 0.0, 0.0)
+    assert truth['gyro_y'].B == truth['gyro_x'].B
+    assert to_datasheet('N', 'gyro', truth['gyro_y'].N)[0] == pytest.approx(0.5)
+    assert to_datasheet('R', 'gyro', truth['gyro_y'].R)[0] == pytest.approx(-3)
+    assert to_datasheet('B', 'accel', truth['accel_z'].B)[0] == pytest.approx(9)
+
+
+def test_a_truth_can_be_simulated_again(tmp_path):
+    first = simulate(tmp_path / 'a.npz', '--preset', 'paper', '--seed', '9')
+    again = simulate(
+        tmp_path / 'b.npz', '--spec', str(truth_path(tmp_path / 'a.npz')), '--seed', '9'
+    )
+    assert np.array_equal(first[1], again[1])
+    assert first[2] == again[2]
+
+
+def test_faults_are_passed_on(tmp_path):
+    stamps, samples, _ = simulate(
+        tmp_path / 'a.npz', '--gyro', 'N=0.001', '--gaps', '5:2', '--gaps', '20:1.5',
+        '--motion', '10:3', '--motion-gyro', '2', '--lsb-accel', '0.5',
+    )  # fmt: skip
+    steps = np.diff(stamps) / 1e9
+    assert sorted(steps[steps > 0.03]) == pytest.approx([1.52, 2.02])
+    t = (stamps - stamps[0]) / 1e9
+    moving = np.abs(samples[:, 0]) > 0.1
+    assert moving.any() and t[moving].min() >= 10 and t[moving].max() < 13
+    assert set(samples[~moving, 5]) <= set(np.arange(8.5, 11.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    'arguments, said',
+    [
+        ([], 'no noise to simulate: give --preset paper'),
+        (['--gyro', 'N=-1'], 'noise.gyro: N is'),
+        (['--gyro', 'Z=1'], "noise.gyro: 'Z' is unknown"),
+        (['--preset', 'paper', '--drop', '2'], 'drop is 2.0'),
+        (['--preset', 'paper', '--gaps', '1:-2'], 'gaps: a span of -2.0 s'),
+        (['--preset', 'paper', '--hours', '-1'], 'give positive numbers'),
+        (['--preset', 'paper', '--seed', '-1'], '--seed is -1'),
+        (['--sensor', 'nothing'], "no datasheet 'nothing'"),
+        (['--spec', 'missing.yaml'], 'missing.yaml: cannot be read'),
+    ],
+)
+def test_the_impossible_is_one_line_and_exit_1(tmp_path, capsys, arguments, said):
+    out = tmp_path / 'a.npz'
+    assert main(['simulate', str(out), *arguments]) == 1
+    error = capsys.readouterr().err
+    assert said in error and error.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('arguments', [['--gyro', 'N'], ['--gyro', 'N=x'], ['--motion', '5']])
+def test_a_malformed_option_is_explained(tmp_path, capsys, arguments):
+    with pytest.raises(SystemExit) as stop:
+        main(['simulate', str(tmp_path / 'a.npz'), *arguments])
+    assert stop.value.code == 2
+    assert 'given as' in capsys.readouterr().err
+
+
+def test_an_existing_recording_is_kept_unless_told(tmp_path, capsys):
+    out = tmp_path / 'a.npz'
+    simulate(out, '--gyro', 'N=1')
+    assert main(['simulate', str(out), *SHORT, '--gyro', 'N=2']) == 1
+    assert 'exists already' in capsys.readouterr().err
+    kept = read_noise(truth_path(out))['gyro_x']
+    assert astuple(kept) == pytest.approx((0.0, np.pi / 180 / 60, 0.0, 0.0, 0.0))
+    simulate(out, '--gyro', 'N=2', '--overwrite')
+
+
+def test_the_preset_names_only_what_exists():
+    for preset in PRESETS.values():
+        assert set(preset) == set(AXES)
+        assert all(set(terms) <= set(TERMS) for terms in preset.values())
+
+
+def test_help_needs_no_numpy(repository):
+    code = (
+        'import sys, argparse; from allan_ros.cli import simulate; '
+        'simulate.add_arguments(argparse.ArgumentParser()); '
+        'assert "numpy" not in sys.modules and "yaml" not in sys.modules'
+    )
+    subprocess.run([sys.executable, '-c', code], check=True, cwd=repository)
+
+
+def test_every_fault_has_an_option(capsys):
+    from allan_ros.core.faults import Faults
+
+    with pytest.raises(SystemExit):
+        main(['simulate', '--help'])
+    text = capsys.readouterr().out
+    assert all(f'--{f.name.replace("_", "-")}' in text for f in fields(Faults))

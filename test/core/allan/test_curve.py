@@ -1,0 +1,80 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.curve import allan_curve, edf
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.errors import AllanError
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+
+AXES = ('gyro_x', 'gyro_y')
+
+
+def sums_of(*segments, rate=100.0):
+    engine = RunningAllan(axes=AXES)
+    start = 0
+    for y in segments:
+        stamps = start + np.round(np.arange(len(y)) * 1e9 / rate).astype(np.int64)
+        engine.update(y, int(stamps[0]), int(stamps[-1]))
+        engine.end_segment()
+        start = int(stamps[-1]) + 10**10
+    return engine.sums
+
+
+def noise(n, seed=0, terms=(NoiseTerms(N=1e-3), NoiseTerms(K=1e-3))):
+    rng = np.random.default_rng(seed)
+    return np.stack([simulate_axis(n, 0.01, t, rng) for t in terms], axis=1)
+
+
+def test_a_point_carries_its_time_count_and_deviation():
+    sums = sums_of(noise(5000))
+    curve = allan_curve(sums)
+    assert curve.axes == AXES
+    np.testing.assert_allclose(curve.tau, curve.m * 0.01, rtol=1e-6)
+    assert np.array_equal(curve.n, sums.count)
+    np.testing.assert_allclose(curve.adev**2, sums.avar)
+    assert (curve.ci_low < curve.adev).all() and (curve.adev < curve.ci_high).all()
+
+
+def test_degrees_of_freedom_follow_the_noise_and_the_segments():
+    y = noise(4000)
+    one = allan_curve(sums_of(y))
+    three = allan_curve(sums_of(y, noise(4000, 1), noise(4000, 2)))
+    i = int(np.argmax(one.m == 64))
+    assert one.noise_type[i].tolist() == [0, -2]
+    for axis, alpha in enumerate((0, -2)):
+        assert one.edf[i, axis] == pytest.approx(edf(alpha, 64, 8, one.n[i]))
+        assert three.edf[i, axis] == pytest.approx(3 * one.edf[i, axis])
+
+
+def test_many_pooled_segments_count_like_kept_ones():
+    segments = [noise(300, seed) for seed in range(60)]
+    curve = allan_curve(sums_of(*segments))
+    i = int(np.argmax(curve.m == 32))
+    expected = 60 * edf(0, 32, 4, curve.n[i] // 60)
+    assert curve.edf[i, 0] == pytest.approx(expected)
+
+
+def test_white_noise_is_covered_as_often_as_the_limits_say():
+    """40 records, two axes, four factors apart: 0.683 of 320 is 219 +- 8.3; bound 4.5 sigma."""
+    inside = total = 0
+    for seed in range(40):
+        curve = allan_curve(sums_of(noise(20000, seed, (NoiseTerms(N=1e-3),) * 2)))
+        for m in (1, 8, 64, 512):
+            i = int(np.argmax(curve.m == m))
+            truth = 1e-3 / np.sqrt(curve.tau[i])
+            inside += np.count_nonzero((curve.ci_low[i] < truth) & (truth < curve.ci_high[i]))
+            total += 2
+    assert abs(inside - 0.683 * total) < 4.5 * np.sqrt(0.683 * 0.317 * total)
+
+
+def test_constant_values_have_a_curve_of_zeros():
+    curve = allan_curve(sums_of(np.full((100, 2), 2.5)))
+    assert not curve.adev.any() and not curve.ci_high.any()
+
+
+def test_nothing_has_no_curve():
+    with pytest.raises(AllanError, match='fewer than two samples'):
+        allan_curve(AllanSums.empty())

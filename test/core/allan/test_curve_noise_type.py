@@ -1,0 +1,42 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.curve import local_slopes, noise_type_of_samples, noise_types_of_avar
+from allan_ros.core.noise import term_avar
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+
+M = np.array([1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024])
+
+
+@pytest.mark.parametrize('term, alpha', [('Q', 2), ('N', 0), ('B', -1), ('K', -2)])
+@pytest.mark.parametrize('m', [1, 10, 40])
+def test_lag_1_names_pure_noise(term, alpha, m):
+    """At least 18 of 20 draws; of 200, the worst case (Q at m = 40) missed 4: below 1e-2."""
+    terms, rng = NoiseTerms(**{term: 1.0}), np.random.default_rng(1)
+    found = [noise_type_of_samples(simulate_axis(20000, 0.01, terms, rng), m) for _ in range(20)]
+    assert found.count(alpha) >= 18
+
+
+def test_lag_1_says_nothing_of_too_little():
+    assert noise_type_of_samples(np.arange(29.0), 1) is None
+    assert noise_type_of_samples(np.full(100, 3.5), 1) is None
+
+
+@pytest.mark.parametrize('term, alpha', [('Q', 2), ('N', 0), ('B', -1), ('K', -2), ('R', -2)])
+def test_slope_names_pure_noise(term, alpha):
+    avar = term_avar(M, 0.01, NoiseTerms(**{term: 1e-3})).sum(axis=1)[:, None]
+    types = noise_types_of_avar(M, avar, 10**6)
+    assert (types[4:] == alpha).all()  # below, a random walk steps once a sample
+
+
+def test_the_type_goes_on_where_the_record_ends():
+    avar = np.stack([1.0 / M, np.full(len(M), np.nan), np.zeros(len(M))], axis=1)
+    avar[-2:, 0] = 10.0, 100.0  # two wild points of a record of 2048 samples
+    assert (noise_types_of_avar(M, avar, 2048) == 0).all()
+
+
+def test_local_slope_of_a_power_law_is_its_power():
+    slopes = local_slopes(M, np.stack([M**-1.0, M**0.5], axis=1), np.ones(len(M)))
+    np.testing.assert_allclose(slopes, [[-1.0, 0.5]] * len(M))

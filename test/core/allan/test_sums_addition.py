@@ -1,0 +1,41 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of one IMU add sensor by sensor, and strangers are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums, add_sums
+from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import AXES, ImuIdentity
+
+
+def sums(seed: int, axes: tuple[str, ...] = AXES, frame: str = 'imu') -> AllanSums:
+    running = RunningAllan(ImuIdentity(frame), axes)
+    running.update(np.random.default_rng(seed).normal(size=(500, len(axes))), 0, 499 * 10**7)
+    running.end_segment()
+    return running.sums
+
+
+def test_each_sensor_is_added_to_its_own():
+    a, b = [(sums(i, AXES[:3]), sums(i + 10, AXES[3:])) for i in (1, 2)]
+    total = add_sums(a, b)
+    for mine, x, y in zip(total, a, b):
+        assert np.array_equal(mine.sum_sq, (x + y).sum_sq)
+        assert mine.samples == 1000
+    assert a[0].samples == 500
+
+
+def test_a_run_without_samples_adds_nothing():
+    a = (sums(1),)
+    assert add_sums(a, ()) == a and add_sums((), a) == a and add_sums((), ()) == ()
+
+
+def test_other_sensors_and_other_imus_are_refused():
+    with pytest.raises(AllanError, match='the sensors of the two runs differ'):
+        add_sums((sums(1),), (sums(1, AXES[:3]),))
+    with pytest.raises(AllanError, match='different IMUs'):
+        add_sums((sums(1),), (sums(1, frame='other'),))

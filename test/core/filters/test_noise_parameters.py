@@ -1,0 +1,135 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From coefficients to filter numbers: each convention adds up to the variance the noise has."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.filters.noise_parameters import (
+    RULES,
+    Level,
+    axis_level,
+    bias_level,
+    madgwick_drift_gain,
+    madgwick_gain,
+    madgwick_ramp_gain,
+    midpoint_white_std,
+    sensor_level,
+    walk_rate_std,
+    white_std,
+)
+from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov
+from allan_ros.core.noise import NoiseTerms, term_avar
+from allan_ros.core.simulate import simulate_axis
+
+levels = st.floats(1e-9, 1e3)
+rates = st.floats(0.1, 1e5)
+SECONDS = 7.0
+
+
+@given(n=levels, rate=rates)
+def test_steps_of_white_noise_add_up_to_n_squared_t(n: float, rate: float) -> None:
+    steps, dt = SECONDS * rate, 1.0 / rate
+    # (dt F) Q (dt F)' of FAST-LIO and of the autopilots: dt^2 variance a step.
+    assert steps * dt**2 * white_std(n, rate) ** 2 == pytest.approx(n**2 * SECONDS)
+    # V noise V' of the midpoint rule: two independent halves a step.
+    halves = 2.0 * (0.5 * dt * midpoint_white_std(n, rate)) ** 2
+    assert steps * halves == pytest.approx(n**2 * SECONDS)
+
+
+@given(k=levels, rate=rates)
+def test_steps_of_a_walk_add_up_to_k_squared_t(k: float, rate: float) -> None:
+    steps, dt = SECONDS * rate, 1.0 / rate
+    assert steps * (dt * walk_rate_std(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
+
+
+def test_a_simulated_sample_has_the_std_that_is_written() -> None:
+    # 4e5 samples: the standard deviation of this estimate is 0.11 %.
+    rate, n = 200.0, 1e-3
+    samples = simulate_axis(400_000, 1.0 / rate, NoiseTerms(N=n), np.random.default_rng(3))
+    assert samples.std() == pytest.approx(white_std(n, rate), rel=0.005)
+
+
+def test_a_simulated_walk_has_the_rate_that_is_written() -> None:
+    rate, k = 200.0, 1e-3
+    bias = simulate_axis(400_000, 1.0 / rate, NoiseTerms(K=k), np.random.default_rng(4))
+    assert (np.diff(bias) * rate).std() == pytest.approx(walk_rate_std(k, rate), rel=0.005)
+
+
+def test_madgwicks_gain_is_the_allan_deviation_at_the_horizon() -> None:
+    n, b, tau0, m = 1e-3, 2e-4, 0.01, 1000
+    avar = term_avar(np.array([m]), tau0, NoiseTerms(N=n, B=b)).sum()
+    assert madgwick_gain(n, b, m * tau0) == pytest.approx(math.sqrt(0.75 * avar), rel=1e-9)
+
+
+def test_madgwicks_drift_gain_by_hand() -> None:
+    assert madgwick_drift_gain(1e-5, 100.0) == pytest.approx(8.660254e-7)
+    assert madgwick_ramp_gain(-2e-6) == pytest.approx(1.7320508e-6)
+
+
+def three(*values: float) -> list[Level]:
+    return [Level(f'gyro_{a}', 'N', value) for a, value in zip('xyz', values)]
+
+
+def test_the_rules_by_hand() -> None:
+    axes = three(1.0, 5.0, 7.0)
+    assert sensor_level(axes, 'worst', 2.0).values == (14.0, 14.0, 14.0)
+    assert sensor_level(axes, 'worst').levels == (axes[2],)
+    assert sensor_level(axes, 'mean').values == (5.0, 5.0, 5.0)  # sqrt(75 / 3)
+    assert sensor_level(axes, 'each', 10.0).values == (10.0, 50.0, 70.0)
+    assert sensor_level(axes, 'each').levels == tuple(axes)
+
+
+@given(values=st.tuples(levels, levels, levels), factor=st.floats(1.0, 100.0))
+def test_inflation_is_a_factor_under_every_rule(
+    values: tuple[float, float, float], factor: float
+) -> None:
+    for rule in RULES:
+        plain, inflated = (sensor_level(three(*values), rule, f).values for f in (1.0, factor))
+        assert inflated == pytest.approx([factor * value for value in plain])
+        assert min(values) <= max(plain) * (1 + 1e-12)
+        assert max(plain) <= max(values) * (1 + 1e-12)
+
+
+def fit_with(**noise: Coefficient) -> AxisFit:
+    return AxisFit({term: noise.get(term, Coefficient(None)) for term in 'QNBKR'})
+
+
+def test_a_term_that_is_not_observable_counts_with_its_limit() -> None:
+    fit = fit_with(K=Coefficient(0.0, (0.0, 2e-6), 2e-6, 'not_observable'))
+    assert axis_level('gyro_x', fit, 'K') == Level('gyro_x', 'K', 2e-6, None, True)
+    with pytest.raises(AllanError, match=r'K of gyro_x is not observable .below 2e-06.*--strict'):
+        axis_level('gyro_x', fit, 'K', strict=True)
+
+
+def test_a_measured_term_counts_with_its_value() -> None:
+    fit = fit_with(K=Coefficient(1e-6, (8e-7, 2e-6), 1.9e-6))
+    assert axis_level('gyro_x', fit, 'K', strict=True) == Level(
+        'gyro_x', 'K', 1e-6, (8e-7, 2e-6), False
+    )
+
+
+@pytest.mark.parametrize('value', [None, 0.0, -1e-9, math.inf, math.nan])
+@pytest.mark.parametrize('limit', [None, 0.0, math.inf, math.nan])
+@pytest.mark.parametrize('status', ['estimated', 'not_observable'])
+def test_no_level_is_ever_zero_negative_or_infinite(
+    value: float | None, limit: float | None, status: str
+) -> None:
+    fit = fit_with(N=Coefficient(value, None, limit, status))  # type: ignore[arg-type]
+    with pytest.raises(AllanError, match='neither a value nor a limit'):
+        axis_level('accel_y', fit, 'N')
+
+
+def test_the_bias_is_the_gauss_markov_process_before_it_is_b() -> None:
+    b = fit_with(B=Coefficient(1e-4, (9e-5, 1.1e-4)))
+    assert bias_level('gyro_z', b) == Level('gyro_z', 'B', 1e-4, (9e-5, 1.1e-4))
+    process = GaussMarkov(3e-4, (2e-4, 4e-4), 100.0, (80.0, 130.0))
+    both = AxisFit(b.noise, gauss_markov=process)
+    assert bias_level('gyro_z', both) == Level('gyro_z', 'sigma', 3e-4, (2e-4, 4e-4))

@@ -1,0 +1,61 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.findings import finding
+from allan_ros.core.fit.findings import about, joined
+from allan_ros.core.fit.gls import fit_gls
+
+
+@pytest.mark.parametrize(
+    ('seconds', 'words'),
+    [
+        (0.5, '0.5 s'),
+        (119.0, '120 s'),
+        (1234.0, '21 min'),
+        (7200.0, '2 h'),
+        (100000.0, '28 h'),
+        (864000.0, '10 days'),
+    ],
+)
+def test_times_are_said_as_one_would(seconds, words):
+    assert about(seconds) == words
+
+
+def test_findings_that_read_alike_are_one():
+    one = finding('ramps_differ', ('gyro_x',))
+    other = finding('ramps_differ', ('gyro_z',))
+    third = finding('misfit', ('gyro_y',), misfit=0.1)
+    both, last = joined([one, third, other])[0], joined([one, third, other])[1]
+    assert both.axes == ('gyro_x', 'gyro_z')
+    assert last == third
+
+
+def sums_of(*segments):
+    engine = RunningAllan(axes=('gyro_x',))
+    for n, y in enumerate(segments):
+        start = n * 10**12
+        engine.update(np.reshape(y, (-1, 1)), start, start + (len(y) - 1) * 10**7)
+        engine.end_segment()
+    return engine.sums
+
+
+@pytest.mark.parametrize(
+    ('samples', 'id'),
+    [
+        (np.full(5000, 9.8), 'no_noise'),
+        (np.random.default_rng(0).normal(size=8), 'record_too_short'),
+    ],
+)
+def test_an_axis_without_numbers_says_why(samples, id):
+    (found,) = fit_gls(sums_of(samples)).findings
+    assert found.id == id
+    assert found.axes == ('gyro_x',)
+
+
+def test_segments_that_drift_apart_are_said_so():
+    rng = np.random.default_rng(1)
+    spans = [rng.normal(size=50000) + s * 1e-4 * np.arange(50000) for s in (1.0, -1.0)]
+    assert 'ramps_differ' in {f.id for f in fit_gls(sums_of(*spans)).findings}

@@ -1,0 +1,121 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.curve import AllanCurve
+from allan_ros.core.allan.sums import grid_for
+from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
+from allan_ros.core.fit.regions import curve_slopes, read_curve
+from allan_ros.core.imu import from_datasheet
+from allan_ros.core.noise import NoiseTerms, term_avar
+
+TAU0, TWO_HOURS = 0.01, 720000
+
+# Cong et al. 2019, table 1: Q urad, N deg/sqrt(h), B deg/h, K deg/h^1.5, R deg/h^2.
+PAPER = {
+    'gyro_x': (0.138, 0.242, 5.237, 31.807, 76.242),
+    'gyro_y': (0.124, 0.168, 4.972, 8.169, 11.068),
+    'gyro_z': (0.100, 0.245, 6.058, 50.568, 66.250),
+}
+
+
+def exact(longest_tau=1300.0, **axes):
+    """The expected curves and perfect fits of axes given in datasheet units."""
+    terms = {
+        axis: {t: from_datasheet(t, 'gyro', v) for t, v in zip(TERMS, values)}
+        for axis, values in axes.items()
+    }
+    m, _ = grid_for(TWO_HOURS)
+    m = m[m * TAU0 <= longest_tau]
+    avar = [term_avar(m, TAU0, NoiseTerms(**t)).sum(axis=1) for t in terms.values()]
+    adev = np.sqrt(np.stack(avar, axis=1))
+    edf = np.repeat(TWO_HOURS / m[:, None], len(axes), axis=1)
+    types = np.zeros(adev.shape, np.int64)
+    curve = AllanCurve(tuple(axes), m, m * TAU0, m, adev, adev, adev, edf, types)
+    fits = {
+        axis: AxisFit(
+            {k: Coefficient(v, status='estimated' if v else 'not_observable') for k, v in t.items()}
+        )
+        for axis, t in terms.items()
+    }
+    return curve, fits
+
+
+def regions_of(axis, *values, longest_tau=1300.0):
+    curve, fits = exact(longest_tau, **{axis: values})
+    return read_curve(curve, axis, fits[axis])
+
+
+def test_axis_x_of_the_paper():
+    """The paper reads .01-20 s N, 20-100 s B, 100-1300 s K and R in turn."""
+    n, b, *late = regions_of('gyro_x', *PAPER['gyro_x'])
+    assert (n.term, b.term) == ('N', 'B')
+    assert n.tau_low == pytest.approx(0.01)
+    assert n.tau_high == pytest.approx(20, rel=0.3)
+    assert n.slope == pytest.approx(-0.5, abs=0.02)
+    assert b.tau_high == pytest.approx(100, rel=0.35)
+    assert abs(b.slope) < 0.15
+    assert [r.term for r in late] == ['K', 'K+R']
+    assert late[-1].tau_high == pytest.approx(1300, rel=0.15)
+    assert all(r.slope > 0.3 for r in late)
+
+
+def test_axis_y_of_the_paper():
+    """The paper reads .01-20 s N, 20-1300 s B; by its own coefficients they cross at 9 s."""
+    n, b = regions_of('gyro_y', *PAPER['gyro_y'])
+    assert (n.term, b.term) == ('N', 'B')
+    assert n.tau_high == b.tau_low == pytest.approx(9.3, rel=0.15)
+    assert b.tau_high == pytest.approx(1300, rel=0.15)
+
+
+def test_axis_z_of_the_paper_begins_as_it_was_read():
+    """The paper reads .01-20 s N, then K and R from 20 to 180 s."""
+    regions = regions_of('gyro_z', *PAPER['gyro_z'])
+    assert [r.term for r in regions] == ['N', 'B', 'K']
+    assert regions[0].tau_high == pytest.approx(20, rel=0.4)
+
+
+def test_regions_touch_and_cover_the_curve():
+    curve, fits = exact(**PAPER)
+    for axis in PAPER:
+        regions = read_curve(curve, axis, fits[axis])
+        assert regions[0].tau_low == curve.tau[0]
+        assert regions[-1].tau_high == curve.tau[-1]
+        for a, b in pairwise(regions):
+            assert a.tau_high == b.tau_low and a.term != b.term
+
+
+def test_narrow_stretches_are_read_together():
+    # K rules for a factor two only, so it and R are one range that they rule in turn.
+    late = regions_of('gyro_x', 0, 0.1, 0, 40.0, 350.0, longest_tau=60.0)
+    assert late[-1].term == 'K+R'
+    # B alone is never wide here: its range is shared with the runner-up.
+    assert any('+' in r.term and 'B' in r.term for r in regions_of('gyro_x', 0, 0.2, 3.4, 35.0, 0))
+
+
+@pytest.mark.parametrize(
+    'k, term, slope', [(0, 'Q', -1), (1, 'N', -0.5), (2, 'B', 0), (3, 'K', 0.5), (4, 'R', 1)]
+)
+def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
+    values = [0.0] * 5
+    values[k] = 1.0
+    (region,) = regions_of('gyro_x', *values)
+    assert region.term == term
+    # The slope of K at one sample is that of discrete steps, less than 1/2.
+    assert region.slope == pytest.approx(slope, abs=0.06 if term == 'K' else 0.02)
+
+
+def test_local_slopes_go_from_white_to_ramp():
+    curve, _ = exact(**PAPER)
+    slopes = curve_slopes(curve)
+    assert slopes[0] == pytest.approx([-0.5] * 3, abs=0.02)
+    assert (slopes[-1] > [0.6, -0.1, 0.4]).all()
+
+
+def test_unknown_terms_rule_nothing():
+    curve, _ = exact(**PAPER)
+    unknown = AxisFit({t: Coefficient(None, status='not_observable') for t in TERMS})
+    assert read_curve(curve, 'gyro_x', unknown) == []

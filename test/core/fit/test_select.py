@@ -1,0 +1,123 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records that are not five terms, each drawn at a fixed seed."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.fit.gls import fit_gls
+from allan_ros.core.simulate import NoiseTerms, simulate_axis
+
+RATE = 200.0
+SECONDS = 1800
+SAMPLES = int(RATE * SECONDS)
+TRUTH = NoiseTerms(N=1e-3, B=3e-4)
+WHITE = TRUTH.N * RATE**0.5
+
+
+def fit_of(y):
+    engine = RunningAllan(axes=('gyro_x',))
+    engine.update(np.reshape(y, (-1, 1)), 0, round((len(y) - 1) / RATE * 1e9))
+    engine.end_segment()
+    fit = fit_gls(engine.sums)
+    return fit.axes['gyro_x'], {f.id: f for f in fit.findings}
+
+
+@pytest.fixture
+def noise():
+    return simulate_axis(SAMPLES, 1.0 / RATE, TRUTH, np.random.default_rng(20))
+
+
+def test_five_terms_ask_for_nothing_else(noise):
+    axis, findings = fit_of(noise)
+    assert axis.m_min == 1
+    assert axis.misfit == 0.0
+    assert axis.gauss_markov is None
+    assert axis.sinusoid is None
+    assert not {'misfit', 'low_pass', 'short_averages', 'vibration'} & set(findings)
+
+
+@pytest.mark.parametrize('width', [4, 8])
+def test_boxcar_filter_costs_q_but_not_n(noise, width):
+    axis, findings = fit_of(np.convolve(noise, np.ones(width) / width, 'valid'))
+    assert 'low_pass' in findings or 'short_averages' in findings
+    assert axis.noise['Q'].status == 'not_observable'
+    assert axis.noise['Q'].upper95 is None
+    low, high = axis.noise['N'].ci95
+    assert low < TRUTH.N < high
+    assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
+
+
+def test_first_order_filter_costs_q_but_not_n(noise):
+    keep = np.exp(-2.0 * np.pi * 41.0 / RATE)
+    axis, findings = fit_of(lfilter([1.0 - keep], [1.0, -keep], noise))
+    assert 'low_pass' in findings or 'short_averages' in findings
+    low, high = axis.noise['N'].ci95
+    assert low < TRUTH.N < high
+    assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
+
+
+def test_a_slow_filter_is_not_called_a_vibration_alone(noise):
+    keep = np.exp(-2.0 * np.pi * 5.0 / RATE)
+    axis, findings = fit_of(lfilter([1.0 - keep], [1.0, -keep], noise))
+    assert axis.m_min > 1
+    assert 'low-pass filter' in findings['short_averages'].message
+
+
+@pytest.mark.parametrize('hertz', [0.1, 2.0])
+def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz):
+    line = 0.08 * WHITE * np.sin(2.0 * np.pi * hertz / RATE * np.arange(SAMPLES))
+    axis, findings = fit_of(noise + line)
+    assert 'vibration' in findings
+    low, high = axis.sinusoid.frequency_ci95
+    assert low < hertz < high
+    assert axis.sinusoid.frequency == pytest.approx(hertz, rel=0.1)
+    low, high = axis.sinusoid.amplitude_ci95
+    assert low < 0.08 * WHITE < high
+    assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
+
+
+def test_gauss_markov_noise_is_found_with_its_time(noise):
+    keep = np.exp(-1.0 / (RATE * 1.0))
+    rng = np.random.default_rng(22)
+    steps = rng.standard_normal(SAMPLES) * 0.1 * WHITE * (1.0 - keep**2) ** 0.5
+    axis, findings = fit_of(noise + lfilter([1.0], [1.0, -keep], steps))
+    assert 'gauss_markov' in findings
+    low, high = axis.gauss_markov.correlation_time_ci95
+    assert low < 1.0 < high
+    low, high = axis.gauss_markov.sigma_ci95
+    assert low < 0.1 * WHITE < high
+
+
+def test_what_cannot_be_named_is_a_misfit(noise):
+    """Three lines where one can be told: the intervals are widened until they allow for two."""
+    t = np.arange(SAMPLES) / RATE
+    lines = sum(0.1 * WHITE * np.sin(2.0 * np.pi * f * t + f) for f in (0.05, 0.7, 9.0))
+    axis, findings = fit_of(noise + lines)
+    assert axis.misfit > 0.0
+    assert 'misfit' in findings
+    assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.1)
+
+
+def test_rounding_is_told_from_quantization(noise):
+    step = 2.0 * WHITE
+    axis, findings = fit_of(step * np.round((9.8 + noise) / step))
+    assert 'rounding' in findings
+    assert axis.noise['Q'].status == 'not_observable'
+    # White noise of step^2/12 joins N, or nearly: so coarse a step is not quite independent of it.
+    want = (TRUTH.N**2 + step**2 / 12.0 / RATE) ** 0.5
+    assert axis.noise['N'].value == pytest.approx(want, rel=0.05)
+
+
+def test_a_drift_that_is_neither_is_said():
+    truth = NoiseTerms(N=1e-3, K=1.5e-5)
+    told = 0
+    for seed in range(6):
+        y = simulate_axis(SAMPLES, 1.0 / RATE, truth, np.random.default_rng(seed))
+        axis, findings = fit_of(y + 1.5e-7 / RATE * np.arange(SAMPLES))
+        unseen = {axis.noise[t].status for t in 'KR'} == {'not_observable'}
+        assert ('drift_not_separable' in findings) <= unseen
+        told += 'drift_not_separable' in findings
+    assert told > 0

@@ -1,0 +1,141 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From stamps to a count: what is a gap, what is a burst, and what is another rate."""
+
+import numpy as np
+import pytest
+
+from allan_ros.core.stream.health import Counts
+from allan_ros.core.stream.timing import Block, Clock, ClockStage, learn_clock
+
+MS = 1_000_000
+
+
+def even(n, period_ns=10 * MS, start=10**18):
+    return start + np.arange(n) * period_ns
+
+
+def bursts(n, period_ns=10 * MS, size=5, within_ns=200_000):
+    """Return stamps of samples that are handed over in bursts, as a busy host stamps them."""
+    i = np.arange(n)
+    return 10**18 + (i // size + 1) * size * period_ns + (i % size) * within_ns
+
+
+def run(stamps, rows=None, max_bridge=3, clock=None):
+    """Return the runs between cuts, the counts and the stage after all stamps."""
+    counts = Counts()
+    rows = np.arange(float(len(stamps)))[None, :] if rows is None else rows
+    stage = ClockStage(clock or learn_clock(stamps[:1024]), len(rows), max_bridge, counts)
+    runs = stage.feed(stamps, rows, np.zeros(len(stamps), bool)) + stage.flush()
+    joined = []
+    for r in runs:
+        if joined and not r.cut:
+            last = joined.pop()
+            r = Block(
+                np.concatenate([last.stamps, r.stamps]),
+                np.concatenate([last.rows, r.rows], axis=1),
+                last.cut,
+            )
+        joined.append(r)
+    return joined, counts, stage
+
+
+@pytest.mark.parametrize(
+    'stamps, rate, bursty',
+    [
+        (even(1024), 100, False),
+        (np.delete(even(1500), slice(300, 700)), 100, False),
+        (np.sort(even(1024) + np.random.default_rng(0).integers(-3, 4, 1024) * MS), 100, False),
+        (even(1024)[np.random.default_rng(1).random(1024) > 0.3], 100, False),
+        (even(1024) // (10 * MS) * (10 * MS), 100, False),
+        (np.arange(1024) * 1000 // 300 * MS, 300, False),
+        (bursts(1024), 100, True),
+        (bursts(1024, size=20), 100, True),
+    ],
+    ids=['even', 'gap', 'jitter', '30 % lost', 'exact', 'ms ticks', 'bursts', 'long bursts'],
+)
+def test_rate_is_found_from_the_stamps(stamps, rate, bursty):
+    clock = learn_clock(stamps)
+    assert clock.bursty == bursty
+    assert 1e9 / clock.period_ns == pytest.approx(rate, rel=0.05 if bursty else 0.01)
+
+
+@pytest.mark.parametrize('stamps', [[], [5], [7, 7, 7]])
+def test_stamps_that_stand_still_have_no_rate(stamps):
+    assert learn_clock(np.array(stamps, np.int64)) is None
+
+
+def test_isolated_losses_are_bridged_on_the_line_between_their_neighbours():
+    stamps = even(3000)
+    lost = np.array([500, 501, 1700])
+    keep = np.delete(np.arange(3000), lost)
+    (one,), counts, _ = run(stamps[keep], np.stack([keep * 1.0, keep * -2.0]))
+    assert np.array_equal(one.stamps, stamps)
+    assert one.rows == pytest.approx(np.stack([np.arange(3000.0), np.arange(3000) * -2.0]))
+    assert (counts.lost, counts.bridged, counts.cuts) == (3, 3, {})
+
+
+def test_a_longer_gap_cuts_and_no_sample_is_made_up():
+    keep = np.delete(np.arange(3000), slice(1000, 1004))
+    (a, b), counts, _ = run(even(3000)[keep], keep[None, :] * 1.0)
+    assert (a.cut, b.cut) == ('', 'gap')
+    assert np.array_equal(np.concatenate([a.rows, b.rows], axis=1), keep[None, :])
+    assert (counts.lost, counts.bridged) == (4, 0) and counts.cuts == {'gap': 1}
+
+
+def test_without_bridging_every_loss_cuts():
+    keep = np.delete(np.arange(2000), [400, 900])
+    runs, counts, _ = run(even(2000)[keep], max_bridge=0)
+    assert len(runs) == 3 and counts.cuts == {'gap': 2}
+
+
+def test_a_late_sample_is_not_a_lost_one():
+    """A step of 1.9 periods that the next one makes up for."""
+    stamps = even(3000)
+    stamps[1500] += 9 * MS
+    (one,), counts, _ = run(stamps)
+    assert len(one.stamps) == 3000 and counts.lost == 0
+
+
+@pytest.mark.parametrize('silence_ms', [300, 500, 1500])
+def test_a_silence_that_a_burst_makes_up_for_is_no_gap(silence_ms):
+    stamps = bursts(6000)
+    late = stamps[3000] + silence_ms * MS
+    held = (stamps >= stamps[3000]) & (stamps < late)
+    stamps[held] = late + np.arange(held.sum()) * 200_000
+    runs, counts, stage = run(stamps)
+    assert len(runs) == 1 and counts.lost == 0 and not stage.rate_changed
+
+
+def test_a_silence_in_bursty_stamps_that_stays_is_a_gap():
+    stamps = bursts(6000)
+    stamps[3000:] += 1000 * MS
+    runs, counts, _ = run(stamps)
+    assert [len(r.stamps) for r in runs] == [3000, 3000]
+    assert counts.lost == pytest.approx(100, abs=5)
+
+
+def test_slow_wander_of_the_period_is_followed():
+    """The period grows by 1 % over 20,000 samples: no loss, no cut, no other rate."""
+    step = 10 * MS * (1 + 0.01 * np.arange(20_000) / 20_000)
+    stamps = 10**18 + np.cumsum(step).astype(np.int64)
+    runs, counts, stage = run(stamps)
+    assert len(runs) == 1 and counts.lost == 0 and not stage.rate_changed
+    # it lags by the tracking interval and a half
+    assert stage.clock.period_ns == pytest.approx(step[-1], rel=1.5 * 0.01 * 4096 / 20_000)
+
+
+@pytest.mark.parametrize('factor', [0.5, 0.8, 0.97, 1.04, 1.3, 1.6, 2.0, 3.0])
+def test_another_rate_is_told(factor):
+    stamps = np.concatenate([even(3000), even(3000)[-1] + even(2000, round(10 * MS * factor), 0)])
+    runs, _, stage = run(np.unique(stamps))
+    assert stage.rate_changed
+    assert 3000 - 256 <= sum(len(r.stamps) for r in runs) <= 3256
+    assert len(stage.waiting[0]) > 1700
+
+
+def test_a_clock_gets_on_whatever_it_learned():
+    """The samples it was learned from never count as another rate, so learning cannot loop."""
+    stamps = np.concatenate([even(512), even(512)[-1] + even(3000, 13 * MS, 0)[1:]])
+    _, _, stage = run(stamps, clock=Clock(10.0 * MS, 10.0 * MS, bursty=False))
+    assert len(stage.waiting[0]) <= len(stamps) - 1024

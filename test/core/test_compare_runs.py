@@ -1,0 +1,121 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two runs differ when chance does not explain it, however many comparisons are made."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.curve import chi_squared_limits
+from allan_ros.core.compare import (
+    FAMILY_ERROR,
+    DeviationCurve,
+    Difference,
+    coefficient_differences,
+    curve_differences,
+    settle,
+)
+from allan_ros.core.fit.model import TERMS, Coefficient
+
+UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
+
+
+def compare(first: Coefficient, second: Coefficient) -> Difference:
+    """Return the difference of N, alone in its family."""
+    others = {term: Coefficient(None) for term in TERMS}
+    found = coefficient_differences('gyro_x', others | {'N': first}, others | {'N': second})
+    return next(d for d in settle(list(found)) if d.quantity == 'N')
+
+
+def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> DeviationCurve:
+    return DeviationCurve(tau, adev, *chi_squared_limits(adev**2, edf))
+
+
+@pytest.mark.parametrize(
+    'first, second, verdict',
+    [
+        (Coefficient(1.0, (0.99, 1.01)), Coefficient(1.5, (1.48, 1.52)), 'higher'),
+        (Coefficient(1.5, (1.48, 1.52)), Coefficient(1.0, (0.99, 1.01)), 'lower'),
+        (Coefficient(1.0, (0.9, 1.1)), Coefficient(1.12, (1.0, 1.25)), 'alike'),
+        (Coefficient(3.0, (2.7, 3.3)), UNSEEN, 'lower'),
+        (UNSEEN, Coefficient(3.0, (2.7, 3.3)), 'higher'),
+        (UNSEEN, Coefficient(0.6, (0.3, 0.9)), 'open'),
+        (UNSEEN, UNSEEN, 'open'),
+        (Coefficient(1.0), Coefficient(9.0), 'open'),
+        (Coefficient(1.0, (0.0, 2.0)), Coefficient(9.0, (8.9, 9.1)), 'open'),
+    ],
+)
+def test_verdicts(first, second, verdict):
+    assert compare(first, second).verdict == verdict
+
+
+def test_the_ratio_has_the_widths_that_face():
+    """Zou & Donner: down from the lower width of one and the upper width of the other."""
+    d = compare(Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0)))
+    low, high = d.ci95
+    assert d.ratio == pytest.approx(2.0)
+    whole = math.log(3.0 / 1.6) / 2, math.log(1.1 / 0.8) / 2
+    assert math.log(2.0 / low) == pytest.approx(math.hypot(whole[0], whole[1]))
+    assert math.log(high / 2.0) == pytest.approx(math.hypot(math.log(1.5), math.log(1.25)))
+
+
+def test_an_estimate_at_the_end_of_its_interval_is_not_known_the_better():
+    d = compare(Coefficient(1.0, (0.98, 1.0001)), Coefficient(1.005, (1.0, 1.01)))
+    assert d.verdict == 'alike'
+    assert d.p > 0.3
+
+
+def test_it_is_the_same_the_other_way():
+    a, b = Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0))
+    there, back = compare(a, b), compare(b, a)
+    assert there.ratio == pytest.approx(1 / back.ratio)
+    assert there.ci95 == pytest.approx([1 / end for end in reversed(back.ci95)])
+    assert there.p == pytest.approx(back.p)
+    assert compare(a, UNSEEN).p == pytest.approx(compare(UNSEEN, a).p)
+
+
+def test_a_limit_leaves_the_ratio_open_at_one_end():
+    assert compare(Coefficient(1.0, (0.8, 1.1)), UNSEEN).ci95 == pytest.approx((0.0, 0.5 / 0.8))
+    d = compare(UNSEEN, Coefficient(1.0, (0.8, 1.1)))
+    assert d.ratio is None and d.ci95 == (pytest.approx(1.6), math.inf)
+
+
+def test_holm_by_hand():
+    """p of 0.01, 0.03, 0.04 and 0.005 at 5 %: limits are 0.05/4, /3, /2, /1."""
+    raw = [Difference('gyro_x', 'N', None, 2.0, (1.5, 3.0), p) for p in (0.01, 0.03, 0.04, 0.005)]
+    assert [d.verdict for d in settle(raw)] == ['higher', 'alike', 'alike', 'higher']
+    assert [d.verdict for d in settle(raw, 0.2)] == ['higher'] * 4
+    assert settle([]) == []
+
+
+def test_curves_are_compared_where_both_have_data():
+    tau = np.geomspace(0.01, 100.0, 60)
+    edf = 1000.0 / tau
+    a, b = curve(tau**-0.5, edf, tau), curve(2.0 * tau[10:] ** -0.5, edf[10:], tau[10:])
+    found = settle(list(curve_differences('gyro_x', a, b)))
+    times = [d.tau for d in found]
+    assert times[0] == pytest.approx(tau[10])
+    assert times[-1] <= tau[-1] and np.diff(np.log(times)) == pytest.approx(math.log(4.0))
+    assert [d.ratio for d in found] == pytest.approx([2.0] * len(found), rel=1e-6)
+    assert all(d.ci95[0] < 2.0 < d.ci95[1] for d in found)
+    assert found[0].verdict == 'higher'
+    nothing = curve(np.full(60, np.nan), edf, tau)
+    assert list(curve_differences('gyro_x', a, nothing)) == []
+
+
+def test_runs_of_equal_noise_seldom_differ():
+    """400 pairs of 20 deviations: more than 35 false alarms have a probability of 0.1 %."""
+    rng = np.random.default_rng(8)
+    tau = 4.0 ** np.arange(20)
+    edf = np.geomspace(1e5, 4.0, 20)
+    alarms = 0
+    for _ in range(400):
+        a, b = (curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau) for _ in range(2))
+        found = settle(list(curve_differences('gyro_x', a, b)))
+        assert len(found) == 20
+        alarms += any(d.verdict != 'alike' for d in found)
+    assert 5 <= alarms <= 35
+    assert FAMILY_ERROR == 0.05

@@ -1,0 +1,221 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers at the ends: the tiniest, the largest, decades of samples, and exact arithmetic."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.numbers import NO_NUMBER, check_numbers
+from support.sums import sums_of
+
+from allan_ros.core.allan.curve import allan_curve, edf
+from allan_ros.core.allan.document import sums_from_document, sums_to_document
+from allan_ros.core.allan.recent import RecentView
+from allan_ros.core.allan.sums import (
+    LEAST_VARIANCE,
+    MAX_LEVELS,
+    AllanSums,
+    SegmentRecord,
+    counts,
+    grid,
+    grid_for,
+)
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fields import Fields
+from allan_ros.core.fit import METHODS, fit_noise
+from allan_ros.core.imu import AXES, LARGEST, ImuBatch, ImuIdentity
+from allan_ros.core.noise import NoiseTerms, term_avar
+from allan_ros.core.stream.pipeline import ImuStream
+
+SIZES = (5e-324, 1e-310, 1e-160, 1e-100, 1e-41, 1e-39, 1e-9, 1.0, 1e15, LARGEST)
+FORMS = {
+    'white': lambda n, rng: rng.normal(size=n),
+    'walk': lambda n, rng: rng.normal(size=n).cumsum(),
+    'quantization': lambda n, rng: np.diff(rng.normal(size=n), prepend=0.0),
+    'constant': lambda n, rng: np.ones(n),
+    'ramp': lambda n, rng: np.arange(n, dtype=float),
+    'one knock': lambda n, rng: np.eye(1, n, n // 2)[0],
+    'step': lambda n, rng: np.linspace(-1.0, 1.0, n).round() / 1.0,
+    'alternating': lambda n, rng: (-1.0) ** np.arange(n),
+}
+"""Kind -> samples of no particular size."""
+
+DECADES = 10**12
+"""Samples: 32 years at 1 kHz."""
+
+TRUTH = NoiseTerms(N=1e-4, B=2e-6, K=1e-9)
+PERIOD_NS = 10**6
+
+
+@settings(max_examples=25, derandomize=True)
+@given(
+    st.sampled_from(sorted(FORMS)),
+    st.sampled_from(SIZES),
+    st.sampled_from([1, 2, 3, 17, 60, 400]),
+    st.sampled_from(sorted(METHODS)),
+    st.lists(st.integers(1, 399), max_size=3),
+)
+def test_samples_of_any_size_give_numbers(
+    form: str, size: float, n: int, method: str, cuts: list[int]
+) -> None:
+    y = FORMS[form](n, np.random.default_rng(n))
+    y *= size / max(np.abs(y).max(), 1.0)
+    sums = sums_of(y[:, None], cuts=sorted({c for c in cuts if c < n}), axes=AXES[:1])
+    check_numbers(sums_to_document(sums))
+    if sums.tau0 is None:
+        return
+    curve = allan_curve(sums)
+    assert np.all(curve.adev >= 0.0) and np.all(np.isfinite(curve.adev))
+    for fit in fit_noise(sums, method).axes.values():
+        for coefficient in fit.noise.values():
+            known = (coefficient.value, coefficient.upper95, *(coefficient.ci95 or ()))
+            assert all(v is None or 0.0 <= v < np.inf for v in known)
+
+
+def test_a_size_scales_the_sums_and_nothing_else() -> None:
+    y = np.random.default_rng(1).normal(size=(500, 1))
+    one, tiny = sums_of(y), sums_of(y * 2.0**-100)
+    assert np.array_equal(tiny.avar, one.avar * 2.0**-200)
+
+
+def test_a_variance_no_imu_has_is_none() -> None:
+    y = np.random.default_rng(1).normal(size=(500, 1))
+    assert np.all(sums_of(2e-40 * y).avar[0] > LEAST_VARIANCE)
+    assert np.all(sums_of(1e-41 * y).avar == 0.0)
+
+
+@pytest.mark.parametrize('huge', [1.1 * LARGEST, -1e300, np.inf])
+def test_what_no_imu_measures_is_dropped_and_counted(huge: float) -> None:
+    samples = np.random.default_rng(2).normal(size=(3000, 6))
+    samples[100::7, 4] = huge
+    accumulator = ImuStream()
+    accumulator.update(ImuBatch(np.arange(3000) * PERIOD_NS, samples))
+    accumulator.end()
+    known = accumulator.result()
+    assert known.health.counts.not_finite == len(samples[100::7])
+    for sums in known.sums:
+        check_numbers(sums_to_document(sums))
+        assert np.nanmax(sums.avar) < 10.0
+
+
+@pytest.mark.parametrize('huge', [np.inf, -np.inf, 10**400])
+def test_a_refusal_tells_of_a_number_without_being_none(huge: float) -> None:
+    with pytest.raises(AllanError, match='a text is expected') as error:
+        Fields({'name': huge}, 'sums').text('name')
+    assert not NO_NUMBER.search(str(error.value))
+
+
+# --- counts -------------------------------------------------------------------------------------
+
+
+def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
+    """Return the sums of white, flicker and walk as they are expected of so many segments."""
+    m, stride = grid_for(samples)
+    count, groups = segments * counts(samples, m, stride), segments * counts(samples, m, m)
+    twice = 2.0 * m.astype(float) ** 2 * term_avar(m, PERIOD_NS * 1e-9, TRUTH).sum(axis=1)
+    step = 1 << max(samples // 127, 1).bit_length()
+    phase = np.zeros((samples // step + 1, 1))
+    record = SegmentRecord(0, samples, np.zeros((len(m), 1)), phase, step)
+    return AllanSums(
+        ImuIdentity('imu'),
+        AXES[:1],
+        count,
+        (twice * count)[:, None],
+        groups,
+        (twice * groups)[:, None],
+        (record,),
+        elapsed_ns=segments * (samples - 1) * PERIOD_NS,
+        intervals=segments * (samples - 1),
+    )
+
+
+@pytest.mark.parametrize('samples', [DECADES, 2 * int(grid(MAX_LEVELS)[0][-1])])
+def test_decades_in_one_segment_are_counted_and_fitted(samples: int) -> None:
+    sums = sums_in_theory(samples)
+    assert sums.samples == samples and len(sums.m) <= len(grid(MAX_LEVELS)[0])
+    expected = term_avar(sums.m, PERIOD_NS * 1e-9, TRUTH).sum(axis=1)
+    np.testing.assert_allclose(sums.avar[:, 0], expected, rtol=1e-12)
+    document = sums_to_document(sums)
+    check_numbers(document)
+    assert samples > DECADES or sums_from_document(document).samples == samples
+    curve = allan_curve(sums)
+    assert np.all(np.diff(curve.n) <= 0) and np.all(curve.n > 0)
+    assert np.all(curve.ci_low < curve.adev) and np.all(curve.adev < curve.ci_high)
+    for method in ('paper', 'relative') if samples == DECADES else ('gls',):
+        noise = fit_noise(sums, method).axes['gyro_x'].noise
+        assert noise['N'].value == pytest.approx(TRUTH.N, rel=1e-3)
+        assert noise['B'].value == pytest.approx(TRUTH.B, rel=0.1)
+
+
+def test_sums_double_to_a_thousand_times_as_much() -> None:
+    sums = sums_in_theory(10**6)
+    first = sums.avar
+    for _ in range(30):
+        sums = sums + sums
+    assert sums.samples == 10**6 << 30 and np.all(sums.count > 0)
+    np.testing.assert_allclose(sums.avar, first, rtol=1e-12)
+    check_numbers(sums_to_document(sums))
+    noise = fit_noise(sums, 'relative').axes['gyro_x'].noise
+    assert noise['N'].value == pytest.approx(TRUTH.N, rel=1e-3)
+
+
+@pytest.mark.parametrize('exponent', [9, 10, 12, 15])
+def test_degrees_of_freedom_do_not_wrap_round(exponent: int) -> None:
+    # of white noise at m = 1: two thirds of the number of differences
+    for number, each in ((1, 10**exponent), (10 ** (exponent - 6), 10**6)):
+        assert edf(0, 1, 1, [each], [number]) == pytest.approx(2 / 3 * 10**exponent, rel=1e-5)
+
+
+def test_the_recent_view_after_decades_is_of_numbers() -> None:
+    view, sums = RecentView(100.0), sums_in_theory(DECADES)
+    view.update(sums, 0.0)
+    view.update(sums + sums_in_theory(10**6), 50.0)
+    curve = view.curve()
+    assert curve is not None and not np.any(curve.adev < 0.0)
+    assert view.changes() == []
+
+
+# --- exact arithmetic ---------------------------------------------------------------------------
+
+
+def exactly(y: list[Fraction], m: int, stride: int) -> Fraction:
+    """Return the sum of d^2 without any rounding."""
+    theta = [Fraction(0)]
+    for sample in y:
+        theta.append(theta[-1] + sample - y[0])
+    starts = range(0, len(y) - 2 * m + 1, stride)
+    return sum((theta[u + 2 * m] - 2 * theta[u + m] + theta[u]) ** 2 for u in starts)
+
+
+@settings(max_examples=15, derandomize=True)
+@given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=60), st.floats(-1e6, 1e6))
+def test_the_engine_is_right_to_rounding(noise: list[float], offset: float) -> None:
+    y = np.array(noise)[:, None] + offset
+    sums = sums_of(y)
+    fractions = [Fraction(v) for v in y[:, 0].tolist()]
+    spread = float(np.abs(y - y[0]).max())
+    for m, stride, found in zip(sums.m.tolist(), sums.stride.tolist(), sums.sum_sq[:, 0]):
+        exact = exactly(fractions, m, stride)
+        # each d is off by the rounding of the running sums, in which the offset has no part
+        off, number = 4 * np.finfo(float).eps * len(y) * spread, len(y)
+        allowed = 2.0 * off * np.sqrt(number * float(exact)) + number * off**2
+        assert abs(float(exact) - found) <= 1e-15 * number * float(exact) + allowed + 1e-300
+
+
+def test_of_whole_numbers_the_engine_loses_nothing() -> None:
+    """A walk of 2e5 whole steps on a large offset: every running sum is a whole number too."""
+    y = np.random.default_rng(3).integers(-9, 10, 200_000)
+    sums = sums_of((y + 2**40).astype(float)[:, None], [7777])
+    theta = np.concatenate([[0], np.cumsum(y - y[0])]).astype(object)
+    for i in (0, 5, 17, len(sums.m) - 1):
+        m, stride = int(sums.m[i]), int(sums.stride[i])
+        d = (theta[2 * m :] - 2 * theta[m:-m] + theta[: -2 * m])[::stride]
+        exact = int((d * d).sum())
+        assert abs(sums.sum_sq[i, 0] - exact) <= 1e-14 * exact
+        assert sums.count[i] == len(d)
+    assert sums.segments[0].signed[0, 0] == int((theta[2:] - 2 * theta[1:-1] + theta[:-2]).sum())

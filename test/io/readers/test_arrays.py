@@ -1,0 +1,130 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""numpy files in every layout numpy writes, read in blocks; and what is wrong with some."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.io.readers import arrays
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import STANDARD_GRAVITY
+
+RNG = np.random.default_rng(3)
+N = 1000
+IMU = np.column_stack([np.arange(N) * 0.005, RNG.normal(size=(N, 6))])
+STAMPS = 1_700_000_000_000_000_001 + np.arange(N) * 5_000_000
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every file take several blocks, the last one short."""
+    monkeypatch.setattr(arrays, 'BATCH', 300)
+
+
+@pytest.mark.parametrize('order', ['C', 'F'])
+@pytest.mark.parametrize('save', [np.savez, np.savez_compressed])
+def test_npz_with_time_in_seconds(save: Any, order: Any, tmp_path: Path, read: Any) -> None:
+    save(tmp_path / 'imu.npz', imu=np.array(IMU, order=order))
+    back = read(tmp_path / 'imu.npz')
+    np.testing.assert_array_equal(back.samples, IMU[:, 1:])
+    np.testing.assert_array_equal(back.stamps_ns, np.arange(N) * 5_000_000)
+    assert len(back.frame_ids) == 4
+    assert (back.recording.messages, back.record_ns) == (N, None)
+
+
+@pytest.mark.parametrize('columns', [IMU, IMU[:, 1:]])
+def test_stamps_take_the_place_of_t(columns: np.ndarray, tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.npz'
+    np.savez(path, imu=columns, stamps_ns=STAMPS, record_ns=STAMPS + 7, frame_id='base')
+    back = read(path)
+    np.testing.assert_array_equal(back.samples, IMU[:, 1:])
+    np.testing.assert_array_equal(back.stamps_ns, STAMPS)
+    np.testing.assert_array_equal(back.record_ns, STAMPS + 7)
+    assert set(back.frame_ids) == {'base'}
+
+
+@pytest.mark.parametrize('order', ['C', 'F'])
+@pytest.mark.parametrize('dtype', ['<f8', '>f8', '<f4'])
+def test_npy_of_any_kind_of_float(dtype: str, order: Any, tmp_path: Path, read: Any) -> None:
+    stored = np.array(IMU, dtype=dtype, order=order)
+    np.save(tmp_path / 'imu.npy', stored)
+    back = read(tmp_path / 'imu.npy')
+    np.testing.assert_array_equal(back.samples, stored[:, 1:].astype(float))
+    assert back.recording.info.storage == 'npy'
+
+
+def test_rate_and_units_are_stated(tmp_path: Path, read: Any) -> None:
+    np.save(tmp_path / 'imu.npy', IMU[:, 1:])
+    back = read(tmp_path / 'imu.npy', rate_hz=100.0, gyro_unit='deg/s', accel_unit='g')
+    np.testing.assert_array_equal(back.stamps_ns, np.arange(N) * 10_000_000)
+    scale = np.repeat([np.pi / 180, STANDARD_GRAVITY], 3)
+    np.testing.assert_array_equal(back.samples, IMU[:, 1:] * scale)
+
+
+def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / 'long.npz'
+    np.savez(path, imu=np.zeros((200_000, 7)), stamps_ns=np.arange(200_000))  # 12.8 MB
+    [recording] = open_recordings([path])
+    tracemalloc.start()
+    count = sum(map(len, recording.batches()))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count == 200_000
+    assert peak < 2e6
+
+
+def with_time(value: float) -> np.ndarray:
+    """Return the samples with one time that is no time."""
+    spoiled = IMU.copy()
+    spoiled[700, 0] = value
+    return spoiled
+
+
+@pytest.mark.parametrize(
+    'content, says',
+    [
+        ({'gyro': IMU}, "has no array 'imu' (it has gyro)"),
+        ({'imu': IMU[:, :4]}, 'has shape (1000, 4)'),
+        ({'imu': IMU[:, 0]}, 'has shape (1000,)'),
+        ({'imu': IMU[:0]}, 'holds no sample'),
+        ({'imu': IMU[:, 1:]}, 'state the sample rate with --rate'),
+        ({'imu': IMU.astype(str)}, 'save it as float64'),
+        ({'imu': np.array([[None] * 7])}, 'is of type object'),
+        ({'imu': IMU, 'stamps_ns': STAMPS[:-1]}, 'one for each of the 1000 samples'),
+        ({'imu': IMU, 'stamps_ns': STAMPS.astype(float)}, 'must be int64'),
+        ({'imu': with_time(np.nan)}, 'the time of row 700 is no stamp'),
+        ({'imu': with_time(1e18)}, 'the time of row 700 is no stamp'),
+    ],
+)
+def test_what_is_wrong_is_said(
+    content: dict[str, np.ndarray], says: str, tmp_path: Path, refused: Any
+) -> None:
+    np.savez(tmp_path / 'imu.npz', **content)
+    assert says in refused(tmp_path / 'imu.npz')
+
+
+@pytest.mark.parametrize('name', ['imu.npz', 'imu.npy'])
+def test_damaged_files_are_said(name: str, tmp_path: Path, refused: Any, outcome: Any) -> None:
+    path = tmp_path / name
+    if name == 'imu.npz':
+        np.savez_compressed(path, imu=IMU)
+    else:
+        np.save(path, IMU)
+    data = path.read_bytes()
+    for length in (5, 60, 100, 3000, len(data) - 1):
+        path.write_bytes(data[:length])
+        refused(path)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        flipped = bytearray(data)
+        for at in rng.integers(0, len(data), size=20):
+            flipped[at] = rng.integers(0, 256)
+        path.write_bytes(bytes(flipped))
+        _, said = outcome(path)
+        assert '\n' not in said

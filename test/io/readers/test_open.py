@@ -1,0 +1,127 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real recordings, good and bad: equal to rosbags' own reading, or one line that says why not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.io.readers.recording import ReadOptions
+
+pytest.importorskip('rosbags')
+
+BAGS = {
+    'phidgets_imu_upside_down.bag': ('/imu/data_raw', 'ros1', 13964),
+    'plotjuggler_rosbag2_test': ('/imu', 'sqlite3', 1565),
+    'robot_localization_test1.bag': ('/imu/data', 'ros1', 11865),
+    'rosbags_rs_test_bag_mcap': ('/test/sensor_msgs/imu', 'mcap', 2),
+    'rosbags_rs_test_bag_sqlite3': ('/test/sensor_msgs/imu', 'sqlite3', 2),
+    'tilt_laser.bag': ('/imu_data', 'ros1', 356),
+    'turtlebot3.bag': ('/imu', 'ros1', 2253),
+}
+LFS = 'is a Git-LFS pointer, not the recording: fetch it with "git lfs pull"'
+NO_IMU = 'no sensor_msgs/Imu topic; it has '
+ODD = {
+    'cdr_test_mcap': NO_IMU + '/array_topic (test_msgs/msg/Arrays, 4)',
+    'cdr_test_sqlite3': NO_IMU + '/array_topic (test_msgs/msg/Arrays, 4)',
+    'empty_bag_rosbag2': NO_IMU + '/rosout (rcl_interfaces/msg/Log, 0)',
+    'lfs_pointer.bag': LFS,
+    'lfs_pointer.db3': LFS,
+    'lfs_pointer.mcap': LFS,
+    'metadata_present_db3_missing': '1 of the 1 files that metadata.yaml names are missing',
+    'reindex_no_metadata_mcap': NO_IMU + '/chatter (std_msgs/msg/String, 3177)',
+    'reindex_no_metadata_sqlite3': NO_IMU + '/chatter (std_msgs/msg/String, 3177)',
+    'rosbagjs_empty-file.bag': 'is empty (0 bytes)',
+    'rosbagjs_example-bz2.bag': NO_IMU + '/tf (tf/msg/tfMessage, 2688)',
+    'rosbagjs_example-lz4.bag': NO_IMU + '/tf (tf/msg/tfMessage, 2688)',
+    'rosbagjs_example-unsorted-chunks.bag': NO_IMU + 'foo (std_msgs/msg/String, 3)',
+    'service_events_mcap': NO_IMU,
+    'service_events_sqlite3': '2 of them of unknown type without a schema',
+    'tiryoh_test_sample.mcap': NO_IMU + '/rosout (rcl_interfaces/msg/Log, 10)',
+    'tiryoh_truncated.mcap': 'is cut off after 1475 of 1533 bytes',
+    'wbag_split5_mcap': NO_IMU + 'AAA (std_msgs/msg/String, 804)',
+    'wbag_split5_sqlite3': NO_IMU + 'AAA (std_msgs/msg/String, 804)',
+    'wrong_rmw_mcap': 'serialized as wrong_format',
+    'wrong_rmw_sqlite3': 'serialized as wrong_format',
+}
+
+
+def read_by_rosbags(path: Path, topic: str) -> tuple[list[int], list[int], np.ndarray]:
+    """Return record times, stamps and axes, message by message."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    record, stamps, samples = [], [], []
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([path], default_typestore=store) as reader:
+        connections = [one for one in reader.connections if one.topic == topic]
+        for connection, time, payload in reader.messages(connections):
+            imu: Any = reader.deserialize(payload, connection.msgtype)
+            row = []
+            for vector, covariance in (
+                (imu.angular_velocity, imu.angular_velocity_covariance),
+                (imu.linear_acceleration, imu.linear_acceleration_covariance),
+            ):
+                absent = covariance[0] == -1
+                row += [np.nan] * 3 if absent else [vector.x, vector.y, vector.z]
+            record.append(time)
+            stamps.append(imu.header.stamp.sec * 10**9 + imu.header.stamp.nanosec)
+            samples.append(row)
+    return record, stamps, np.array(samples)
+
+
+@pytest.mark.parametrize('name', BAGS)
+def test_real_bags_read_as_rosbags_reads_them(name: str, shared_data: Path, read: Any) -> None:
+    topic, storage, count = BAGS[name]
+    path = shared_data / 'bags' / name
+    back = read(path)
+    record, stamps, samples = read_by_rosbags(path, topic)
+    assert (back.recording.info.topic, back.recording.info.storage) == (topic, storage)
+    assert back.recording.messages == len(stamps) == count
+    np.testing.assert_array_equal(back.record_ns, record)
+    np.testing.assert_array_equal(back.stamps_ns, stamps)
+    np.testing.assert_array_equal(back.samples, samples)
+    assert back.findings == ()
+
+
+@pytest.mark.parametrize('name', ODD)
+def test_odd_files_are_refused_in_one_line(name: str, shared_data: Path, refused: Any) -> None:
+    assert ODD[name] in refused(shared_data / 'odd' / name)
+
+
+def test_no_odd_file_is_forgotten(shared_data: Path) -> None:
+    assert {path.name for path in (shared_data / 'odd').iterdir()} == set(ODD)
+    assert {path.name for path in (shared_data / 'bags').iterdir()} == set(BAGS)
+
+
+def test_a_real_array_is_read(shared_data: Path, read: Any) -> None:
+    back = read(shared_data / 'mpu6050.npz')
+    truth = np.load(shared_data / 'mpu6050.npz')['imu']
+    np.testing.assert_array_equal(back.samples, truth[:, 1:])
+    np.testing.assert_array_equal(back.stamps_ns, np.rint(truth[:, 0] * 1e9).astype(np.int64))
+
+
+def test_bad_options_are_refused() -> None:
+    with pytest.raises(AllanError, match='gyro_unit is'):
+        ReadOptions(gyro_unit='furlong')
+    with pytest.raises(AllanError, match='rate_hz is -1'):
+        ReadOptions(rate_hz=-1.0)
+
+
+def test_opening_a_table_imports_no_bag_library(tmp_path: Path) -> None:
+    """A machine without rosbags reads CSV and npz."""
+    (tmp_path / 'run.csv').write_text('t,gx,gy,gz\n0,1,2,3\n')
+    code = (
+        'import sys; from allan_ros.io.readers.open import open_recordings; '
+        f'list(open_recordings([{str(tmp_path / "run.csv")!r}])[0].batches()); '
+        'sys.exit(any(name.split(".")[0] == "rosbags" for name in sys.modules))'
+    )
+    root = Path(__file__).resolve().parents[3]
+    assert subprocess.run([sys.executable, '-c', code], cwd=root, check=False).returncode == 0

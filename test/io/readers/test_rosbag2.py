@@ -1,0 +1,427 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as they are met: split, without metadata, cut off, with several topics, damaged."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.writing import IMU_TYPE, write_recording
+
+rosbag2 = pytest.importorskip('rosbags.rosbag2')
+typesys = pytest.importorskip('rosbags.typesys')
+highlevel = pytest.importorskip('rosbags.highlevel')
+yaml = pytest.importorskip('yaml')
+
+STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+SUFFIX = {'mcap': '.mcap', 'sqlite3': '.db3'}
+
+
+def write_split(folder: Path, batches: list[Any], storage: str) -> None:
+    """Write one bag of as many splits as there are batches, as ros2 bag lays it out."""
+    described: dict[str, Any] = {}
+    for number, batch in enumerate(batches):
+        one = folder.parent / f'{folder.name}_{number}'
+        write_recording(one, [batch], storage=storage)
+        info = yaml.safe_load((one / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+        described = described or {**info, 'relative_file_paths': [], 'message_count': 0}
+        name = info['relative_file_paths'][0]
+        folder.mkdir(exist_ok=True)
+        shutil.move(one / name, folder / name)
+        shutil.rmtree(one)
+        described['relative_file_paths'].append(f'{folder.name}/{name}')
+        described['message_count'] += info['message_count']
+        described['topics_with_message_count'][0]['message_count'] = described['message_count']
+    document = yaml.safe_dump({'rosbag2_bagfile_information': described})
+    (folder / 'metadata.yaml').write_text(document)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('metadata', [True, False])
+def test_splits_are_one_recording(
+    storage: str, metadata: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    batches = imu_batches(1200, parts=12)  # the tenth split sorts before the second by letters
+    write_split(tmp_path / 'bag', batches, storage)
+    if not metadata:
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    back = read(tmp_path / 'bag')
+    truth = joined(batches)
+    np.testing.assert_array_equal(back.stamps_ns, truth.stamps_ns)
+    np.testing.assert_array_equal(back.samples, truth.samples)
+    assert back.recording.messages == 1200
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bare_file_and_the_metadata_file_are_the_bag_too(
+    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    write_recording(tmp_path / 'bag', imu_batches(30), storage=storage)
+    for path in (f'bag/bag{SUFFIX[storage]}', 'bag/metadata.yaml', 'bag'):
+        assert len(read(tmp_path / path).stamps_ns) == 30
+
+
+def test_several_inputs_are_several_recordings(tmp_path: Path, imu_batches: Any) -> None:
+    write_recording(tmp_path / 'a', imu_batches(10))
+    write_recording(tmp_path / 'b.csv', imu_batches(20))
+    recordings = open_recordings([tmp_path / 'a', str(tmp_path / 'b.csv')])
+    assert [sum(map(len, one.batches())) for one in recordings] == [10, 20]
+    assert [one.info.path for one in recordings] == [str(tmp_path / 'a'), str(tmp_path / 'b.csv')]
+
+
+def test_a_recording_can_be_read_twice(tmp_path: Path, imu_batches: Any) -> None:
+    write_recording(tmp_path / 'a', imu_batches(10))
+    [recording] = open_recordings([tmp_path / 'a'])
+    assert [sum(map(len, recording.batches())) for _ in range(2)] == [10, 10]
+
+
+@pytest.mark.parametrize('storage, suffix', [('mcap', ''), ('ros1', '.bag')])
+@pytest.mark.parametrize('compression', ['none', 'best'])
+def test_a_cut_file_yields_its_whole_chunks(
+    storage: str, suffix: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any,
+    read: Any,
+) -> None:  # fmt: skip
+    best = {'mcap': 'chunk', 'ros1': 'lz4'}[storage]
+    batches = imu_batches(20_000)  # several chunks of 1 MB
+    how = best if compression == 'best' else 'none'
+    write_recording(tmp_path / f'run{suffix}', batches, storage=storage, compression=how)
+    source = tmp_path / ('run/run.mcap' if storage == 'mcap' else 'run.bag')
+    data = source.read_bytes()
+    cut = tmp_path / f'cut{source.suffix}'
+    cut.write_bytes(data[: int(0.7 * len(data))])
+    back = read(cut)
+    n = len(back.stamps_ns)
+    assert 8_000 < n < 16_000
+    truth = joined(batches)
+    np.testing.assert_array_equal(back.stamps_ns, truth.stamps_ns[:n])
+    np.testing.assert_array_equal(back.samples, truth.samples[:n])
+    assert [finding.id for finding in back.findings] == ['bag_cut']
+    assert str(int(0.7 * len(data))) in str(back.findings[0])
+
+
+@pytest.mark.parametrize('storage, suffix', [('mcap', ''), ('ros1', '.bag')])
+def test_wherever_a_file_is_cut_it_reads_or_says_one_line(
+    storage: str, suffix: str, tmp_path: Path, imu_batches: Any, outcome: Any
+) -> None:
+    write_recording(tmp_path / f'run{suffix}', imu_batches(40), storage=storage)
+    source = tmp_path / ('run/run.mcap' if storage == 'mcap' else 'run.bag')
+    data = source.read_bytes()
+    cut = tmp_path / f'cut{source.suffix}'
+    rng = np.random.default_rng(4)
+    for length in rng.integers(1, len(data), size=60):
+        cut.write_bytes(data[:length])
+        count, said = outcome(cut)
+        assert '\n' not in said
+        assert said.startswith(str(cut)) if said else count == 40
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
+def test_flipped_bytes_never_end_in_a_traceback(
+    storage: str, tmp_path: Path, imu_batches: Any, outcome: Any
+) -> None:
+    path = tmp_path / ('run.bag' if storage == 'ros1' else 'run')
+    write_recording(path, imu_batches(40), storage=storage)
+    source = path if storage == 'ros1' else path / f'run{SUFFIX[storage]}'
+    data = np.frombuffer(source.read_bytes(), np.uint8)
+    rng = np.random.default_rng(5)
+    spoiled = tmp_path / f'spoiled{source.suffix}'
+    for _ in range(80):
+        flipped = data.copy()
+        flipped[rng.integers(0, len(data), size=20)] = rng.integers(0, 256, size=20)
+        spoiled.write_bytes(flipped.tobytes())
+        _, said = outcome(spoiled)
+        assert '\n' not in said
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
+def test_messages_come_in_the_order_of_their_record_time(
+    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    """Chunks overlap by seconds: the order is that of rosbags, and nothing is lost."""
+    [batch] = imu_batches(15_000, parts=1)
+    late = np.random.default_rng(6).integers(0, 4 * 10**9, size=len(batch))
+    late[::1000] += 30 * 10**9
+    path = tmp_path / ('run.bag' if storage == 'ros1' else 'run')
+    write_recording(path, [replace(batch, record_ns=batch.stamps_ns + late)], storage=storage)
+    back = read(path)
+    order = np.argsort(batch.stamps_ns + late, kind='stable')
+    np.testing.assert_array_equal(back.stamps_ns, batch.stamps_ns[order])
+    np.testing.assert_array_equal(back.samples, batch.samples[order])
+    with highlevel.AnyReader([path]) as reader:
+        times = [time for _, time, _ in reader.messages()]
+    np.testing.assert_array_equal(back.record_ns, times)
+
+
+def mcap_records(data: bytes) -> list[tuple[int, bytes]]:
+    """Return opcode and content of each record."""
+    records, at = [], 0
+    while at + 9 <= len(data):
+        opcode, length = struct.unpack_from('<BQ', data, at)
+        records.append((opcode, data[at + 9 : at + 9 + length]))
+        at += 9 + length
+    return records
+
+
+@pytest.mark.parametrize('chunked', [True, False])
+@pytest.mark.parametrize('ended', [True, False])
+def test_an_mcap_without_summary_is_whole(
+    chunked: bool, ended: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    """The summary and the chunks are optional in the format; the end is not."""
+    batches = imu_batches(9000)
+    write_recording(tmp_path / 'run', batches)
+    magic, data = b'\x89MCAP0\r\n', (tmp_path / 'run/run.mcap').read_bytes()
+    kept = magic
+    for opcode, content in mcap_records(data[len(magic) : -len(magic)]):
+        if opcode == 0x06:
+            inner = content[32 + struct.unpack_from('<I', content, 28)[0] + 8 :]
+            kept += struct.pack('<BQ', opcode, len(content)) + content if chunked else inner
+        elif opcode == 0x01:
+            kept += struct.pack('<BQ', opcode, len(content)) + content
+    footer = struct.pack('<BQI', 0x0F, 4, 0) + struct.pack('<BQQQI', 0x02, 20, 0, 0, 0) + magic
+    path = tmp_path / 'bare.mcap'
+    path.write_bytes(kept + footer * ended)
+    back = read(path)
+    truth = joined(batches)
+    np.testing.assert_array_equal(back.stamps_ns, truth.stamps_ns)
+    np.testing.assert_array_equal(back.samples, truth.samples)
+    assert [finding.id for finding in back.findings] == ([] if ended else ['bag_cut'])
+
+
+def test_an_unclosed_database_gives_its_log_too(
+    tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    """A recorder that was killed leaves its last messages in a write-ahead log."""
+    write_recording(tmp_path / 'run', imu_batches(40), storage='sqlite3')
+    path = tmp_path / 'killed.db3'
+    shutil.copy(tmp_path / 'run/run.db3', path)
+    writer = sqlite3.connect(path)
+    writer.execute('PRAGMA journal_mode=WAL')
+    writer.execute(
+        'INSERT INTO messages (topic_id, timestamp, data) '
+        'SELECT topic_id, timestamp + 1000000000000, data FROM messages'
+    )
+    writer.commit()  # and never closed, so the log stays
+    assert len(read(path).stamps_ns) == 80
+    writer.close()
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_no_character_of_a_path_is_special(
+    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    write_recording(tmp_path / 'run', imu_batches(10), storage=storage)
+    path = tmp_path / 'été 50%?a=1#[x] & {0}'
+    (tmp_path / 'run').rename(path)
+    assert len(read(path).stamps_ns) == 10
+
+
+def test_an_mcap_can_hold_ros1_messages(
+    tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    batch = joined(imu_batches(20))
+    writer = rosbag2.Writer(tmp_path / 'old', version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    with writer:
+        connection = writer.add_connection(
+            '/imu', IMU_TYPE, typestore=STORE, serialization_format='ros1'
+        )
+        for stamp, payload in zip(batch.stamps_ns.tolist(), encode_imus(batch, 'ros1')):
+            writer.write(connection, stamp, payload)
+    np.testing.assert_array_equal(read(tmp_path / 'old').samples, batch.samples)
+
+
+def test_a_topic_that_turns_out_empty_is_said(
+    tmp_path: Path, imu_batches: Any, refused: Any
+) -> None:
+    write_recording(tmp_path / 'bag', imu_batches(20), storage='sqlite3')
+    with sqlite3.connect(tmp_path / 'bag/bag.db3') as database:
+        database.execute('DELETE FROM messages')  # while metadata.yaml still counts 20
+    assert 'topic /imu/data holds no message' in refused(tmp_path / 'bag')
+
+
+def write_topics(path: Path, topics: dict[str, tuple[str, int]], batch: Any) -> None:
+    """Write a bag in which topics of several types hold some messages each."""
+    with rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        for topic, (msgtype, count) in topics.items():
+            connection = writer.add_connection(topic, msgtype, typestore=STORE)
+            for payload, stamp in zip(encode_imus(batch, 'cdr')[:count], batch.stamps_ns.tolist()):
+                writer.write(connection, stamp, payload)
+
+
+def test_several_imu_topics_are_listed(
+    tmp_path: Path, imu_batches: Any, read: Any, refused: Any
+) -> None:
+    [batch] = imu_batches(20, parts=1)
+    path = tmp_path / 'two'
+    topics = {'/left': (IMU_TYPE, 12), '/right': (IMU_TYPE, 20), '/idle': (IMU_TYPE, 0)}
+    write_topics(path, topics, batch)
+    said = refused(path)
+    assert said == f'{path}: has 2 Imu topics: /left (12), /right (20): choose one with --topic'
+    assert len(read(path, topic='/left').stamps_ns) == 12
+    assert len(read(path, topic='right').stamps_ns) == 20
+    assert 'holds no message' in refused(path, topic='/idle')
+    assert 'has no topic /up; it has /left' in refused(path, topic='/up')
+
+
+def test_the_only_imu_topic_that_holds_anything_is_taken(
+    tmp_path: Path, imu_batches: Any, read: Any, refused: Any
+) -> None:
+    [batch] = imu_batches(20, parts=1)
+    topics = {'/imu': (IMU_TYPE, 20), '/idle': (IMU_TYPE, 0), '/text': ('std_msgs/msg/String', 0)}
+    write_topics(tmp_path / 'bag', topics, batch)
+    assert read(tmp_path / 'bag').recording.info.topic == '/imu'
+    said = refused(tmp_path / 'bag', topic='/text')
+    assert 'std_msgs/msg/String, which carries no sensor_msgs/Imu' in said
+
+
+def test_payloads_that_are_no_imu_are_named(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+    [batch] = imu_batches(20, parts=1)
+    with rosbag2.Writer(tmp_path / 'bag', version=8) as writer:
+        connection = writer.add_connection('/imu', IMU_TYPE, typestore=STORE)
+        for number, payload in enumerate(encode_imus(batch, 'cdr')):
+            writer.write(connection, number, payload[: 100 if number == 7 else 400])
+    said = refused(tmp_path / 'bag' / 'bag.db3')
+    assert 'message 8 of /imu is no sensor_msgs/msg/Imu (100 bytes are too few' in said
+
+
+CUSTOM = 'my_msgs/msg/Rig'
+CUSTOM_DEFINITION = 'string label\nfloat32[] temperatures\nsensor_msgs/Imu left\nuint8 state\n'
+
+
+def write_custom(path: Path, definition: str, storage: Any, n: int = 30) -> list[Any]:
+    """Write messages that carry Imus inside, and return those of the field left."""
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    store.register(typesys.get_types_from_msg(definition, CUSTOM))
+    types = store.types
+    imus = []
+    with rosbag2.Writer(path, version=8, storage_plugin=storage) as writer:
+        connection = writer.add_connection('/rig', CUSTOM, typestore=store)
+        for row in range(n):
+            vectors = np.random.default_rng(row).normal(size=(2, 3))
+            absent = np.array([-1.0 if row == 3 else 0.0] + [0.0] * 8)
+            imu = types[IMU_TYPE](
+                types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](row, 5), 'rig'),
+                types['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0),
+                np.zeros(9),
+                types['geometry_msgs/msg/Vector3'](*vectors[0]),
+                absent,
+                types['geometry_msgs/msg/Vector3'](*vectors[1]),
+                np.zeros(9),
+            )
+            fields = {'label': 'x' * (row % 5), 'temperatures': np.ones(row % 3, np.float32)}
+            fields.update(left=imu, right=imu, state=row)
+            names = [field for field, _ in store.fielddefs[CUSTOM][1]]
+            message = types[CUSTOM](**{name: fields[name] for name in names})
+            writer.write(connection, row, store.serialize_cdr(message, CUSTOM))
+            imus.append(vectors.ravel())
+    return imus
+
+
+@pytest.mark.parametrize('storage', list(rosbag2.StoragePlugin))
+def test_an_imu_inside_another_message_is_found_by_the_schema(
+    storage: Any, tmp_path: Path, read: Any
+) -> None:
+    imus = np.array(write_custom(tmp_path / 'rig', CUSTOM_DEFINITION, storage))
+    imus[3, :3] = np.nan
+    back = read(tmp_path / 'rig')
+    assert back.recording.info.topic == '/rig:left'
+    assert back.recording.info.type == CUSTOM
+    np.testing.assert_array_equal(back.samples, imus)
+    np.testing.assert_array_equal(back.stamps_ns, np.arange(30) * 10**9 + 5)
+    assert set(back.frame_ids) == {'rig'}
+    for name in ('/rig', 'rig:left'):
+        assert len(read(tmp_path / 'rig', topic=name).stamps_ns) == 30
+
+
+def test_two_imus_in_one_message_are_to_choose_from(
+    tmp_path: Path, read: Any, refused: Any
+) -> None:
+    definition = CUSTOM_DEFINITION + 'sensor_msgs/Imu right\n'
+    write_custom(tmp_path / 'rig', definition, rosbag2.StoragePlugin.MCAP)
+    assert 'has 2 Imu topics: /rig:left (30), /rig:right (30)' in refused(tmp_path / 'rig')
+    assert 'choose one of /rig:left, /rig:right' in refused(tmp_path / 'rig', topic='/rig')
+    assert len(read(tmp_path / 'rig', topic='/rig:right').stamps_ns) == 30
+
+
+def test_an_unknown_type_without_schema_is_said(tmp_path: Path, refused: Any) -> None:
+    write_custom(tmp_path / 'rig', CUSTOM_DEFINITION, rosbag2.StoragePlugin.SQLITE3)
+    with sqlite3.connect(tmp_path / 'rig/rig.db3') as database:
+        database.execute('DELETE FROM message_definitions')
+    assert '1 of them of unknown type without a schema' in refused(tmp_path / 'rig')
+    assert 'has no schema that tells' in refused(tmp_path / 'rig', topic='/rig')
+
+
+def test_a_changed_frame_begins_a_batch(tmp_path: Path, imu_batches: Any, read: Any) -> None:
+    one, two, three = imu_batches(30)
+    batches = [one, replace(two, frame_id='other'), three]
+    write_recording(tmp_path / 'bag', batches)
+    assert read(tmp_path / 'bag').frame_ids == ['imu_link', 'other', 'imu_link']
+
+
+@pytest.mark.parametrize(
+    'name, spoil, says',
+    [
+        ('gone', lambda path: None, 'no such file or folder'),
+        ('empty.mcap', lambda path: path.write_bytes(b''), 'empty (0 bytes)'),
+        ('empty', lambda path: path.mkdir(), 'no bag in this folder'),
+        ('run.bag', lambda path: path.write_bytes(b'not a bag at all'), 'does not begin like'),
+        ('run.db3', lambda path: path.write_bytes(b'SQLite format 3\0'), 'cannot be read'),
+        ('run.mcap', lambda path: path.write_bytes(b'\x89MCAP0\r\n'), 'holds no whole message'),
+        ('run.mcap.zstd', lambda path: path.write_bytes(b'\x28\xb5\x2f\xfd.'), 'cannot be read'),
+        ('notes.pdf', lambda path: path.write_bytes(b'%PDF'), 'not a recording this tool knows'),
+        (
+            'v1.bag',
+            lambda path: path.write_bytes(b'#ROSBAG V1.2\n'),
+            "'#ROSBAG V1.2' is no ROS bag 2.0",
+        ),
+        (
+            'lfs.mcap',
+            lambda path: path.write_bytes(b'version https://git-lfs.github.com/spec/v1\n'),
+            'git lfs pull',
+        ),
+    ],
+)
+def test_what_is_no_bag_is_said_in_one_line(
+    name: str, spoil: Any, says: str, tmp_path: Path, refused: Any
+) -> None:
+    spoil(tmp_path / name)
+    assert says in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    'spoil, says',
+    [
+        (lambda bag: (bag / 'bag.mcap').unlink(), '1 of the 1 files'),
+        (lambda bag: (bag / 'metadata.yaml').write_text('a: ['), 'remove it to read'),
+        (lambda bag: (bag / 'metadata.yaml').write_text('a: 1'), 'remove it to read'),
+        (lambda bag: (bag / 'bag.mcap').write_bytes(b''), 'empty (0 bytes)'),
+        (
+            lambda bag: (bag / 'metadata.yaml').write_text(
+                (bag / 'metadata.yaml').read_text().replace(': cdr', ': smoke')
+            ),
+            "serialized as 'smoke'",
+        ),
+    ],
+)
+def test_a_broken_bag_folder_is_said_in_one_line(
+    spoil: Any, says: str, tmp_path: Path, imu_batches: Any, refused: Any
+) -> None:
+    write_recording(tmp_path / 'bag', imu_batches(10))
+    spoil(tmp_path / 'bag')
+    assert says in refused(tmp_path / 'bag')
+
+
+def test_a_folder_of_bags_names_them(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+    for name in ('a', 'b'):
+        write_recording(tmp_path / name, imu_batches(10))
+    assert '2 recordings (a, b): give each of them' in refused(tmp_path)

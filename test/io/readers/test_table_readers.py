@@ -1,0 +1,191 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables as people have them: many headers, units, time columns; and what is wrong with some."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from allan_ros.core.imu import ImuBatch
+from allan_ros.io.readers import tables
+from allan_ros.io.readers.recording import STANDARD_GRAVITY
+
+DEG = np.pi / 180
+ROW = '1,2,3,4,5,6'
+VALUES = np.arange(1.0, 7.0)
+
+
+@pytest.mark.parametrize(
+    'header, row, stamp_ns',
+    [
+        ('t,gx,gy,gz,ax,ay,az', f'0.005,{ROW}', 5_000_000),
+        ('stamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z', f'5,{ROW}', 5),
+        ('time_ms;wx;wy;wz;ax;ay;az', f'7.5,{ROW}'.replace(',', ';'), 7_500_000),
+        ('Time [us]\tGyro X\tGyro Y\tGyro Z\tAcc X\tAcc Y\tAcc Z', '9\t1\t2\t3\t4\t5\t6', 9000),
+        ('t gx gy gz ax ay az', '  1   1 2  3 4 5  6', 10**9),
+        (
+            '#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],'
+            'a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]',
+            f'1403636579758555392,{ROW}',
+            1403636579758555392,
+        ),
+        (
+            '/imu/header/stamp/sec,/imu/header/stamp/nanosec,/imu/header/frame_id,'
+            '/imu/angular_velocity/x,/imu/angular_velocity/y,/imu/angular_velocity/z,'
+            '/imu/linear_acceleration/x,/imu/linear_acceleration/y,/imu/linear_acceleration/z',
+            f'1700000000,123456789,imu,{ROW}',
+            1_700_000_000_123_456_789,
+        ),
+        (
+            'time,stamp,temperature,mag_x,gx,gy,gz,ax,ay,az',
+            f'1,1700000000.123456789,20.5,0.1,{ROW}',
+            1_700_000_000_123_456_789,
+        ),
+        ('t,"gx","gy","gz",ax,ay,az', '"1","1",2,3,4,5,6', 10**9),
+        ('\ufefft,gx,gy,gz,ax,ay,az', f'1,{ROW}', 10**9),
+        ('t,gx,gy,gz,ax,ay,az\r', f'1,{ROW}\r', 10**9),
+    ],
+)
+def test_headers_of_many_tools_are_understood(
+    header: str, row: str, stamp_ns: int, tmp_path: Path, read: Any
+) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_bytes(f'{header}\n{row}\n{row}\n'.encode())
+    back = read(path)
+    np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
+    assert back.stamps_ns.tolist() == [stamp_ns] * 2
+
+
+@pytest.mark.parametrize(
+    'header, options',
+    [
+        ('t,gx,gy,gz,ax,ay,az', {'gyro_unit': 'deg/s', 'accel_unit': 'g'}),
+        ('t,gx [deg/s],gy [°/s],gz (dps),ax [g],ay [G],az (g)', {}),
+    ],
+)
+def test_units_are_scaled_to_si(header: str, options: Any, tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text(f'{header}\n1,{ROW}\n', encoding='utf-8')
+    scale = np.repeat([DEG, STANDARD_GRAVITY], 3)
+    np.testing.assert_array_equal(read(path, **options).samples, [VALUES * scale])
+
+
+def test_columns_can_be_named_and_left_out(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.txt'
+    path.write_text(f'x,0.5,{ROW}\ny,0.6,{ROW}\n')
+    back = read(path, columns=('-', 't', 'gx', 'gy', 'gz', 'ax', 'ay', 'az'))
+    assert back.stamps_ns.tolist() == [500_000_000, 600_000_000]
+    np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
+
+
+def test_a_header_gives_way_to_named_columns(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('a,b,c,d\n1,1,2,3\n2,1,2,3\n')
+    back = read(path, columns=('t', 'gx', 'gy', 'gz'))
+    np.testing.assert_array_equal(back.samples, [[1, 2, 3, np.nan, np.nan, np.nan]] * 2)
+
+
+def test_a_rate_serves_where_there_is_no_time(
+    tmp_path: Path, read: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, 'BATCH', 7)  # the time must run on over batches
+    path = tmp_path / 'imu.csv'
+    path.write_text('gx,gy,gz\n' + '1,2,3\n' * 20)
+    back = read(path, rate_hz=200.0)
+    np.testing.assert_array_equal(back.stamps_ns, np.arange(20) * 5_000_000)
+    assert len(back.frame_ids) == 3
+
+
+def test_missing_values_and_comments_are_allowed(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('# by hand\nt,gx,gy,gz\n\n1,1,,3\n# a pause\n2,nan,2,inf\n')
+    back = read(path)
+    expected = [[1, np.nan, 3], [np.nan, 2, np.inf]]
+    np.testing.assert_array_equal(back.samples[:, :3], expected)
+
+
+def test_a_comment_can_name_the_frame(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('# frame_id: left\nt,gx,gy,gz\n1,1,2,3\n2,1,2,3\n# frame_id: right\n3,1,2,3\n')
+    assert read(path).frame_ids == ['left', 'right']
+
+
+def test_a_last_line_that_is_cut_off_is_left_out_and_named(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('t,gx,gy,gz\n1,1,2,3\n2,1,2,3\n3,1,2')
+    back = read(path)
+    assert len(back.stamps_ns) == 2
+    assert [finding.id for finding in back.findings] == ['table_cut']
+    assert 'line 4' in str(back.findings[0])
+
+
+HEADER = 't,gx,gy,gz,ax,ay,az\n'
+
+
+@pytest.mark.parametrize(
+    'text, options, says',
+    [
+        (HEADER, {}, 'holds no line behind its header'),
+        ('\n\n# nothing\n', {}, 'has no line of data'),
+        (f'{HEADER}1,{ROW}\n2,1,2,oops,4,5,6\n', {}, "line 3, column 4 (gz): 'oops' is not"),
+        (f'{HEADER}1,{ROW}\nnoon,{ROW}\n', {}, "line 3, column 1 (t): 'noon' is not a number"),
+        (f'{HEADER}1,{ROW}\n2,1,2,3\n3,{ROW}\n', {}, 'line 3 has 4 columns, 7 expected'),
+        (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
+        (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'say its unit by --stamp-unit'),
+        (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
+        (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
+        ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate with --rate'),
+        ('t,gx,gy\n1,2,3\n', {}, 'has gyro_x, gyro_y only'),
+        ('t,a,b\n1,2,3\n', {}, 'none of its columns (t, a, b) is a gyro or accel axis'),
+        ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is not known"),
+        ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 has 2 columns, 4 expected'),
+        (f'{HEADER}1,\0,2,3,4,5,6\n', {}, 'line 2'),
+    ],
+)
+def test_what_is_wrong_is_said_with_line_and_column(
+    text: str, options: Any, says: str, tmp_path: Path, refused: Any
+) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text(text)
+    assert says in refused(path, **options)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path, refused: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_bytes(np.random.default_rng(1).bytes(5000))
+    refused(path)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(1, 9).flatmap(
+        lambda n: st.tuples(
+            arrays(np.int64, n),
+            arrays(np.float64, (n, 6), elements=st.floats(allow_nan=True)),
+            st.one_of(st.none(), arrays(np.int64, n)),
+        )
+    )
+)
+def test_any_batch_comes_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, drawn: Any
+) -> None:
+    from allan_ros.io.readers.open import open_recordings
+
+    stamps, samples, record = drawn
+    path = tmp_path_factory.mktemp('table') / 'imu.csv'
+    tables.write_table(path, [ImuBatch(stamps, samples, record, 'imu')])
+    [batch] = open_recordings([path])[0].batches()
+    np.testing.assert_array_equal(batch.stamps_ns, stamps)
+    np.testing.assert_array_equal(batch.samples, samples)
+    assert (np.signbit(batch.samples) == np.signbit(samples)).all() or np.isnan(samples).any()
+    if record is None:
+        assert batch.record_ns is None
+    else:
+        np.testing.assert_array_equal(batch.record_ns, record)

@@ -1,0 +1,244 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page: it stands alone, escapes what it is told, and says what the results say."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from allan_ros.core.allan.spectrum import RunningSpectrum, spectrum_of
+from allan_ros.core.findings import Finding
+from allan_ros.core.imu import ImuBatch, ImuIdentity
+from allan_ros.core.stream.health import Segment
+from allan_ros.io.plots import as_element, sensor_figure, to_form
+from allan_ros.io.readers.recording import SourceInfo
+from allan_ros.io.report import Beside, render_report
+from allan_ros.io.report.chart_data import copies, sensor_charts, to_script
+from allan_ros.io.results import Results
+from allan_ros.io.signal import SignalEnvelope, TemperatureTrace
+from allan_ros.io.signal_summary import summarize_signal
+
+VOID = ('meta', 'br', 'wbr', 'input')
+HOSTILE = '</script><script>alert(1)</script><img src=x onerror=alert(2)>&"\'\u2028'
+
+
+class Page(HTMLParser):
+    """Collects the text and scripts of a page, and refuses anything fetched from elsewhere."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.text = ''
+        self.scripts: list[tuple[dict[str, str | None], str]] = []
+        self.open: list[tuple[str, dict[str, str | None]]] = []
+        self.ids: list[str] = []
+        self.policy = ''
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        assert tag not in ('link', 'img', 'iframe', 'object', 'embed'), tag
+        assert not {'src', 'onerror', 'onclick', 'onload'} & set(found), found
+        if 'id' in found:
+            self.ids.append(str(found['id']))
+        if found.get('http-equiv') == 'Content-Security-Policy':
+            self.policy = str(found['content'])
+        if tag == 'script':
+            self.scripts.append((found, ''))
+        if tag not in VOID:
+            self.open.append((tag, found))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1][0] == 'script':
+            attributes, text = self.scripts.pop()
+            self.scripts.append((attributes, text + data))
+        elif self.open and self.open[-1][0] != 'style':
+            self.text += data
+
+
+def a_signal(n: int = 5000, start_ns: int = 10**18) -> SignalEnvelope:
+    envelope = SignalEnvelope()
+    samples = np.random.default_rng(1).normal(size=(n, 6))
+    envelope.update(ImuBatch(start_ns + np.arange(n, dtype=np.int64) * 20_000_000, samples))
+    return envelope
+
+
+def everything(results: Results) -> Beside:
+    """Return all that a page can show beside results."""
+    running = RunningSpectrum(tuple(results.axes))
+    running.update(np.random.default_rng(2).normal(size=(len(results.axes), 5000)))
+    spectrum = spectrum_of(running.sums, results.tau0)
+    assert spectrum is not None
+    figure = sensor_figure(results, 'gyro')
+    return Beside(
+        {'gyro': as_element(to_form(figure, 'svg'))} if figure else {},
+        summarize_signal([a_signal()], (), 1000),
+        [spectrum],
+        {'last month': results},
+        0.1,
+        {'command': 'allan analyze my_bag'},
+    )
+
+
+def data_of(page: Page) -> dict[str, Any]:
+    (text,) = [text for attributes, text in page.scripts if attributes.get('id') == 'data']
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def test_the_page_stands_alone_and_runs_only_its_own_scripts(small_results: Results) -> None:
+    page = Page(render_report(small_results, everything(small_results), 'datasheet'))
+    assert "default-src 'none'" in page.policy
+    script_rule = re.search(r'script-src ([^;]*)', page.policy)
+    assert script_rule is not None and 'unsafe' not in script_rule[1]
+    running = [text for attributes, text in page.scripts if 'type' not in attributes]
+    hashes = {
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+        for text in running
+    }
+    assert hashes == set(script_rule[1].split())
+    assert len(page.ids) == len(set(page.ids))
+
+
+def test_whatever_a_recording_says_stays_text(small_results: Results) -> None:
+    finding = Finding('x', 'warning', HOSTILE, HOSTILE, ('gyro_x',))
+    source = SourceInfo(HOSTILE, HOSTILE, HOSTILE, HOSTILE)
+    provenance = replace(small_results.provenance, sources=(source,), settings={HOSTILE: HOSTILE})
+    results = replace(
+        small_results,
+        identity=ImuIdentity(HOSTILE, HOSTILE),
+        findings=(finding,),
+        provenance=provenance,
+        method=HOSTILE,
+    )
+    beside = replace(
+        everything(results), former={HOSTILE: small_results}, method={HOSTILE: HOSTILE}
+    )
+    plain = Page(render_report(small_results, everything(small_results), 'datasheet'))
+    page = Page(render_report(results, beside, 'datasheet'))
+    assert len(page.scripts) == len(plain.scripts)
+    assert page.text.count('alert(1)') >= 8
+    assert page.policy == plain.policy
+    assert data_of(page)['sensors'][0]['references'][0]['name'] == HOSTILE
+
+
+def test_a_script_element_cannot_be_ended_by_its_data() -> None:
+    text = to_script({'a': HOSTILE})
+    assert not set('<>&\u2028') & set(text)
+    assert json.loads(text) == {'a': HOSTILE}
+
+
+@pytest.mark.parametrize('units', ['datasheet', 'si'])
+def test_the_page_says_what_the_results_say(small_results: Results, units: str) -> None:
+    beside = everything(small_results)
+    text = render_report(small_results, beside, units)
+    page = Page(text)
+    for said in ('Noise of unit 7', 'runs/one.mcap', 'allan analyze my_bag', 'Is this IMU fine?'):
+        assert said in page.text
+    assert f'value="{units}" checked' in text
+    noise = small_results.axes['gyro_x'].fit.noise['N'].value
+    assert f'{noise:.3e}' in page.text
+    assert f'{noise * 60.0 * 180.0 / np.pi:.4f}' in page.text
+
+
+def test_an_absent_sensor_and_an_empty_curve_leave_the_page_whole(small_results: Results) -> None:
+    gyro = {name: axis for name, axis in small_results.axes.items() if name != 'accel_z'}
+    x = gyro['gyro_x']
+    assert x.curve is not None
+    zero = np.zeros(len(x.curve.m))
+    gyro['gyro_x'] = replace(x, curve=replace(x.curve, adev=zero, ci_low=zero, ci_high=zero))
+    gyro['gyro_y'] = replace(gyro['gyro_y'], curve=None)
+    for axes in (gyro, {'accel_y': small_results.axes['accel_y']}, {}):
+        results = replace(small_results, axes=axes)
+        data = data_of(Page(render_report(results, Beside(), 'si')))
+        assert [a['name'] for s in data['sensors'] for a in s['axes']] == list(axes)
+
+
+def test_charts_are_in_si_beside_their_factors(small_results: Results) -> None:
+    chart = sensor_charts(small_results, 'accel', (), {}, (), None)
+    curve = small_results.axes['accel_y'].curve
+    assert curve is not None
+    assert np.allclose(chart['tau'], curve.tau, rtol=1e-4)
+    assert np.allclose(chart['axes'][1]['adev'], curve.adev, rtol=1e-4)
+    assert chart['units']['datasheet']['curve'] == ['µg', pytest.approx(1.0 / 9.80665e-6)]
+    assert chart['units']['si']['N'] == ['m/s²/√Hz', 1.0]
+
+
+def test_copied_numbers_are_those_of_the_fit(small_results: Results) -> None:
+    made = copies(small_results, ['gyro_x', 'gyro_y'], 'si')
+    fit = small_results.axes['gyro_y'].fit.noise
+    tree = yaml.safe_load(made['YAML'])
+    assert tree['gyro_y']['N']['value'] == pytest.approx(fit['N'].value, rel=1e-5)
+    assert tree['gyro_y']['N']['ci95'] == pytest.approx(fit['N'].ci95, rel=1e-5)
+    rows = [line.split('\t') for line in made['TSV'].splitlines()]
+    assert {len(row) for row in rows} == {7} and len(rows) == 11
+    hidden = [row for row in rows[1:] if row[2] == '']
+    assert hidden and all(row[3] == row[4] == '' for row in hidden)
+    assert {line.count('|') for line in made['Markdown'].splitlines()} == {5}
+
+
+def test_what_is_left_out_and_missing_is_told_from_the_evidence() -> None:
+    n, period = 10_000, 20_000_000
+    stamps = 10**18 + np.arange(n, dtype=np.int64) * period
+    stamps[5000:] += 50 * 10**9  # 50 s are missing, after 100 s
+    signal = SignalEnvelope()
+    signal.update(ImuBatch(stamps, np.random.default_rng(3).normal(size=(n, 6))))
+    spans = [Segment(10**18 + 20 * 10**9, 4000, 80.0), Segment(10**18 + 150 * 10**9, 5000, 100.0)]
+    outline = summarize_signal([signal, signal], spans, 100_000)
+    assert outline is not None
+    # the second recording has the same stamps: the spans are found in it again
+    (first, second) = outline.left_out
+    assert first == (0.0, pytest.approx(20.0), '')
+    assert second.end - second.start == pytest.approx(20.0)
+    (gap, _) = outline.gaps
+    assert gap == (pytest.approx(100.0, abs=0.2), pytest.approx(150.0, abs=0.2))
+    assert outline.starts == (0.0, pytest.approx(250.0, abs=0.5))
+    assert np.isnan(outline.low).any(axis=1).sum() == 1
+
+
+def test_the_outline_says_why_and_knows_the_evidence() -> None:
+    n, second = 10_000, 10**9
+    stamps = np.arange(n, dtype=np.int64) * 20_000_000  # 200 s
+    samples = np.random.default_rng(4).normal(size=(n, 6))
+    samples[4000:4010] += 100.0  # a knock at 80 s
+    signal = SignalEnvelope()
+    signal.update(ImuBatch(stamps, samples))
+    spans = [Segment(20 * second, 3000, 59.8), Segment(82 * second, 3400, 68.0, 'motion')]
+    trace = TemperatureTrace(
+        '/t', stamps[::50] - second, stamps[::50], np.linspace(20.0, 30.0, 200)
+    )
+    outline = summarize_signal([signal], spans, 100, {'motion': 2}, [trace])
+    assert outline is not None
+    assert [out.why for out in outline.left_out] == ['', 'motion', 'motion']
+    assert [out.end for out in outline.left_out] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
+    assert (outline.reach < 10.0).all() and np.nanmax(outline.high) > 90.0
+    assert not outline.evidence[outline.time_s < 19.0].any()
+    assert outline.warmth is not None and outline.warmth.source == '/t'
+    assert outline.warmth.time_s[0] == 0.0 and outline.warmth.celsius[-1] == 30.0
+
+
+def test_temperatures_of_several_recordings_are_joined_with_a_break() -> None:
+    signal = a_signal()
+    start = int(signal.start_ns[0])
+    late = start + 5 * 10**9 + np.arange(3, dtype=np.int64) * 10**9
+    # the stamps of the message are from another clock: those of the recorder are taken
+    trace = TemperatureTrace('/t', late - 10**17, late, np.array([20.0, 21.0, 22.0]))
+    outline = summarize_signal([signal, signal, signal], (), 100, {}, [trace, None, trace])
+    assert outline is not None and outline.warmth is not None
+    assert np.isnan(outline.warmth.celsius).tolist() == [False] * 3 + [True] + [False] * 3
+    assert outline.warmth.time_s[0] == pytest.approx(5.0)
+    assert outline.warmth.time_s[-1] == pytest.approx(outline.starts[2] + 7.0)

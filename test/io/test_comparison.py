@@ -1,0 +1,154 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs side by side: what is compared, what is said first, what is written."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fit import Coefficient
+from allan_ros.io.comparison import (
+    Subject,
+    compare_runs,
+    comparison_document,
+    comparison_headline,
+    labels_of,
+    read_run,
+)
+from allan_ros.io.comparison_files import (
+    CSV_COLUMNS,
+    comparison_figure,
+    csv_table,
+    markdown,
+    write_comparison,
+)
+from allan_ros.io.datasheets import Datasheet, Limit, Source
+from allan_ros.io.documents import results_to_document
+from allan_ros.io.plot_style import STYLES, PictureSettings
+from allan_ros.io.results import Results
+from allan_ros.io.text import to_json
+
+
+def scaled(results: Results, factor: float, term: str = 'N', axis: str = 'gyro_z') -> Results:
+    """Return the results with one coefficient changed by a factor."""
+    of_axis = results.axes[axis]
+    c = of_axis.fit.noise[term]
+    assert c.value is not None and c.ci95 is not None
+    low, high = c.ci95
+    changed = Coefficient(c.value * factor, (low * factor, high * factor))
+    fit = replace(of_axis.fit, noise={**of_axis.fit.noise, term: changed})
+    return replace(results, axes={**results.axes, axis: replace(of_axis, fit=fit)})
+
+
+def test_a_run_does_not_differ_from_itself(small_results: Results) -> None:
+    comparison = compare_runs([Subject('a', small_results), Subject('b', small_results)])
+    assert not comparison.differs
+    assert {d.verdict for d in comparison.pairs[0].differences} <= {'alike', 'open'}
+    [said] = comparison_headline(comparison)
+    assert said.startswith('b and a differ by no more than chance: ')
+
+
+@pytest.mark.parametrize('factor, word', [(1.5, '1.50x noisier'), (1 / 1.5, '1.50x quieter')])
+def test_the_verdict_names_what_differs_most(
+    small_results: Results, factor: float, word: str
+) -> None:
+    other = scaled(small_results, factor)
+    comparison = compare_runs([Subject('a', small_results), Subject('b', other)])
+    assert comparison.differs
+    assert [(d.axis, d.quantity) for d in comparison.pairs[0].beyond] == [('gyro_z', 'N')]
+    [said] = comparison_headline(comparison)
+    assert said.startswith(f'b is {word} than a in gyro z N (1.4')
+
+
+def test_every_run_is_held_against_the_first_and_every_datasheet(small_results: Results) -> None:
+    n = small_results.axes['gyro_x'].fit.noise['N'].value
+    assert n is not None
+    sheet = Datasheet('X', '', {'s': Source('X')}, {'gyro_x': {'N': Limit(n / 2, '1')}}, {}, {})
+    runs = [Subject(label, small_results) for label in 'abc']
+    comparison = compare_runs(runs, [sheet])
+    assert [(p.first, p.second) for p in comparison.pairs] == [('a', 'b'), ('a', 'c')]
+    assert [(label, b.verdict) for label, b in comparison.beside] == [
+        ('a', 'beyond'), ('b', 'beyond'), ('c', 'beyond'),
+    ]  # fmt: skip
+    assert comparison.differs
+    assert list(comparison_headline(comparison))[-1] == 'c is beyond the datasheet of X in gyro x N'
+    assert compare_runs(runs[:1], [sheet]).pairs == ()
+    with pytest.raises(AllanError, match='nothing to compare'):
+        compare_runs(runs[:1])
+
+
+def test_runs_without_a_common_axis_are_refused(small_results: Results) -> None:
+    gyro, accel = (
+        replace(small_results, axes={n: a for n, a in small_results.axes.items() if n[0] == first})
+        for first in 'ga'
+    )
+    with pytest.raises(
+        AllanError, match=r'b has accel_x, .* where a has gyro_x, .*: they share no'
+    ):
+        compare_runs([Subject('a', gyro), Subject('b', accel)])
+
+
+def test_pictures_come_in_any_form_and_a_narrow_one_has_no_ratios(
+    small_results: Results, tmp_path: Path
+) -> None:
+    runs = [Subject(f'run_$_{i}', small_results) for i in range(3)]
+    comparison = compare_runs(runs)
+    paths = write_comparison(tmp_path, comparison, pictures=PictureSettings(('pdf',), 'column'))
+    assert [p.name for p in paths if p.suffix == '.pdf'] == [
+        'compare_gyro.pdf',
+        'compare_accel.pdf',
+    ]
+    for style, panels in (('page', 6), ('column', 3)):
+        figure = comparison_figure(comparison, 'gyro', style=STYLES[style])
+        assert figure is not None and len(figure.axes) == panels
+        assert '°/h' in figure.axes[0].get_ylabel()
+
+
+def test_the_files_say_the_same(small_results: Results, tmp_path: Path) -> None:
+    comparison = compare_runs(
+        [Subject('a', small_results), Subject('b', scaled(small_results, 1.5))]
+    )
+    names = {path.name for path in write_comparison(tmp_path, comparison)}
+    assert names == {
+        'comparison.json', 'comparison.md', 'comparison.csv', 'compare_gyro.png',
+        'compare_accel.png',
+    }  # fmt: skip
+    assert all((tmp_path / name).stat().st_size > 1000 for name in names)
+    document = json.loads((tmp_path / 'comparison.json').read_text())
+    assert document == json.loads(json.dumps(comparison_document(comparison)))
+    rows = list(csv.DictReader(io.StringIO(csv_table(comparison))))
+    assert tuple(rows[0]) == CSV_COLUMNS
+    assert len(rows) == len(comparison.pairs[0].differences)
+    [row] = [r for r in rows if r['verdict'] == 'higher']
+    assert (row['axis'], row['quantity'], row['unit']) == ('gyro_z', 'N', 'rad/s/sqrt(Hz)')
+    assert float(row['second_value']) == pytest.approx(1.5 * float(row['first_value']))
+    assert float(row['ratio']) == pytest.approx(1.5)
+    text = markdown(comparison)
+    assert text.startswith('b is 1.50x noisier than a')
+    assert sum(line.endswith('| higher |') for line in text.splitlines()) == 1
+
+
+def test_what_can_be_read(small_results: Results, tmp_path: Path) -> None:
+    (tmp_path / 'results.json').write_text(to_json(results_to_document(small_results)))
+    for path in (tmp_path, tmp_path / 'results.json'):
+        found = read_run(path)
+        assert found is not None
+        assert found.axes['gyro_x'].fit.noise == small_results.axes['gyro_x'].fit.noise
+    assert read_run(tmp_path / 'imu.mcap') is None
+    assert read_run(tmp_path.parent) is None
+    (tmp_path / 'other.json').write_text('[]')
+    with pytest.raises(AllanError, match=r'other\.json'):
+        read_run(tmp_path / 'other.json')
+
+
+def test_labels_are_short_where_that_tells_them_apart() -> None:
+    assert labels_of(['a/results.json', 'b/sums.json']) == ['a', 'b']
+    assert labels_of(['runs/one', 'two.mcap']) == ['one', 'two']
+    assert labels_of(['a/x.json', 'b/x.json']) == ['a/x.json', 'b/x.json']

@@ -1,0 +1,227 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import importlib.util
+import math
+
+import pytest
+import yaml
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import AXES, UNITS, sensor_of
+from allan_ros.io.datasheets import SCHEMA, load_sensor, sensor_names
+
+DEGREE = math.pi / 180
+
+
+def sheet(**sensors):
+    sources = {'sheet': {'title': 'X Data Sheet', 'revision': 'Rev. 1'}}
+    return {'schema': SCHEMA, 'name': 'X', 'sources': sources, **sensors}
+
+
+@pytest.fixture
+def load(tmp_path):
+    def from_document(document):
+        path = tmp_path / 'x.yaml'
+        path.write_text(document if isinstance(document, str) else yaml.safe_dump(document))
+        return load_sensor(str(path))
+
+    return from_document
+
+
+def test_the_imu_of_the_paper_comes_with_the_package():
+    assert 'adis16475-3' in sensor_names()
+    imu = load_sensor('ADIS16475-3')
+    assert tuple(imu.limits) == AXES
+    assert imu.limits['gyro_y']['N'].value == pytest.approx(0.3 * DEGREE / 60)
+    assert imu.limits['gyro_z']['B'].value == pytest.approx(7 / 0.6643 * DEGREE / 3600, rel=1e-4)
+    assert imu.limits['gyro_x']['B'].stated == '7 deg/h'
+    assert imu.limits['accel_x']['B'].value == pytest.approx(3.6e-6 / 0.6643 * 9.80665, rel=1e-4)
+    assert imu.range['gyro_x'] == pytest.approx(2000 * DEGREE)
+    assert imu.reference().limits['gyro_x']['N'] == imu.limits['gyro_x']['N'].value
+
+
+PLAUSIBLE = {
+    ('gyro', 'N'): (0.01, 5.0, 'deg/sqrt(h)'),
+    ('gyro', 'B'): (0.1, 500.0, 'deg/h'),
+    ('accel', 'N'): (5.0, 1000.0, 'ug/sqrt(Hz)'),
+    ('accel', 'B'): (0.5, 2000.0, 'ug'),
+}
+"""What a MEMS IMU can have: a slipped unit or digit lies outside."""
+
+
+@pytest.mark.parametrize('name', sensor_names())
+def test_every_datasheet_that_comes_with_the_package(name):
+    imu = load_sensor(name)
+    assert imu.name.lower() == name and imu.maker
+    assert any(imu.limits.values())
+    for axis, terms in imu.limits.items():
+        for term, limit in terms.items():
+            low, high, unit = PLAUSIBLE[sensor_of(axis), term]
+            assert low <= limit.value / UNITS[unit].factor <= high, (axis, term)
+            assert limit.source in imu.sources
+    for source in imu.sources.values():
+        assert source.title and source.seen and source.via
+
+
+def test_the_page_says_what_the_files_say(repository):
+    script = repository / 'scripts' / 'sensor_table.py'
+    spec = importlib.util.spec_from_file_location('sensor_table', script)
+    written = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(written)
+    text = (repository / 'docs' / 'sensors.md').read_text()
+    assert written.page(text) == text, 'run scripts/sensor_table.py'
+
+
+def test_the_examples_of_the_page_load(repository, load):
+    text = (repository / 'docs' / 'sensors.md').read_text()
+    imu = load(text.split('```yaml\n')[1].split('```')[0])
+    assert imu.limits['accel_x']['N'].stated == '65 ug/sqrt(Hz)'
+    assert load(text.split('```yaml\n')[2].split('```')[0]).carries == 'BMI055'
+
+
+@pytest.mark.parametrize(
+    'sided, factor, note',
+    [('one', 0.5**0.5, 'one-sided'), ('two', 1, ''), ('unknown', 1, 'not said')],
+)
+def test_a_density_becomes_n_by_its_sides(load, sided, factor, note):
+    density = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)', 'sided': sided}
+    limit = load(sheet(gyro={'noise_density': density})).limits['gyro_x']['N']
+    assert limit.value == pytest.approx(0.05 * DEGREE * factor)
+    assert limit.stated == '0.05 deg/s/sqrt(Hz)'
+    assert note in limit.note and bool(note) == bool(limit.note)
+
+
+def test_the_random_walk_is_believed_before_the_density(load):
+    """ADIS16405: 2.0 deg/sqrt(h) and 0.05 deg/s/sqrt(Hz) agree when the density is one-sided."""
+    density = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)', 'sided': 'one'}
+    both = load(
+        sheet(gyro={'arw': {'value': 2.0, 'unit': 'deg/sqrt(h)'}, 'noise_density': density})
+    )
+    assert both.limits['gyro_x']['N'].value == pytest.approx(2 * DEGREE / 60)
+    alone = load(sheet(gyro={'noise_density': density}))
+    assert alone.limits['gyro_x']['N'].value == pytest.approx(2 * DEGREE / 60, rel=0.07)
+
+
+@pytest.mark.parametrize(
+    'stated_as, factor', [('coefficient', 1), ('minimum', 1.5054), ('unknown', 1.5054)]
+)
+def test_a_minimum_becomes_the_coefficient(load, stated_as, factor):
+    bias = {'value': 10, 'unit': 'ug', 'stated_as': stated_as}
+    limit = load(sheet(accel={'bias_instability': bias})).limits['accel_x']['B']
+    assert limit.value == pytest.approx(10e-6 * 9.80665 * factor, rel=1e-4)
+
+
+@pytest.mark.parametrize('number', ['3e-1', '0.3', '3.0E-01', '+3e-01'])
+def test_numbers_mean_what_people_mean(load, number):
+    text = yaml.safe_dump(arw(value='?')).replace("'?'", number)
+    assert load(text).limits['gyro_x']['N'].value == pytest.approx(0.3 * DEGREE / 60)
+
+
+def arw(**change):
+    return sheet(gyro={'arw': {'value': 1.0, 'unit': 'deg/sqrt(h)'} | change})
+
+
+@pytest.mark.parametrize(
+    'document, said',
+    [
+        (arw(value=-1), r'gyro.arw.value is -1: a positive number'),
+        (arw(value='much'), r"gyro.arw.value is 'much': a number is expected"),
+        (arw(value=math.nan), r'gyro.arw.value is nan'),
+        (
+            arw(unit='deg/h'),
+            r"gyro.arw: unit 'deg/h' does not fit here: use one of .*deg/sqrt\(h\)",
+        ),
+        (arw(sided='one'), r"gyro.arw: 'sided' is unknown"),
+        (arw(source='other'), r"gyro.arw.source is 'other': one of sheet"),
+        (sheet(gyro={'bias_instability': {'value': 1, 'unit': 'deg/h'}}), 'stated_as is missing'),
+        (sheet(accel={'vrw': {'value': 1, 'unit': 'deg/sqrt(h)'}}), r'accel.vrw: unit'),
+        (sheet(gyro_w={}), r"'gyro_w' is unknown"),
+        (sheet() | {'sources': {'a': {'title': 'X', 'seen': 'no'}}}, r'a.seen is .no.: one of'),
+        (sheet() | {'sources': {'a': {'author': 'X'}}}, r"a: 'author' is unknown, use title"),
+        (sheet(gyro={'ARW': {}}), r"gyro: 'ARW' is unknown, use arw, noise_density"),
+        (sheet(gyro={'noise_density': {'value': 1, 'unit': 'deg/s/sqrt(Hz)'}}), 'sided is missing'),
+        (sheet() | {'schema': 'other'}, "schema is 'other'"),
+        (sheet() | {'sources': {}}, 'sources is empty'),
+        ('[1, 2', 'is not YAML'),
+        ('just words', 'object is expected'),
+        ('', 'object is expected'),
+        ('!!python/object/apply:os.getcwd []', 'is not YAML'),
+        ('x' * 200_000, 'over 100000 bytes'),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_place(load, document, said):
+    with pytest.raises(AllanError, match=said):
+        load(document)
+
+
+def test_a_single_axis_goes_before_its_sensor(load):
+    quantity = {'value': 160, 'unit': 'ug/sqrt(Hz)', 'sided': 'two', 'condition': 'typical'}
+    imu = load(
+        sheet(
+            accel={'noise_density': quantity, 'range': {'value': 24, 'unit': 'g'}},
+            accel_z={'noise_density': quantity | {'value': 190}},
+        )
+    )
+    assert [imu.limits[axis]['N'].stated for axis in ('accel_x', 'accel_y', 'accel_z')] == [
+        '160 ug/sqrt(Hz)', '160 ug/sqrt(Hz)', '190 ug/sqrt(Hz)',
+    ]  # fmt: skip
+    assert imu.limits['accel_z']['N'].condition == 'typical'
+    assert imu.limits['accel_z']['N'].source == 'sheet'
+    assert imu.range['accel_z'] == pytest.approx(24 * 9.80665)
+    assert 'gyro_x' not in imu.limits
+
+
+PRODUCT = {
+    'schema': SCHEMA, 'name': 'Camera', 'carries': 'bmi055', 'sources': {'manual': {'title': 'M'}},
+}  # fmt: skip
+
+
+def test_a_product_has_the_figures_of_the_sensor_it_carries(load):
+    product, sensor = load(PRODUCT), load_sensor('bmi055')
+    assert (product.name, product.carries, sensor.carries) == ('Camera', 'BMI055', '')
+    assert product.limits == sensor.limits and product.remark == ''
+    assert list(product.sources) == ['manual', 'datasheet']
+
+
+@pytest.mark.parametrize(
+    'change, said',
+    [
+        ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is no sensor but carries"),
+        ({'carries': 'bmi05'}, r"x.yaml.carries: no datasheet 'bmi05': did you mean .*bmi055"),
+        ({'gyro': {}}, r"'gyro' is unknown, use schema, name, .*carries"),
+        ({'sources': {'datasheet': {'title': 'M'}}}, r"sources: 'datasheet' is a source of 'bmi"),
+        ({'sources': {}}, 'sources is empty'),
+    ],
+)
+def test_a_bad_product_is_refused_with_its_place(load, change, said):
+    with pytest.raises(AllanError, match=said) as refused:
+        load(PRODUCT | change)
+    assert '\n' not in str(refused.value)
+
+
+def test_a_product_that_carries_itself_is_refused(load, tmp_path):
+    with pytest.raises(AllanError, match='is no sensor but carries one'):
+        load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
+
+
+def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
+    with pytest.raises(AllanError, match=r"no datasheet 'adis1647-3': did you mean adis16475-3"):
+        load_sensor('adis1647-3')
+    with pytest.raises(
+        AllanError, match=r"no datasheet 'xyz': choose one of 3dm-gx5-25, .* more\)"
+    ):
+        load_sensor('xyz')
+    with pytest.raises(AllanError, match='cannot be read'):
+        load_sensor(str(tmp_path / 'none.yaml'))
+
+
+def test_a_file_in_the_users_folder_has_a_name(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CONFIG_HOME', str(tmp_path))
+    folder = tmp_path / 'allan_ros' / 'sensors'
+    folder.mkdir(parents=True)
+    own = arw() | {'name': 'my own'}
+    for name in ('mine', 'adis16475-3'):
+        (folder / f'{name}.yaml').write_text(yaml.safe_dump(own))
+    assert {'mine', 'adis16475-3'} <= set(sensor_names())
+    assert load_sensor('MINE').name == 'my own'
+    assert load_sensor('adis16475-3').name == 'my own'  # goes before the one of the package

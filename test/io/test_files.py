@@ -1,0 +1,60 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A file is whole or not there, and nothing is left beside it."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.io.files import ABANDONED_S, write_atomic
+
+
+def test_content_replaces_content(tmp_path: Path) -> None:
+    path = tmp_path / 'sums.json'
+    write_atomic(path, 'gyroscope °/√h')
+    write_atomic(path, b'\x89PNG')
+    assert path.read_bytes() == b'\x89PNG'
+    assert os.listdir(tmp_path) == ['sums.json']
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_draft(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / 'sums.json'
+    write_atomic(path, 'old')
+
+    def full(_: int) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(AllanError, match='No space left on device'):
+        write_atomic(path, 'new')
+    assert path.read_text() == 'old'
+    assert os.listdir(tmp_path) == ['sums.json']
+
+
+def test_a_missing_folder_is_said(tmp_path: Path) -> None:
+    with pytest.raises(AllanError, match='cannot be written'):
+        write_atomic(tmp_path / 'no' / 'where.json', '')
+
+
+def test_others_may_read_what_the_umask_allows(tmp_path: Path) -> None:
+    reference, path = tmp_path / 'plain', tmp_path / 'atomic'
+    reference.write_text('')
+    write_atomic(path, '')
+    assert path.stat().st_mode == reference.stat().st_mode
+
+
+def test_only_a_draft_that_nobody_writes_any_more_is_removed(tmp_path: Path) -> None:
+    abandoned, fresh = (tmp_path / f'.sums.json.{digit * 32}.part' for digit in 'ab')
+    for draft in (abandoned, fresh):
+        draft.write_text('{"sums": [')
+    long_ago = time.time() - 2.0 * ABANDONED_S
+    os.utime(abandoned, (long_ago, long_ago))
+    write_atomic(tmp_path / 'sums.json', 'whole')
+    assert sorted(os.listdir(tmp_path)) == sorted([fresh.name, 'sums.json'])

@@ -1,0 +1,88 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers as a person reads them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from allan_ros.core.fit import Coefficient
+from allan_ros.io.format import (
+    ShownUnit,
+    duration_text,
+    interval_text,
+    shown_signal_unit,
+    shown_unit,
+    significant,
+    value_text,
+)
+
+PLAIN = ShownUnit('rad/s', 1.0)
+
+
+@pytest.mark.parametrize(
+    ('value', 'digits', 'text'),
+    [
+        (0.241996, 4, '0.2420'),
+        (31.8, 4, '31.80'),
+        (9.9996, 4, '10.00'),
+        (12345.6, 3, '12300'),
+        (1.23456e-7, 3, '1.23e-07'),
+        (-5.0, 2, '-5.0'),
+        (0.0, 3, '0'),
+        (math.inf, 3, 'inf'),
+    ],
+)
+def test_digits(value: float, digits: int, text: str) -> None:
+    assert significant(value, digits) == text
+
+
+@given(st.floats(1e-12, 1e12), st.integers(2, 6))
+def test_what_is_shown_is_the_number_to_its_digits(value: float, digits: int) -> None:
+    assert float(significant(value, digits)) == pytest.approx(
+        value, rel=0.51 * 10.0 ** (1 - digits)
+    )
+
+
+def test_a_value_has_its_interval_and_its_sign() -> None:
+    ramp = Coefficient(2.0, (1.5, 2.5), sign=-1)
+    assert value_text(ramp, PLAIN) == '-2.000'
+    assert interval_text(ramp, PLAIN) == '1.50..2.50'
+
+
+def test_a_sharp_interval_is_shown_sharply() -> None:
+    assert interval_text(Coefficient(0.242, (0.2414, 0.2426)), PLAIN) == '0.2414..0.2426'
+
+
+@pytest.mark.parametrize(
+    ('coefficient', 'text'),
+    [
+        (Coefficient(1.0, (0.0, 2.0), 2.0, 'not_observable'), '< 2.00'),
+        (Coefficient(None, None, math.inf, 'not_observable'), '-'),
+        (Coefficient(None), '-'),
+    ],
+)
+def test_what_is_not_observable_is_shown_by_its_limit(coefficient: Coefficient, text: str) -> None:
+    assert value_text(coefficient, PLAIN) == text
+
+
+def test_units() -> None:
+    # 1 deg/h = pi/180/3600 rad/s, 1 ug = 9.80665e-6 m/s^2
+    assert shown_unit('gyro_x', 'B', 'datasheet') == (
+        'deg/h',
+        pytest.approx(180.0 / math.pi * 3600.0),
+    )
+    assert shown_unit('accel_z', 'B', 'datasheet') == ('ug', pytest.approx(1.0 / 9.80665e-6))
+    assert shown_unit('gyro_y', 'K', 'si') == ('rad/s^2/sqrt(Hz)', 1.0)
+    assert shown_signal_unit('gyro_y', 'datasheet') == ('deg/s', pytest.approx(180.0 / math.pi))
+
+
+@pytest.mark.parametrize(
+    ('seconds', 'text'), [(34.5, '34.5 s'), (655.0, '10.9 min'), (7200.0, '2.00 h')]
+)
+def test_durations(seconds: float, text: str) -> None:
+    assert duration_text(seconds) == text

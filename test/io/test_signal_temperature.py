@@ -1,0 +1,108 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The temperature beside an IMU is found, thinned, and laid on the time of the signal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.signal import Decimated, trace_of
+
+rosbag2 = pytest.importorskip('rosbags.rosbag2')
+typesys = pytest.importorskip('rosbags.typesys')
+
+STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+TYPE = 'sensor_msgs/msg/Temperature'
+NS = 10**9
+
+
+def write_bag(path: Path, topics: dict[str, tuple[str, float]], imu_topic: str) -> None:
+    """Write a bag of one Imu topic, and Temperature topics of a frame and a first value each."""
+    types = STORE.types
+
+    def header(second: int, frame_id: str) -> Any:
+        return types['std_msgs/msg/Header'](
+            types['builtin_interfaces/msg/Time'](second, 0), frame_id
+        )
+
+    vector, zeros = types['geometry_msgs/msg/Vector3'](0.0, 0.0, 9.8), np.zeros(9)
+    turn = types['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0)
+    with rosbag2.Writer(path, version=9) as writer:
+        imu = writer.add_connection(imu_topic, 'sensor_msgs/msg/Imu', typestore=STORE)
+        warm = {t: writer.add_connection(t, TYPE, typestore=STORE) for t in topics}
+        for second in range(1, 11):
+            message = types['sensor_msgs/msg/Imu'](
+                header(second, 'imu_link'), turn, zeros, vector, zeros, vector, zeros
+            )
+            at = second * NS + 7
+            writer.write(imu, at, STORE.serialize_cdr(message, 'sensor_msgs/msg/Imu'))
+            for topic, (frame_id, first) in topics.items():
+                reading = types[TYPE](header(second, frame_id), first + second, 0.0)
+                writer.write(warm[topic], at, STORE.serialize_cdr(reading, TYPE))
+
+
+@pytest.mark.parametrize(
+    ('topics', 'imu_topic', 'expected'),
+    [
+        ({'/thermo': ('somewhere', 20.0)}, '/imu/data', '/thermo'),
+        ({'/imu/temp': ('', 20.0), '/motor/temp': ('', 70.0)}, '/imu/data', '/imu/temp'),
+        ({'/a': ('base', 70.0), '/b': ('imu_link', 20.0)}, '/imu/data', '/b'),
+        ({'/a': ('base', 70.0), '/b': ('arm', 20.0)}, '/imu/data', None),
+        ({}, '/imu/data', None),
+    ],
+)
+def test_a_bag_tells_which_temperature_is_that_of_the_imu(
+    topics: dict[str, tuple[str, float]], imu_topic: str, expected: str | None, tmp_path: Path
+) -> None:
+    write_bag(tmp_path / 'bag', topics, imu_topic)
+    (recording,) = open_recordings([tmp_path / 'bag'])
+    trace = recording.temperature('imu_link')
+    if expected is None:
+        assert trace is None
+        return
+    assert trace is not None and trace.source == expected
+    assert trace.celsius.tolist() == [20.0 + second for second in range(1, 11)]
+    assert trace.header_ns.tolist() == [second * NS for second in range(1, 11)]
+    assert (trace.record_ns - trace.header_ns == 7).all()
+
+
+@pytest.mark.parametrize('name', ['temperature', 'Temp [°C]', 'imu_temp_degC'])
+def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
+    rows = [f'{t},0,0,0,0,0,9.8,{20 + t}' for t in range(9)]
+    text = '\n'.join([f't,gx,gy,gz,ax,ay,az,{name}', *rows, '9,0,0'])
+    (tmp_path / 'one.csv').write_text(text)
+    (recording,) = open_recordings([tmp_path / 'one.csv'])
+    trace = recording.temperature('')
+    assert trace is not None and trace.source == name
+    assert trace.celsius.tolist() == [20.0 + t for t in range(9)]
+    assert trace.header_ns.tolist() == [t * NS for t in range(9)]
+
+
+def test_another_unit_is_not_taken_for_celsius(tmp_path: Path) -> None:
+    (tmp_path / 'one.csv').write_text('t,gx,gy,gz,ax,ay,az,temp [K]\n0,0,0,0,0,0,9.8,300\n')
+    (recording,) = open_recordings([tmp_path / 'one.csv'])
+    assert recording.temperature('') is None
+
+
+def test_what_is_no_temperature_is_left_out() -> None:
+    readings = [(0, 0, float('nan')), (1, 1, 20.0), (2, 2, -300.0), (3, 3, float('inf'))]
+    trace = trace_of('/t', readings)
+    assert trace is not None and trace.celsius.tolist() == [20.0]
+    assert trace_of('/t', readings[:1]) is None
+
+
+@pytest.mark.parametrize('count', [0, 5, 8, 9, 100, 1000])
+def test_thinning_is_even_and_bounded(count: int) -> None:
+    kept: Decimated[int] = Decimated(most=8)
+    for i in range(count):
+        kept.add(i)
+    items = list(kept)
+    steps = np.diff(items).tolist()
+    assert len(items) <= 8 and len(set(steps)) <= 1
+    if count > 1:
+        assert items[0] == 0 and items[-1] >= count - steps[0]

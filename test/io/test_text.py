@@ -1,0 +1,73 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""YAML of a stranger: values as they are, and no page of it fills the memory."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from allan_ros.core.errors import AllanError
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.text import MOST_BRACKETS, parse_yaml
+
+LETTERS = 'abcdefghi'
+
+
+def grown(first: str, link: str) -> str:
+    """Return eight entries, each of nine references to the one before: 4e7 of the first."""
+    steps = (
+        f'{here}: &{here} {link.format(", ".join([f"*{before}"] * 9))}\n'
+        for before, here in itertools.pairwise(LETTERS)
+    )
+    return f'a: &a {first}\n{"".join(steps)}'
+
+
+LISTS, MERGES = grown('[x, x]', '[{}]'), grown('{k: 1}', '{{<<: [{}]}}')
+TOPIC = '{name: NAME, type: sensor_msgs/msg/Imu, serialization_format: cdr}'
+INFORMATION = (
+    'rosbag2_bagfile_information: {relative_file_paths: [FILE], '
+    f'topics_with_message_count: [{{topic_metadata: {TOPIC}, message_count: 1}}]}}\n'
+)
+
+
+@pytest.mark.parametrize(
+    'text, value',
+    [
+        ('{"N": 1e-4}', {'N': 1e-4}),
+        ('a: &x [1]\nb: *x', {'a': [1], 'b': [1]}),
+        ('[' * MOST_BRACKETS + ']' * MOST_BRACKETS, None),
+    ],
+)
+def test_a_text_holds_what_it_says(text: str, value: Any) -> None:
+    assert value is None or parse_yaml(text) == value
+    assert parse_yaml(text) is not None
+
+
+@pytest.mark.parametrize(
+    'text', ['[' * 5000, '{a: ' * 5000, '- ' * 5000, '? ' * 5000, MERGES, 'a: {<<: {b: 1}}']
+)
+def test_what_would_take_long_is_refused(text: str) -> None:
+    with pytest.raises(yaml.YAMLError):
+        parse_yaml(text)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        LISTS + INFORMATION.replace('NAME', '*i'),
+        LISTS + INFORMATION.replace('FILE', '*i'),
+        LISTS + INFORMATION.replace('cdr', '*i'),
+        LISTS + INFORMATION.replace('message_count: 1', 'message_count: *i'),
+        MERGES + 'rosbag2_bagfile_information: *i\n',
+        '[' * 3000,
+    ],
+)
+def test_metadata_that_would_fill_the_memory_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / 'metadata.yaml').write_text(text)
+    with pytest.raises(AllanError, match=r'restore metadata\.yaml'):
+        open_recordings([tmp_path])

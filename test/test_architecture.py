@@ -1,0 +1,158 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The packages of the house: who may import whom, and where ROS, files and print may be."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'allan_ros'
+
+MAY_IMPORT = {
+    'core': {'core'},
+    'io': {'core', 'io'},
+    'cli': {'core', 'io', 'cli'},
+    'nodes': {'core', 'io', 'nodes'},
+}
+
+ROS = {
+    'ament_index_python',
+    'builtin_interfaces',
+    'diagnostic_msgs',
+    'geometry_msgs',
+    'rcl_interfaces',
+    'rclpy',
+    'rosgraph_msgs',
+    'sensor_msgs',
+    'std_msgs',
+    'std_srvs',
+}
+
+CORE_LIBRARIES = {'numpy', 'scipy'}
+"""What `core` may import beside the standard library."""
+
+TOUCHES_THE_WORLD = {'datetime', 'io', 'logging', 'os', 'pathlib', 'shutil', 'subprocess', 'time'}
+"""Modules of the standard library that `core` does without: files and wall clocks."""
+
+FILES = sorted(path for package in MAY_IMPORT for path in (PACKAGE / package).rglob('*.py'))
+
+
+def package_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0]
+
+
+def imports_of(path: Path) -> Iterator[tuple[str, ...]]:
+    """Yield the absolute dotted name of everything the file imports, as parts."""
+    package = ('allan_ros', *path.relative_to(PACKAGE).parts[:-1])
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (tuple(alias.name.split('.')) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = (*base, *(node.module.split('.') if node.module else ()))
+            yield from ((*module, alias.name) for alias in node.names)
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(PACKAGE))
+
+
+@pytest.mark.parametrize('path', FILES, ids=named)
+def test_a_package_imports_only_the_packages_below_it(path: Path) -> None:
+    packages = {
+        parts[1] for parts in imports_of(path) if parts[0] == 'allan_ros' and len(parts) > 1
+    }
+    assert packages & set(MAY_IMPORT) <= MAY_IMPORT[package_of(path)]
+
+
+@pytest.mark.parametrize('path', [f for f in FILES if package_of(f) != 'nodes'], ids=named)
+def test_only_the_nodes_know_ros(path: Path) -> None:
+    assert not {parts[0] for parts in imports_of(path)} & ROS
+
+
+@pytest.mark.parametrize('path', [f for f in FILES if package_of(f) == 'core'], ids=named)
+def test_core_is_arithmetic_only(path: Path) -> None:
+    tops = {parts[0] for parts in imports_of(path)} - {'allan_ros'}
+    assert not tops & TOUCHES_THE_WORLD
+    assert tops <= CORE_LIBRARIES | sys.stdlib_module_names
+
+
+@pytest.mark.parametrize('path', [f for f in FILES if package_of(f) in ('core', 'io')], ids=named)
+def test_below_the_shells_nothing_prints_or_exits(path: Path) -> None:
+    calls = {
+        ast.unparse(node.func)
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
+        if isinstance(node, ast.Call)
+    }
+    assert not calls & {'print', 'sys.exit', 'exit', 'quit'}
+
+
+def test_the_scan_sees_a_forbidden_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], 'PACKAGE', tmp_path)
+    file = tmp_path / 'core' / 'fit' / 'bad.py'
+    file.parent.mkdir(parents=True)
+    file.write_text(
+        'from ...io import documents\nfrom ..errors import AllanError\nimport rclpy.qos'
+    )
+    assert list(imports_of(file)) == [
+        ('allan_ros', 'io', 'documents'),
+        ('allan_ros', 'core', 'errors', 'AllanError'),
+        ('rclpy', 'qos'),
+    ]
+
+
+def test_help_imports_no_library() -> None:
+    program = (
+        'import sys\n'
+        'from allan_ros.cli.main import main\n'
+        'try:\n'
+        "    main(['--help'])\n"
+        'except SystemExit as stop:\n'
+        '    assert stop.code == 0\n'
+        'heavy = sorted({name.partition(".")[0] for name in sys.modules} & '
+        '{"numpy", "scipy", "matplotlib", "rosbags", "yaml", "rclpy"})\n'
+        'assert not heavy, heavy\n'
+    )
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_gathering_evidence_loads_no_statistics() -> None:
+    """They are 20 MB of the memory of a node that lives for months on a small machine."""
+    program = 'import sys, allan_ros.core.stream.pipeline\nassert "scipy" not in sys.modules'
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def module_of(path: Path) -> tuple[str, ...]:
+    parts = ('allan_ros', *path.relative_to(PACKAGE).with_suffix('').parts)
+    return parts[:-1] if parts[-1] == '__init__' else parts
+
+
+def imported_at_load(path: Path, modules: set[tuple[str, ...]]) -> set[tuple[str, ...]]:
+    """Return the modules of the package that a module imports while it is loaded itself."""
+    package = module_of(path) if path.name == '__init__.py' else module_of(path)[:-1]
+    found = set()
+    for node in ast.parse(path.read_text(encoding='utf-8')).body:
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = package[: len(package) - node.level + 1] + tuple(
+                (node.module or '').split('.') if node.module else ()
+            )
+            for name in node.names:
+                found.add((*base, name.name) if (*base, name.name) in modules else base)
+    return found - {module_of(path)}
+
+
+def test_no_import_cycle() -> None:
+    modules = {module_of(path) for path in FILES}
+    left = {module_of(path): imported_at_load(path, modules) & modules for path in FILES}
+    while free := [module for module, needs in left.items() if not needs & set(left)]:
+        for module in free:
+            del left[module]
+    assert not left, sorted('.'.join(module) for module in left)
