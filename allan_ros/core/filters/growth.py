@@ -1,0 +1,219 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Predicted growth of the angle, velocity or position error of a dead-reckoned sensor.
+
+The bias is averaged over the W seconds before 0 and subtracted. After h more seconds the integral
+theta of the samples (angle of a gyro, velocity of an accelerometer) is off by
+
+    e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)),
+
+a combination that a constant and a linear theta do not change. Its variance is therefore
+sum c_i c_j G(t_i - t_j) with the generalised covariances G of theta (G. Matheron, The intrinsic
+random functions and their applications, 1973), one per process:
+
+    Q: Q^2 delta(t)    N: -N^2 |t|/2    B: B^2 t^2 ln|t|/(2 pi)    K: K^2 |t|^3/12
+    Gauss-Markov (sigma, T): -sigma^2 T^2 (x - 1 + exp(-x) - x^2/2), x = |t|/T
+    sinusoid (a, f): a^2 cos(w t)/(2 w^2), w = 2 pi f
+
+The position error is the integral of e over 0..h and needs the covariances of the integral of
+theta with theta, C' = G, and with itself, H'' = -G.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import AllanError
+from ..noise import ProcessModel
+
+Floats = NDArray[np.float64]
+Kernels = tuple[Floats, Floats, Floats]
+"""G, C and H at some lags: theta with theta, integral with theta, integral with integral."""
+
+_SERIES_BELOW = 1.0
+_SERIES_TERMS = 20
+
+
+def predicted_growth(
+    model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
+) -> Floats:
+    """Return the standard deviation of the error that the samples integrate to.
+
+    Parameters
+    ----------
+    model : ProcessModel
+    horizon : array
+        Times h after which the error is taken, in s, above 0.
+    window : array
+        Time W over which the bias was averaged before, in s, above 0; broadcasts with ``horizon``.
+    integrals : 1 or 2
+        1: angle of a gyro, velocity of an accelerometer. 2: position of an accelerometer.
+
+    Returns
+    -------
+    float64 array
+        The unit of the samples times s (or s^2).
+
+    Raises
+    ------
+    AllanError
+        When a time is not above 0.
+
+    Examples
+    --------
+    White noise of 1 unit/sqrt(Hz), bias averaged over as long as it is integrated:
+
+    >>> from allan_ros.core.noise import NoiseTerms
+    >>> float(predicted_growth(ProcessModel(NoiseTerms(N=1.0)), 8.0, 8.0))
+    4.0
+    """
+    variances = [variance for _, variance in growth_parts(model, horizon, window, integrals)]
+    return np.asarray(np.sqrt(np.maximum(sum(variances, np.zeros(np.shape(horizon))), 0.0)))
+
+
+def growth_interval(
+    model: ProcessModel,
+    low: ProcessModel,
+    high: ProcessModel,
+    horizon: ArrayLike,
+    window: ArrayLike,
+    integrals: int = 1,
+) -> tuple[Floats, Floats]:
+    """Return the 95 % interval of `predicted_growth` from the intervals of the model's terms.
+
+    The variances of the terms add, so their intervals combine in quadrature around the estimate
+    (method of variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008).
+    Estimates of neighbouring terms are negatively correlated, which makes the interval wide rather
+    than narrow.
+
+    Parameters
+    ----------
+    model, low, high : ProcessModel
+        The estimates and the ends of their 95 % intervals, with the same processes in the same
+        order. A term that is not resolved is 0 in ``model`` and ``low`` and at its upper limit in
+        ``high``.
+    horizon, window, integrals
+        As in `predicted_growth`.
+
+    Returns
+    -------
+    (low, high) : tuple of float64 arrays
+    """
+    parts = [dict(growth_parts(one, horizon, window, integrals)) for one in (model, low, high)]
+    zero = np.zeros(np.shape(horizon))
+    total, below, above = zero.copy(), zero.copy(), zero.copy()
+    for name in {**parts[0], **parts[2]}:
+        middle, bottom, top = (part.get(name, zero) for part in parts)
+        total = total + middle
+        below = below + np.maximum(middle - bottom, 0.0) ** 2
+        above = above + np.maximum(top - middle, 0.0) ** 2
+    return np.sqrt(np.maximum(total - np.sqrt(below), 0.0)), np.sqrt(total + np.sqrt(above))
+
+
+def growth_parts(
+    model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
+) -> Iterator[tuple[str, Floats]]:
+    """Yield the name of each process of the model and the variance that it adds to the error.
+
+    Parameters and errors as in `predicted_growth`; processes of level 0 are left out.
+    """
+    h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
+    if not (np.all(h > 0.0) and np.all(w > 0.0)):
+        raise AllanError('a horizon or window is not above 0 s: give positive times')
+    terms = model.terms
+    if terms.Q and integrals == 1:
+        yield 'Q', terms.Q**2 * (1.0 + (1.0 + h / w) ** 2 + (h / w) ** 2)
+    if terms.N:
+        yield 'N', terms.N**2 * _contrast(_white, h, w, integrals)
+    if terms.B:
+        yield 'B', terms.B**2 * _contrast(_flicker, h, w, integrals)
+    if terms.K:
+        yield 'K', terms.K**2 * _contrast(_walk, h, w, integrals)
+    if terms.R:
+        ramp = h * (h + w) / 2.0 if integrals == 1 else h * h * (h / 6.0 + w / 4.0)
+        yield 'R', (terms.R * ramp) ** 2
+    for i, (sigma, tau) in enumerate(model.gauss_markov):
+        # in units of tau: the variance of theta scales with tau^2, that of its integral with tau^4
+        scale = tau ** (2 * integrals)
+        yield (
+            f'gauss_markov {i}',
+            sigma**2 * scale * _contrast(_gauss_markov, h / tau, w / tau, integrals),
+        )
+    for i, (amplitude, frequency) in enumerate(model.sinusoids):
+        period = 1.0 / (2.0 * math.pi * frequency)
+        scale = period ** (2 * integrals)
+        yield (
+            f'sinusoid {i}',
+            amplitude**2 * scale * _contrast(_sinusoid, h / period, w / period, integrals),
+        )
+
+
+def _contrast(kernel: object, h: Floats, w: Floats, integrals: int) -> Floats:
+    """Return the variance of the error for a process of unit level with these covariances."""
+    assert callable(kernel)
+    ratio = h / w
+    zero = np.zeros_like(h)
+    if integrals == 1:
+        at = np.stack([h, zero, -w], axis=-1)
+        c = np.stack([np.ones_like(h), -(1.0 + ratio), ratio], axis=-1)
+        g, _, _ = kernel(at[..., :, None] - at[..., None, :])
+        return np.asarray(np.einsum('...i,...ij,...j->...', c, g, c))
+    # p = Psi(h) - Psi(0) - h theta(0) - (h^2/2W) (theta(0) - theta(-W)), Psi the integral of theta
+    psi_at = np.stack([h, zero], axis=-1)
+    psi = np.broadcast_to(np.array([1.0, -1.0]), psi_at.shape)
+    theta_at = np.stack([zero, -w], axis=-1)
+    theta = np.stack([-h * (1.0 + ratio / 2.0), h * ratio / 2.0], axis=-1)
+    _, _, hh = kernel(psi_at[..., :, None] - psi_at[..., None, :])
+    g, _, _ = kernel(theta_at[..., :, None] - theta_at[..., None, :])
+    _, cc, _ = kernel(psi_at[..., :, None] - theta_at[..., None, :])
+    return np.asarray(
+        np.einsum('...i,...ij,...j->...', psi, hh, psi)
+        + np.einsum('...i,...ij,...j->...', theta, g, theta)
+        + 2.0 * np.einsum('...i,...ij,...j->...', psi, cc, theta)
+    )
+
+
+def _white(t: Floats) -> Kernels:
+    a = np.abs(t)
+    return -a / 2.0, -t * a / 4.0, a**3 / 12.0
+
+
+def _flicker(t: Floats) -> Kernels:
+    a = np.abs(t)
+    log = np.log(np.where(a > 0.0, a, 1.0))
+    unit = 1.0 / (2.0 * math.pi)
+    return (
+        unit * t * t * log,
+        unit * t**3 * (log / 3.0 - 1.0 / 9.0),
+        -unit * t**4 * (log / 12.0 - 7.0 / 144.0),
+    )
+
+
+def _walk(t: Floats) -> Kernels:
+    a = np.abs(t)
+    return a**3 / 12.0, t * a**3 / 48.0, -(a**5) / 240.0
+
+
+def _gauss_markov(x: Floats) -> Kernels:
+    a, sign = np.abs(x), np.sign(x)
+    return -_remainder(a, 3), sign * _remainder(a, 4), _remainder(a, 5)
+
+
+def _sinusoid(x: Floats) -> Kernels:
+    return np.cos(x) / 2.0, np.sin(x) / 2.0, np.cos(x) / 2.0
+
+
+def _remainder(x: Floats, order: int) -> Floats:
+    """Return exp(-x) minus its Taylor polynomial of degree ``order`` - 1, to full precision."""
+    small = np.where(x < _SERIES_BELOW, x, 0.0)
+    series = np.zeros_like(x)
+    for j in range(order + _SERIES_TERMS, order - 1, -1):
+        series = (-1.0) ** j / math.factorial(j) + series * small
+    large = np.exp(-x)
+    for j in range(order):
+        large = large - (-x) ** j / math.factorial(j)
+    return np.where(x < _SERIES_BELOW, series * small**order, large)

@@ -1,0 +1,227 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The noise of one axis in the few states that a given filter has.
+
+A filter with N and K only knows white noise and a random walk. Given the bare coefficients of a
+sensor that also has bias instability, it underestimates its error. A reduction chooses the
+parameters of the filter's states so that the growth of the error that the filter predicts is
+nowhere below that of the whole model, over a stated range of horizons. The bias counts as known
+from the longest of these horizons (see `growth`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AllanError
+from ..noise import NoiseTerms, ProcessModel
+from .growth import predicted_growth
+from .state_space import state_space
+
+Floats = NDArray[np.float64]
+States = Literal['none', 'walk', 'gauss_markov', 'processes']
+
+STATES: tuple[States, ...] = ('none', 'walk', 'gauss_markov', 'processes')
+"""What models the bias: nothing, a random walk, one Gauss-Markov process, or walk and processes."""
+
+SHORTEST_HORIZON_S = 1.0
+"""Lower end of a range of horizons that is given by its upper end only."""
+
+HORIZONS_PER_RANGE = 30
+
+SLOW_SINUSOID_HZ = 0.1
+"""Slower sinusoids are a drift of the sensor (temperature cycles); faster ones are motion."""
+
+POOR_RATIO = 2.0
+"""A reduction whose growth is off by more than this factor does not describe the sensor."""
+
+
+class Horizons(NamedTuple):
+    """A range of times over which a filter integrates between two corrections, in s."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def up_to(cls, high: float) -> Horizons:
+        """Return the range from `SHORTEST_HORIZON_S` (or ``high``/10, if less) to ``high``.
+
+        Raises
+        ------
+        AllanError
+            When ``high`` is not above 0 and finite.
+        """
+        if not 0.0 < high < math.inf:
+            raise AllanError(f'the horizon is {high:g} s: give a time above 0 s')
+        return cls(min(SHORTEST_HORIZON_S, high / 10.0), high)
+
+    def times(self) -> Floats:
+        """Return logarithmically spaced times over the range."""
+        return np.geomspace(self.low, self.high, HORIZONS_PER_RANGE)
+
+    def __str__(self) -> str:
+        return f'{self.low:g} to {self.high:g} s'
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A noise model with the states of a filter.
+
+    Attributes
+    ----------
+    states : one of `STATES`
+    white : float
+        N.
+    walk : float
+        K; 0 where the states have no walk.
+    gauss_markov : tuple of (sigma, tau)
+    horizons : Horizons
+        Where the growth that the filter predicts bounds that of the whole model.
+    ratio : (low, high)
+        Least and largest ratio of predicted growth to that of the whole model over the horizons.
+    """
+
+    states: States
+    white: float
+    walk: float
+    gauss_markov: tuple[tuple[float, float], ...]
+    horizons: Horizons
+    ratio: tuple[float, float]
+
+    @property
+    def poor(self) -> bool:
+        """Whether the growth is off by more than `POOR_RATIO` at some horizon."""
+        return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
+
+    def model(self) -> ProcessModel:
+        """Return what the filter believes, as a `ProcessModel`."""
+        return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
+
+
+def reduce_model(
+    model: ProcessModel, states: States = 'walk', horizons: Horizons = Horizons(1.0, 30.0)
+) -> Reduction:
+    """Return the noise model that a filter with the given states should be given.
+
+    ============  ================================================================================
+    none          N is raised until white noise alone bounds the growth.
+    walk          N is kept and K raised until the growth is bounded.
+    gauss_markov  N is kept; of the processes that bound the growth, the closest one is taken.
+    processes     Everything is kept: B becomes four Gauss-Markov processes. Only a ramp, for
+                  which there is no state, raises K.
+    ============  ================================================================================
+
+    Where the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count
+    as white noise and raise N.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The selected model. Quantization and sinusoids faster than `SLOW_SINUSOID_HZ` have bounded
+        integrals and are left out.
+    states : str
+        One of `STATES`.
+    horizons : Horizons
+
+    Raises
+    ------
+    AllanError
+        When the states are unknown.
+
+    Examples
+    --------
+    Two terms are their own reduction:
+
+    >>> reduction = reduce_model(ProcessModel(NoiseTerms(N=1e-3, K=1e-5)))
+    >>> round(reduction.walk, 9), [round(ratio, 3) for ratio in reduction.ratio]
+    (1e-05, [1.0, 1.0])
+    """
+    if states not in STATES:
+        raise AllanError(f'states {states!r} are unknown: choose one of {", ".join(STATES)}')
+    whole = drift_model(model)
+    made = [_reduced(whole, 0, states, horizons)]
+    if states in ('walk', 'gauss_markov'):
+        while made[-1].poor and len(made) <= len(whole.gauss_markov):
+            made.append(_reduced(whole, len(made), states, horizons))
+    return min(made, key=lambda reduction: reduction.poor * reduction.ratio[1])
+
+
+def _reduced(whole: ProcessModel, quick: int, states: States, horizons: Horizons) -> Reduction:
+    """Return a reduction that counts the ``quick`` shortest processes as white noise."""
+    white, drift = _split(whole, quick)
+    times, terms = horizons.times(), drift.terms
+    needed = predicted_growth(drift, times, horizons.high) ** 2
+    walk, processes = 0.0, ()
+    if states == 'none':
+        unit = _growth_of(NoiseTerms(N=1.0), horizons)
+        white = math.sqrt(white**2 + float(np.max(needed / unit)))
+    elif states == 'gauss_markov':
+        processes = _closest_process(needed, horizons)
+    else:
+        if states == 'processes':  # only the ramp has no state of its own
+            processes = state_space(replace(drift, terms=replace(terms, N=white))).gauss_markov
+            steady = ProcessModel(NoiseTerms(K=terms.K, R=terms.R))
+            needed = predicted_growth(steady, times, horizons.high) ** 2
+        unit = _growth_of(NoiseTerms(K=1.0), horizons)
+        walk = math.sqrt(float(np.max(needed / unit)))
+    made = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
+    return replace(made, ratio=growth_ratio(made.model(), whole, horizons))
+
+
+def growth_ratio(
+    believed: ProcessModel, whole: ProcessModel, horizons: Horizons
+) -> tuple[float, float]:
+    """Return the least and the largest ratio of two models' growth over a range of horizons.
+
+    (1, 1) where neither grows, infinite where only ``believed`` does.
+    """
+    h = horizons.times()
+    top, bottom = (predicted_growth(one, h, horizons.high) for one in (believed, whole))
+    if not np.any(bottom > 0.0):
+        return (math.inf, math.inf) if np.any(top > 0.0) else (1.0, 1.0)
+    ratio = top / bottom
+    return float(ratio.min()), float(ratio.max())
+
+
+def drift_model(model: ProcessModel) -> ProcessModel:
+    """Return the model without quantization and without sinusoids that are motion."""
+    slow = tuple(pair for pair in model.sinusoids if pair[1] <= SLOW_SINUSOID_HZ)
+    return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow)
+
+
+def has_drift(model: ProcessModel) -> bool:
+    """Return whether the model has any process beyond quantization and white noise."""
+    one = drift_model(model)
+    return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
+
+
+def _split(model: ProcessModel, quick: int) -> tuple[float, ProcessModel]:
+    """Return N with the ``quick`` shortest processes counted as white noise, and what remains."""
+    by_time = sorted(model.gauss_markov, key=lambda pair: pair[1])
+    added = sum(2.0 * sigma**2 * tau for sigma, tau in by_time[:quick])
+    rest = replace(model, terms=replace(model.terms, N=0.0), gauss_markov=tuple(by_time[quick:]))
+    return math.sqrt(model.terms.N**2 + added), rest
+
+
+def _growth_of(terms: NoiseTerms, horizons: Horizons) -> Floats:
+    return predicted_growth(ProcessModel(terms), horizons.times(), horizons.high) ** 2
+
+
+def _closest_process(needed: Floats, horizons: Horizons) -> tuple[tuple[float, float], ...]:
+    """Return the Gauss-Markov process that bounds a drift variance with the least excess."""
+    if not np.any(needed > 0.0):
+        return ()
+    best, least = (0.0, 1.0), math.inf
+    for tau in np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60):
+        process = ProcessModel(gauss_markov=((1.0, float(tau)),))
+        unit = predicted_growth(process, horizons.times(), horizons.high) ** 2
+        variance = float(np.max(needed / unit))
+        excess = float(np.max(variance * unit / np.maximum(needed, 1e-300)))
+        if excess < least:
+            best, least = (math.sqrt(variance), float(tau)), excess
+    return (best,)
