@@ -78,7 +78,7 @@ class Reduction:
     white : float
         N.
     walk : float
-        K; 0 where the states have no walk.
+        K; 0 where the states have no walk, or nothing drifts.
     gauss_markov : tuple of (sigma, tau)
     horizons : Horizons
         Where the growth that the filter predicts bounds that of the whole model.
@@ -156,7 +156,8 @@ def _reduced(whole: ProcessModel, quick: int, states: States, horizons: Horizons
     white, drift = _split(whole, quick)
     times, terms = horizons.times(), drift.terms
     needed = predicted_growth(drift, times, horizons.high) ** 2
-    walk, processes = 0.0, ()
+    walk = 0.0
+    processes: tuple[tuple[float, float], ...] = ()
     if states == 'none':
         unit = _growth_of(NoiseTerms(N=1.0), horizons)
         white = math.sqrt(white**2 + float(np.max(needed / unit)))

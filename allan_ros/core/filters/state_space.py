@@ -9,7 +9,7 @@ The states are the integral of the samples (angle or velocity) and the parts of 
     gauss_markov_i' = -gauss_markov_i / tau_i + white noise of density sigma_i sqrt(2/tau_i)
 
 Bias instability has no finite number of states. Four Gauss-Markov processes whose correlation
-times are a constant factor apart follow its Allan variance from about 2 s to 3000 s within 5 %.
+times are a constant factor apart follow its Allan variance from about 3 s to 3000 s within 5 %.
 """
 
 from __future__ import annotations
@@ -134,7 +134,9 @@ def with_slope(space: StateSpace) -> StateSpace:
     return replace(space, slope=True)
 
 
-def flicker_processes(bias_instability: float, white: float = 0.0) -> tuple[tuple[float, float], ...]:
+def flicker_processes(
+    bias_instability: float, white: float = 0.0
+) -> tuple[tuple[float, float], ...]:
     """Return Gauss-Markov processes (sigma, tau) whose sum has the Allan variance of flicker noise.
 
     Parameters

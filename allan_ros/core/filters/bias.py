@@ -1,0 +1,187 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bias of a sensor at rest: its value, its interval, and how long it stays known.
+
+The bias is the mean of the samples over the next 10 s without their white noise. A Kalman filter
+with the states of the process model estimates it from means over 1 s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AllanError
+from ..noise import ProcessModel
+from .growth import predicted_growth
+from .reductions import drift_model
+from .state_space import StateSpace, state_space, with_slope
+
+Floats = NDArray[np.float64]
+
+MEAN_S = 1.0
+"""Length of the means that the filter takes."""
+
+AHEAD_S = 10.0
+"""The bias is the mean over so long."""
+
+LONGEST_S = 1e6
+"""No bias is predicted further than this."""
+
+NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class BiasEstimate:
+    """The bias of one axis, in the unit of the samples, with its standard deviation."""
+
+    value: float
+    std: float
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """95 % interval."""
+        half = NORMAL_95 * self.std
+        return self.value - half, self.value + half
+
+
+class BiasFilter:
+    """Kalman filter for the bias of one axis at rest.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        The selected model of the axis. A ramp becomes a state, as its rate is not known exactly.
+    period : float
+        Time between two means in s, over which each of them is taken.
+
+    Examples
+    --------
+    >>> from allan_ros.core.noise import NoiseTerms
+    >>> bias = BiasFilter(ProcessModel(NoiseTerms(N=0.1)))
+    >>> for mean in (1.0, 1.2, 0.8, 1.0):
+    ...     bias.update(mean)
+    >>> estimate = bias.estimate()
+    >>> round(estimate.value, 3), round(estimate.std, 3)
+    (1.0, 0.05)
+    """
+
+    def __init__(self, model: ProcessModel, period: float = MEAN_S) -> None:
+        self._space = filter_space(model)
+        self.period = period
+        self._phi, self._noise = self._space.transition(period), self._space.noise(period)
+        self._slope = abs(model.terms.R)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all means: the sensor was switched off, or another one took its place."""
+        self.count = 0
+        self._state = np.zeros(self._space.size)
+        self._covariance = np.zeros((self._space.size, self._space.size))
+
+    def update(self, mean: float) -> None:
+        """Take the mean of the samples over the next ``period``."""
+        if self.count == 0:
+            self._start(mean)
+        self._predict(self._phi, self._noise)
+        variance = self._covariance[0, 0]
+        gain = self._covariance[:, 0] / variance
+        self._state = self._state + gain * (mean * self.period - self._state[0])
+        self._covariance = self._covariance - np.outer(gain, self._covariance[0])
+        self.count += 1
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass without samples, or with samples in motion."""
+        if self.count and seconds > 0.0:
+            self._predict(self._space.transition(seconds), self._space.noise(seconds))
+
+    def estimate(self, after: float = 0.0, over: float = AHEAD_S) -> BiasEstimate:
+        """Return the mean bias from ``after`` s from now on, over ``over`` s.
+
+        Raises
+        ------
+        AllanError
+            When no mean was taken yet.
+        """
+        if not self.count:
+            raise AllanError('the bias is not known: keep the sensor at rest for a second')
+        state, covariance = self._state, self._covariance
+        if after > 0.0:
+            phi = self._space.transition(after)
+            state = phi @ state
+            covariance = phi @ covariance @ phi.T + self._space.noise(after)
+        mean = self._space.transition(over)[0, 1:] / over
+        added = self._space.noise(over)[0, 0] - self._space.white**2 * over
+        variance = mean @ covariance[1:, 1:] @ mean + added / over**2
+        return BiasEstimate(float(mean @ state[1:]), math.sqrt(max(float(variance), 0.0)))
+
+    def _start(self, mean: float) -> None:
+        """Take the first mean for the constant part of the bias, with a vague prior around it."""
+        spread = [sigma for sigma, _ in self._space.gauss_markov]
+        vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope)
+        self._state[1] = mean
+        self._covariance = self._space.initial_covariance(vague, 1e3 * self._slope)
+
+    def _predict(self, phi: Floats, noise: Floats) -> None:
+        phi = phi.copy()
+        phi[0, 0] = 0.0  # every mean starts its own integral
+        self._state = phi @ self._state
+        self._covariance = phi @ self._covariance @ phi.T + noise
+
+
+def filter_space(model: ProcessModel) -> StateSpace:
+    """Return the states of `BiasFilter`: those of the model, and a slope where it has a ramp."""
+    model = drift_model(model)
+    space = state_space(model)
+    if not space.white and not space.walk:
+        # without any noise of its own the walk would become certain to the last digit
+        space = replace(space, white=1e-12)
+    return with_slope(space) if model.terms.R else space
+
+
+def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
+    """Return the averaging time in s whose mean predicts the bias best; ``longest`` if it is that.
+
+    White noise asks for long averages, drift for short ones.
+    """
+    windows = np.geomspace(1.0, longest, 200)
+    error = predicted_growth(drift_model(model), AHEAD_S, windows)
+    return float(windows[int(np.argmin(error))])
+
+
+def time_within(model: ProcessModel, tolerance: float) -> float:
+    """Return how long the bias stays within +-``tolerance`` (95 %) of a long-run estimate of it.
+
+    Parameters
+    ----------
+    model : ProcessModel
+    tolerance : float
+        In the unit of the samples, above 0.
+
+    Returns
+    -------
+    float
+        Seconds; 0 where the estimate itself is not that good, `LONGEST_S` at the most.
+
+    Raises
+    ------
+    AllanError
+        When the tolerance is not above 0.
+    """
+    if not 0.0 < tolerance < math.inf:
+        raise AllanError(f'the tolerance is {tolerance:g}: give a number above 0')
+    bias = steady_filter(model)
+    after = np.concatenate([[0.0], np.geomspace(1.0, LONGEST_S, 120)])
+    kept = [t for t in after if NORMAL_95 * bias.estimate(float(t)).std <= tolerance]
+    return float(max(kept, default=0.0))
+
+
+def steady_filter(model: ProcessModel, seconds: float = 3600.0) -> BiasFilter:
+    """Return a filter that has taken means of 0 for so long: its intervals are those to expect."""
+    bias = BiasFilter(model, period=10.0 * MEAN_S)
+    for _ in range(round(seconds / bias.period)):
+        bias.update(0.0)
+    return bias

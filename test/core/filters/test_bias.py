@@ -1,0 +1,87 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bias at rest: its estimate, the coverage of its interval, and for how long it is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.filters.bias import BiasFilter, optimal_window, time_within
+from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.simulate import simulate_axis
+
+DEG = math.pi / 180.0
+HOUR_BIAS = DEG / 3600
+TERMS = NoiseTerms(
+    N=0.242 * DEG / 60, B=5.24 * HOUR_BIAS, K=31.8 * DEG / 3600**1.5, R=76.2 * DEG / 3600**2
+)
+
+
+def test_the_interval_covers_the_bias_now_and_later():
+    """12 records of 1 h: of 12 x 13 nearly independent intervals, 88 to 99 % hold the bias.
+
+    A binomial of 156 draws at 95 % is outside with a probability of 1e-3.
+    """
+    rng = np.random.default_rng(4)
+    hits: dict[int, list[bool]] = {0: [], 60: [], 600: []}
+    for _ in range(12):
+        drift = NoiseTerms(B=TERMS.B, K=TERMS.K, R=TERMS.R)
+        bias = simulate_axis(36_000, 0.1, drift, rng) + rng.normal(0.0, 100.0 * HOUR_BIAS)
+        means = bias.reshape(-1, 10).mean(axis=1)
+        noisy = means + TERMS.N * rng.normal(size=len(means))
+        tracker = BiasFilter(ProcessModel(TERMS))
+        for k, mean in enumerate(noisy, 1):
+            tracker.update(float(mean))
+            if k >= 300 and k % 200 == 0 and k + 610 <= len(means):
+                for after, hit in hits.items():
+                    low, high = tracker.estimate(after).ci95
+                    hit.append(low < means[k + after : k + after + 10].mean() < high)
+    for hit in hits.values():
+        assert len(hit) == 156
+        assert 0.88 < np.mean(hit) < 0.99
+
+
+def test_white_noise_alone_averages_out():
+    tracker = BiasFilter(ProcessModel(NoiseTerms(N=1.0)))
+    for _ in range(100):
+        tracker.update(3.0)
+    estimate = tracker.estimate()
+    assert estimate.value == pytest.approx(3.0)
+    assert estimate.std == pytest.approx(0.1, rel=0.01)
+    tracker.pause(500.0)
+    assert tracker.estimate(1000.0).std == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_pause_widens_the_interval():
+    tracker = BiasFilter(ProcessModel(TERMS))
+    for _ in range(300):
+        tracker.update(1e-4)
+    later = tracker.estimate(120.0)
+    tracker.pause(120.0)
+    assert tracker.estimate() == pytest.approx(later)
+
+
+def test_nothing_is_known_before_the_first_mean():
+    tracker = BiasFilter(ProcessModel(TERMS))
+    with pytest.raises(AllanError, match='at rest for a second'):
+        tracker.estimate()
+
+
+def test_the_optimal_average_balances_noise_and_drift():
+    white_and_walk = ProcessModel(NoiseTerms(N=1.0, K=0.01))
+    # e over 10 s with W: 100 N^2/W + 100 K^2 W/3 has its minimum at sqrt(3) N/K
+    assert optimal_window(white_and_walk) == pytest.approx(math.sqrt(3.0) * 100.0, rel=0.05)
+    assert optimal_window(ProcessModel(NoiseTerms(N=1.0))) == pytest.approx(1e6)
+
+
+def test_a_wider_tolerance_lasts_longer():
+    model = ProcessModel(TERMS)
+    times = [time_within(model, tolerance * HOUR_BIAS) for tolerance in (5.0, 20.0, 50.0)]
+    assert times[0] == 0.0
+    assert 60.0 < times[1] < 600.0 < times[2] < 3600.0
+    with pytest.raises(AllanError, match='tolerance'):
+        time_within(model, 0.0)

@@ -1,0 +1,93 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A reduction bounds the growth of the model it stands for, and says by how much it exceeds it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.filters.growth import predicted_growth
+from allan_ros.core.filters.reductions import STATES, Horizons, has_drift, reduce_model
+from allan_ros.core.noise import NoiseTerms, ProcessModel
+
+DEG = math.pi / 180.0
+FLICKER = ProcessModel(
+    NoiseTerms(
+        Q=1e-7,
+        N=0.168 * DEG / 60,
+        B=4.97 * DEG / 3600,
+        K=8.2 * DEG / 3600**1.5,
+        R=11.0 * DEG / 3600**2,
+    )
+)
+HUMP = ProcessModel(
+    NoiseTerms(N=0.242 * DEG / 60),
+    gauss_markov=((9.0 * DEG / 3600, 3.0), (6.0 * DEG / 3600, 30.0), (6.0 * DEG / 3600, 300.0)),
+)
+QUICK = ProcessModel(NoiseTerms(N=1e-5, K=1e-9), gauss_markov=((1e-4, 0.05),))
+
+
+@pytest.mark.parametrize('model', [FLICKER, HUMP, QUICK], ids=['flicker', 'hump', 'quick'])
+@pytest.mark.parametrize('states', STATES)
+@pytest.mark.parametrize('horizon', [0.5, 30.0, 300.0])
+def test_the_growth_is_bounded_from_above(model, states, horizon):
+    horizons = Horizons.up_to(horizon)
+    reduction = reduce_model(model, states, horizons)
+    assert 0.97 <= reduction.ratio[0] <= reduction.ratio[1] < math.inf
+    # between the horizons at which it is enforced, too
+    between = np.geomspace(*horizons, 101)
+    growth = [predicted_growth(m, between, horizon) for m in (reduction.model(), model)]
+    slack = 0.97 if model is not FLICKER or horizon > 1.0 else 0.5  # Q is no drift
+    assert np.all(growth[0] >= slack * growth[1])
+
+
+def test_what_is_two_terms_stays_as_it_is():
+    model = ProcessModel(NoiseTerms(N=2e-4, K=3e-6))
+    reduction = reduce_model(model)
+    assert (reduction.white, reduction.walk) == pytest.approx((2e-4, 3e-6))
+    assert reduction.ratio == pytest.approx((1.0, 1.0))
+    assert not reduction.poor
+
+
+def test_one_process_is_found_again():
+    process = (9.0 * DEG / 3600, 10.0)
+    reduction = reduce_model(ProcessModel(HUMP.terms, (process,)), 'gauss_markov')
+    assert reduction.gauss_markov[0] == pytest.approx(process, rel=0.1)
+
+
+def test_n_is_kept_and_k_raised_for_flicker():
+    reduction = reduce_model(FLICKER, 'walk', Horizons.up_to(30.0))
+    assert reduction.white == FLICKER.terms.N
+    assert reduction.walk > 10.0 * FLICKER.terms.K
+    assert 1.3 < reduction.ratio[1] < 2.0
+
+
+def test_short_processes_become_white_where_k_cannot_hold_them():
+    reduction = reduce_model(QUICK, 'walk', Horizons.up_to(30.0))
+    assert not reduction.poor
+    assert reduction.white == pytest.approx(math.hypot(1e-5, 1e-4 * math.sqrt(2 * 0.05)))
+
+
+def test_all_processes_lose_nothing():
+    reduction = reduce_model(HUMP, 'processes', Horizons.up_to(100.0))
+    assert reduction.gauss_markov == HUMP.gauss_markov
+    assert reduction.ratio == pytest.approx((1.0, 1.0))
+
+
+def test_vibration_is_no_drift():
+    shaken = ProcessModel(NoiseTerms(N=1e-3), sinusoids=((0.1, 20.0),))
+    assert not has_drift(shaken)
+    assert reduce_model(shaken).walk == 0.0
+    warming = ProcessModel(NoiseTerms(N=1e-3), sinusoids=((0.1, 1.0 / 1200.0),))
+    assert reduce_model(warming).walk > 0.0
+
+
+def test_a_misnamed_option_is_refused():
+    with pytest.raises(AllanError, match='choose one of'):
+        reduce_model(FLICKER, 'two')  # type: ignore[arg-type]
+    with pytest.raises(AllanError, match='above 0 s'):
+        Horizons.up_to(0.0)
