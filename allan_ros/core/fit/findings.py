@@ -292,7 +292,7 @@ def _time_findings(
         held = chosen.fit.frame.table(
             evidence, axis, chosen.fit.power, np.zeros(len(evidence.segments))
         )
-        if Score(held, K, chosen.fit.power, fit.misfit)(0.0) > Z_DETECT:
+        if Score(held, K, chosen.fit.power, chosen.fit.frame.misfit)(0.0) > Z_DETECT:
             ends = [unseen[t] for t in 'KR' if t in unseen]
             how_long = f'about {about(min(ends))}' if ends else 'several times as long'
             found.append(finding('drift_not_separable', (name,), how_long=how_long))

@@ -24,7 +24,7 @@ from .model import (
     coefficient_to_si,
 )
 from .select import Candidate, SelectedOptions, select_options
-from .solve import K, N, Q, solve
+from .solve import K, Misfit, N, Q, solve
 from .table import GaussMarkovTerm, PooledTable, Table
 
 LEAST_FACTORS = 5
@@ -76,12 +76,12 @@ def _fit_axis(evidence: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, l
     ramp = ramp_interval(evidence, axis, chosen.fit, intervals[K].upper)
     noise['R'] = _ramp(ramp, tau0)
     gauss_markov, sinusoid = _extras(chosen, intervals[len(RANDOM_TERMS) :], tau0)
-    fit = AxisFit(noise, frame.misfit, frame.m_min, chosen.first.z, gauss_markov, sinusoid)
+    fit = AxisFit(noise, frame.misfit.size, frame.m_min, chosen.first.z, gauss_markov, sinusoid)
     return fit, explain(evidence, axis, chosen, fit, ramp, tau0)
 
 
 def _consistent(
-    table: Table, power: Floats, intervals: list[CoefficientInterval], misfit: float
+    table: Table, power: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
     """Return the powers, those outside of their interval replaced by what the interval is about.
 

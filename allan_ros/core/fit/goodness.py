@@ -7,11 +7,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammainc, ndtri
 
 from .intervals import coefficient_interval
 from .model import Floats
-from .solve import JITTER, K, Whitening, solve, weights_at
+from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
 from .table import Table
 
 Z_FAIL = 3.0
@@ -20,9 +21,14 @@ Z_FAIL = 3.0
 Z_HOPELESS = 50.0
 """A table so far off is not looked at twice."""
 
-Z_SAGS = -2.5
-"""Long averages below the model by this normal deviate sag. Of 450 records of the model's own
-noise one in a hundred came to -2.2 and the lowest to -2.4; real drifts that level off reach -4."""
+DEFICIT_FALSE_ALARM = 1e-3
+"""Probability that the long averages of the model's own noise are called too low."""
+
+DEFICIT_LIMIT = float(ndtri(DEFICIT_FALSE_ALARM))
+"""Long averages this far below the model, as a normal deviate, are too low to be chance."""
+
+POINTS_PER_TEST = 8.0
+"""Neighbouring long averages are correlated: this many count as one independent test."""
 
 FEW_AVERAGES = 60.0
 """Degrees of freedom below which an Allan variance is too skewed for chi^2 of the residual: it
@@ -62,7 +68,7 @@ class Goodness:
         return self.z >= Z_FAIL
 
 
-def goodness(table: Table, power: Floats, misfit: float = 0.0) -> Goodness:
+def goodness(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
     """Return how far the table is from the terms that are active, best fitted.
 
     nu = sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix, less the
@@ -82,20 +88,28 @@ def goodness(table: Table, power: Floats, misfit: float = 0.0) -> Goodness:
     return Goodness(float(rest @ rest), max(freedom, 1.0))
 
 
-def long_tau_deficit(table: Table, power: Floats, misfit: float = 0.0) -> float:
+def long_tau_deficit(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Return how far the lowest of the long averages lies below the model, as a normal deviate.
 
     An Allan variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), here with
-    nu = 2 V^2 / Var V of the model. Only averages of few degrees of freedom are looked at.
+    nu = 2 V^2 / Var V of the model. Only averages of few degrees of freedom are tested. The
+    deviate is that of the smallest probability after correction for the number of averages
+    tested (Bonferroni), so the limit is `DEFICIT_LIMIT` however long the record is.
     """
     model = table.terms @ power
-    freedom = 2.0 * model**2 / np.diag(weights_at(table, power, misfit))
-    few = (freedom < FEW_AVERAGES) & (model > 0.0)
+    few = few_averages(table, power, misfit) & (model > 0.0)
     if not few.any():
         return 0.0
-    half = freedom[few] / 2.0
+    half = model[few] ** 2 / np.diag(weights_at(table, power, misfit))[few]
     below = gammainc(half, half * np.maximum(table.avar[few], 0.0) / model[few])
-    return float(ndtri(np.maximum(below.min(), np.finfo(float).tiny)))
+    tests = max(1.0, np.count_nonzero(few) / POINTS_PER_TEST)
+    return float(ndtri(np.clip(tests * below.min(), np.finfo(float).tiny, 0.5)))
+
+
+def few_averages(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> NDArray[np.bool_]:
+    """Return which factors have fewer than `FEW_AVERAGES` degrees of freedom."""
+    model = table.terms @ power
+    return np.asarray(2.0 * model**2 < FEW_AVERAGES * np.diag(weights_at(table, power, misfit)))
 
 
 def best_case_goodness(table: Table, power: Floats) -> Goodness:
@@ -116,24 +130,29 @@ def best_case_goodness(table: Table, power: Floats) -> Goodness:
     return other if other.z < first.z else first
 
 
-def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: float) -> float:
-    """Return the least fractional error, from ``misfit`` up, at which no long average sags.
+def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Misfit) -> Misfit:
+    """Return the least fractional error of the long averages at which none of them is too low.
 
-    With it the fit follows the whole curve instead of its precise part only.
+    Without a ``misfit`` of all averages, only those of few degrees of freedom get the error: the
+    terms that the precise part of the curve determines keep their values and intervals.
     """
-    low, high = misfit, MISFIT_LIMIT
-    eps = max(misfit, MISFIT_START / 2.0)
+    m_min = int(table.m[few_averages(table, power)].min())
+    if misfit.size > 0.0:
+        m_min = misfit.m_min
+    low, high, eps = misfit.size, MISFIT_LIMIT, max(misfit.size, MISFIT_START / 2.0)
     for _ in range(MISFIT_STEPS):
-        power = solve(table, power, signed=signed, misfit=eps)
-        low, high = (low, eps) if long_tau_deficit(table, power, eps) > Z_SAGS else (eps, high)
+        error = Misfit(eps, m_min)
+        power = solve(table, power, signed=signed, misfit=error)
+        fits = long_tau_deficit(table, power, error) > DEFICIT_LIMIT
+        low, high = (low, eps) if fits else (eps, high)
         if high - low < MISFIT_TOLERANCE * high:
             break
         eps = min(2.0 * eps, high) if high == MISFIT_LIMIT else (low + high) / 2.0
-    return high
+    return Misfit(high, m_min)
 
 
-def misfit_of(table: Table, power: Floats, signed: bool) -> float:
-    """Return the fractional error eps of the model at which chi^2 is as expected.
+def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misfit:
+    """Return the fractional error eps, from ``m_min`` on, at which chi^2 is as expected.
 
     C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
     into one of relative residuals over the whole curve. chi^2 falls from its value at 0 about
@@ -141,12 +160,12 @@ def misfit_of(table: Table, power: Floats, signed: bool) -> float:
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
-        power = solve(table, power, signed=signed, misfit=eps)
-        got = goodness(table, power, eps)
+        power = solve(table, power, signed=signed, misfit=Misfit(eps, m_min))
+        got = goodness(table, power, Misfit(eps, m_min))
         ratio = got.chi_squared / got.freedom
         if abs(ratio - 1.0) < MISFIT_TOLERANCE:
             break
         low, high = (eps, high) if ratio > 1.0 else (low, eps)
         eps = float(np.clip(eps * np.sqrt(ratio), low + MARGIN * (high - low), MISFIT_LIMIT))
         eps = min(eps, high - MARGIN * (high - low))
-    return eps
+    return Misfit(eps, m_min)

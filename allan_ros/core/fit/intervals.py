@@ -23,7 +23,19 @@ import numpy as np
 from scipy.special import chdtrc
 
 from .model import Floats
-from .solve import RIDGE, K, PointFit, Q, Whitening, solve, weights_at, white_floor, with_floor
+from .solve import (
+    NO_MISFIT,
+    RIDGE,
+    K,
+    Misfit,
+    PointFit,
+    Q,
+    Whitening,
+    solve,
+    weights_at,
+    white_floor,
+    with_floor,
+)
 from .table import PooledTable, Table, variances
 
 Z_TWO_SIDED = 1.96
@@ -68,7 +80,7 @@ class CoefficientInterval:
 class Score:
     """z(c) of one power, its neighbours refitted."""
 
-    def __init__(self, table: Table, term: int, power: Floats, misfit: float = 0.0) -> None:
+    def __init__(self, table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT) -> None:
         self.table = table
         self.term = term
         self.misfit = misfit
@@ -125,7 +137,7 @@ def normal_deviate(z: float, skewness: float) -> float:
 
 
 def coefficient_interval(
-    table: Table, term: int, power: Floats, misfit: float = 0.0
+    table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT
 ) -> CoefficientInterval:
     """Return the interval of one power about a fit of the table."""
     score = Score(table, term, power, misfit)

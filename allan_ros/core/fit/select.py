@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .goodness import (
+    DEFICIT_LIMIT,
     Z_FAIL,
-    Z_SAGS,
     Goodness,
     best_case_goodness,
     long_tau_deficit,
@@ -20,7 +20,9 @@ from .goodness import (
 from .intervals import Score
 from .model import Floats
 from .solve import (
+    NO_MISFIT,
     FitOptions,
+    Misfit,
     PointFit,
     Q,
     Whitening,
@@ -94,7 +96,7 @@ class Candidate:
         return self.gain > LEAST_GAIN and near and self.high < self.extra.shape * PINNED_RATIO
 
 
-def candidates(table: Table, power: Floats, misfit: float, samples: int) -> list[Candidate]:
+def candidates(table: Table, power: Floats, misfit: Misfit, samples: int) -> list[Candidate]:
     """Return the best Gauss-Markov term and the best line, whichever gains most first.
 
     Parameters
@@ -103,7 +105,7 @@ def candidates(table: Table, power: Floats, misfit: float, samples: int) -> list
         Without the term to be found.
     power : (terms,) float64 array
         A fit of it.
-    misfit : float
+    misfit : Misfit
         Fractional error of that fit: the weights of the comparison.
     samples : int
         Length of the longest segment.
@@ -120,7 +122,7 @@ def candidates(table: Table, power: Floats, misfit: float, samples: int) -> list
 class _Search:
     """chi^2 of one table with one more term, its weights held."""
 
-    def __init__(self, table: Table, power: Floats, misfit: float) -> None:
+    def __init__(self, table: Table, power: Floats, misfit: Misfit) -> None:
         self.table = table
         self.whitening = Whitening.of(weights_at(table, power, misfit))
         self.columns = np.column_stack([table.terms, table.avar])
@@ -256,11 +258,11 @@ def _held_up(evidence: PooledTable, axis: int, chosen: SelectedOptions) -> Selec
     """Return a fit whose long averages do not sag: with a Gauss-Markov term, or a misfit."""
     fit = chosen.fit
     misfit = fit.frame.misfit
-    if long_tau_deficit(fit.table, fit.power, misfit) > Z_SAGS:
+    if long_tau_deficit(fit.table, fit.power, misfit) > DEFICIT_LIMIT:
         return chosen
     for candidate in _candidates(evidence, chosen, misfit):
         added = _added(evidence, axis, chosen, candidate, misfit)
-        if added.fits and long_tau_deficit(added.fit.table, added.fit.power) > Z_SAGS:
+        if added.fits and long_tau_deficit(added.fit.table, added.fit.power) > DEFICIT_LIMIT:
             return added
     misfit = misfit_without_deficit(fit.table, fit.power, chosen.filtered, misfit)
     frame = replace(fit.frame, misfit=misfit)
@@ -278,13 +280,13 @@ def _first_choice(evidence: PooledTable, axis: int) -> SelectedOptions:
     if first.z < Z_LOOK:
         return chosen
     if not first.fails:
-        sure = [c for c in _candidates(evidence, chosen, 0.0) if c.gain > SURE_GAIN]
-        mended = [m for m in (_added(evidence, axis, chosen, c, 0.0) for c in sure) if m.fits]
+        sure = [c for c in _candidates(evidence, chosen, NO_MISFIT) if c.gain > SURE_GAIN]
+        mended = [m for m in (_added(evidence, axis, chosen, c, NO_MISFIT) for c in sure) if m.fits]
         return mended[0] if mended else chosen
     return _mended(evidence, axis, chosen)
 
 
-def _candidates(evidence: PooledTable, chosen: SelectedOptions, misfit: float) -> list[Candidate]:
+def _candidates(evidence: PooledTable, chosen: SelectedOptions, misfit: Misfit) -> list[Candidate]:
     """Return the terms of other kinds that the table asks for, best first."""
     have = {type(t.extra) for t in chosen.terms}
     longest = evidence.segments[0].samples
@@ -309,10 +311,12 @@ def _mended(evidence: PooledTable, axis: int, chosen: SelectedOptions) -> Select
         if shorter is not None:
             line = next((c for c in found if isinstance(c.extra, SinusoidTerm)), None)
             return replace(chosen, fit=shorter, hint=line)
-        left = [misfit_of(a.fit.table, a.fit.power, chosen.filtered) for a in more]
-        if not left or min(left) > MISFIT_GAIN * misfit:
+        errors = [misfit_of(a.fit.table, a.fit.power, chosen.filtered) for a in more]
+        left = [error.size for error in errors]
+        if not left or min(left) > MISFIT_GAIN * misfit.size:
             break
-        chosen, misfit = more[int(np.argmin(left))], min(left)
+        best = int(np.argmin(left))
+        chosen, misfit = more[best], errors[best]
     frame = replace(chosen.fit.frame, misfit=misfit)
     return replace(chosen, fit=point_fit(evidence, axis, frame, chosen.fit.power))
 
@@ -328,7 +332,7 @@ def _without_the_shortest(evidence: PooledTable, axis: int, free: PointFit) -> P
         rows = free.table.rows(free.table.m >= m_min)
         if len(rows.m) <= rows.terms.shape[1]:
             break
-        frame = replace(free.frame, m_min=m_min, signed=True, misfit=0.0)
+        frame = replace(free.frame, m_min=m_min, signed=True, misfit=NO_MISFIT)
         fit = point_fit(evidence, axis, frame, free.power)
         z = best_case_goodness(fit.table, fit.power).z
         if z < Z_LOOK:
@@ -338,7 +342,7 @@ def _without_the_shortest(evidence: PooledTable, axis: int, free: PointFit) -> P
 
 
 def _added(
-    evidence: PooledTable, axis: int, chosen: SelectedOptions, candidate: Candidate, misfit: float
+    evidence: PooledTable, axis: int, chosen: SelectedOptions, candidate: Candidate, misfit: Misfit
 ) -> SelectedOptions:
     """Return the fit with one more term."""
     frame = replace(chosen.fit.frame, extras=(*chosen.fit.frame.extras, candidate.extra))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import AllanError
 from .model import RANDOM_TERMS, WHITE, Floats
@@ -90,6 +91,21 @@ NOISE_FLOOR = 1e-6
 Q, N, B, K = range(len(RANDOM_TERMS))
 
 
+@dataclass(frozen=True)
+class Misfit:
+    """Fractional error of the model: ``size`` at averaging factors from ``m_min`` on, else 0."""
+
+    size: float = 0.0
+    m_min: int = 1
+
+    def at(self, m: NDArray[np.int64]) -> Floats:
+        """Return the fractional error at each averaging factor, (factors,)."""
+        return np.where(m >= self.m_min, self.size, 0.0)
+
+
+NO_MISFIT = Misfit()
+
+
 def first_guess(table: Table) -> Floats:
     """Return powers from relative weights, sqrt(n/m) / V: good enough to begin with."""
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
@@ -148,9 +164,8 @@ class Whitening:
 def _factor(correlation: Floats) -> Floats:
     """Return the factor of a correlation matrix with `JITTER` on its diagonal.
 
-    Powers far from those that the ramps' weights were made for, as are tried at the far end of an
-    interval, make the covariance less the ramps slightly indefinite: then that of the nearest
-    matrix with no eigenvalue below 0 (Higham, LAA 103, 1988).
+    A slightly indefinite matrix is replaced by the nearest one without an eigenvalue below 0
+    (Higham, LAA 103, 1988).
     """
     jitter = JITTER * np.eye(len(correlation))
     try:
@@ -168,7 +183,7 @@ def solve(
     fixed: Mapping[int, float] | None = None,
     columns: tuple[int, ...] | None = None,
     signed: bool = False,
-    misfit: float = 0.0,
+    misfit: Misfit = NO_MISFIT,
 ) -> Floats:
     """Return the powers that fit the table.
 
@@ -183,7 +198,7 @@ def solve(
         Terms that may be other than 0; all by default.
     signed : bool
         Whether q may be negative (a low-pass filter looks like that).
-    misfit : float
+    misfit : Misfit
         Fractional error of the model, added to the covariance as (misfit V_model)^2.
     """
     held = dict(fixed or {})
@@ -225,12 +240,14 @@ def with_floor(table: Table, power: Floats) -> Floats:
     return p
 
 
-def weights_at(table: Table, power: Floats, misfit: float) -> Floats:
+def weights_at(table: Table, power: Floats, misfit: Misfit) -> Floats:
     """Return the covariance of the table at powers `with_floor`."""
     p = with_floor(table, power)
     covariance = table.covariance(p)
     model = table.terms @ p
-    diagonal = np.maximum(np.diag(covariance), EMPTY_ROW * model**2) + (misfit * model) ** 2
+    diagonal = (
+        np.maximum(np.diag(covariance), EMPTY_ROW * model**2) + (misfit.at(table.m) * model) ** 2
+    )
     covariance[np.diag_indices_from(covariance)] = diagonal
     return covariance
 
@@ -253,7 +270,7 @@ class FitOptions:
         Smallest averaging factor that is used.
     signed : bool
         Whether q may be negative, as it looks behind a low-pass filter.
-    misfit : float
+    misfit : Misfit
         Fractional error of the model.
     extras : tuple of Extra
         Terms beside the five.
@@ -261,7 +278,7 @@ class FitOptions:
 
     m_min: int = 1
     signed: bool = False
-    misfit: float = 0.0
+    misfit: Misfit = NO_MISFIT
     extras: tuple[Extra, ...] = ()
 
     def table(

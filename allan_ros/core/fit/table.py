@@ -38,10 +38,6 @@ ROUNDING = 1e-12
 """Part of the variance that is rounding when all else of it is the ramp's."""
 
 
-RAMP_MATTERS = 500
-"""Of the scatter at factors below this part of the segment the ramp takes less than 1e-5."""
-
-
 EMPTY_ROW = 1e-6
 """A factor whose differences keep less than this part of their variance without the ramp is left
 out: a record of two differences is mostly its own ramp."""
@@ -125,23 +121,19 @@ class _Part:
     geometry : RampGeometry
     at : (pairs,) int64 array
         Positions of its pairs i <= j among those of the pooled table.
-    long : (long pairs,) int64 array
-        Which of its pairs are of factors that the ramp matters to.
     """
 
     number: int
     pairs: PairSums
     geometry: RampGeometry
     at: Ints
-    long: Ints
 
     @classmethod
     def of(cls, samples: int, number: int, factors: int) -> _Part:
         pairs = pair_sums(samples)
         i, j = np.triu_indices(len(pairs.m))
         at = i * factors - i * (i - 1) // 2 + (j - i)
-        long = np.flatnonzero(pairs.m[i] * RAMP_MATTERS > samples)
-        return cls(number, pairs, ramp_geometry(samples), at, long)
+        return cls(number, pairs, ramp_geometry(samples), at)
 
     def add(self, squares: Floats) -> None:
         """Add its pair sums to the pooled ones, (10, pairs), its ramps left in."""
@@ -159,16 +151,15 @@ class _Part:
         m = self.pairs.m.astype(float)
         # d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is
         # the same for all starts when r is the best estimate, and near it for any good one.
-        i, j = (x[self.long] for x in np.triu_indices(len(m)))
+        i, j = np.triu_indices(len(m))
         less = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
         less -= effect.variance[:, None] * (m[i] * m[j] / 2.0)
         pairs = self.pairs.count[i].astype(float) * self.pairs.count[j]
-        single = self.pairs.singles[:, self.long]
-        at = self.at[self.long]
+        single = self.pairs.singles
         for n, (a, b) in enumerate(TERM_PAIRS):
             twice = 2.0 if a == b else 4.0
             change = pairs * less[a] * less[b] - less[a] * single[b] - less[b] * single[a]
-            squares[n, at] += self.number * twice * change
+            squares[n, self.at] += self.number * twice * change
 
 
 class PooledTable:

@@ -7,7 +7,7 @@ from scipy import special
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit.intervals import Score, coefficient_interval, cross, normal_deviate
-from allan_ros.core.fit.solve import JITTER, B, K, N, Whitening, point_fit, weights_at
+from allan_ros.core.fit.solve import JITTER, NO_MISFIT, B, K, N, Whitening, point_fit, weights_at
 from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
@@ -82,17 +82,20 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
 
 @pytest.mark.parametrize('factor', [30.0, 1e4])
 def test_a_walk_held_far_off_still_has_a_covariance(fit, factor):
-    """The ramps' weights are not made for it: what is indefinite of it is left out, no more."""
+    """Also where the weights of the ramps were made for another walk."""
     power = fit.power * np.array([1.0, 1.0, 1.0, factor])
-    covariance = weights_at(fit.table, power, 0.0)
+    covariance = weights_at(fit.table, power, NO_MISFIT)
     deviation = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviation, deviation)
-    assert np.linalg.eigvalsh(correlation)[0] < -JITTER
-    lower = Whitening.of(covariance).lower
-    change = lower @ lower.T - correlation
-    assert np.linalg.norm(change, 2) == pytest.approx(
-        JITTER - np.linalg.eigvalsh(correlation)[0], rel=1e-6
-    )
+    assert np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))[0] > -JITTER
+
+
+def test_an_indefinite_matrix_is_replaced_by_the_nearest_covariance():
+    correlation = np.array([[1.0, 0.9, 0.5], [0.9, 1.0, 0.9], [0.5, 0.9, 1.0]])
+    least = np.linalg.eigvalsh(correlation)[0]
+    assert least < -JITTER
+    lower = Whitening.of(correlation).lower
+    change = np.linalg.norm(lower @ lower.T - correlation, 2)
+    assert change == pytest.approx(JITTER - least, rel=1e-6)
 
 
 def test_a_term_held_further_off_is_further_off(fit):
