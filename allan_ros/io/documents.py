@@ -22,7 +22,7 @@ from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import Finding
-from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Sinusoid
+from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from ..core.fit.regions import Region
 from ..core.imu import AXES, MAX_NAME, SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.health import Counts, Segment
@@ -220,6 +220,8 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'sample_std': _finite(axis.sample_std),
         'gauss_markov': asdict(fit.gauss_markov) if fit.gauss_markov else None,
         'sinusoid': asdict(fit.sinusoid) if fit.sinusoid else None,
+        'processes': _processes_to_document(fit.processes),
+        'deviation': fit.deviation._asdict() if fit.deviation else None,
         'reading': [asdict(region) for region in axis.regions],
     }
     if curves and axis.curve is not None:
@@ -237,8 +239,8 @@ def _axis_from_document(fields: Fields) -> AxisResult:
             math.nan if misfit is None else misfit,
             fields.integer('m_min', least=1),
             fields.optional_number('gof_z'),
-            _gauss_markov_from_document(fields.optional_fields('gauss_markov')),
-            _sinusoid_from_document(fields.optional_fields('sinusoid')),
+            _processes_from_document(fields),
+            _deviation_from_document(fields.optional_fields('deviation')),
         ),
         _curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         tuple(
@@ -252,6 +254,54 @@ def _axis_from_document(fields: Fields) -> AxisResult:
         ),
         fields.optional_number('sample_std', least=0.0),
     )
+
+
+def _processes_to_document(processes: Processes) -> dict[str, Any]:
+    return {
+        'gauss_markov': [
+            {
+                'sigma': p.sigma,
+                'sigma_ci95': p.sigma_ci95,
+                'tau': p.correlation_time,
+                'tau_ci95': p.correlation_time_ci95,
+            }
+            for p in processes.gauss_markov
+        ],
+        'sinusoid': [asdict(p) for p in processes.sinusoid],
+    }
+
+
+def _processes_from_document(fields: Fields) -> Processes:
+    """Read all processes, or in a document of an earlier version the one of each kind."""
+    if 'processes' not in fields:
+        gauss_markov = _gauss_markov_from_document(fields.optional_fields('gauss_markov'))
+        sinusoid = _sinusoid_from_document(fields.optional_fields('sinusoid'))
+        return Processes(
+            () if gauss_markov is None else (gauss_markov,), () if sinusoid is None else (sinusoid,)
+        )
+    processes = fields.fields('processes')
+    return Processes(
+        tuple(
+            GaussMarkov(
+                p.number('sigma', least=0.0),
+                p.interval('sigma_ci95'),
+                p.number('tau', least=0.0),
+                p.interval('tau_ci95'),
+            )
+            for p in processes.each('gauss_markov')
+        ),
+        tuple(
+            p
+            for each in processes.each('sinusoid')
+            if (p := _sinusoid_from_document(each)) is not None
+        ),
+    )
+
+
+def _deviation_from_document(fields: Fields | None) -> Deviation | None:
+    if fields is None:
+        return None
+    return Deviation(fields.number('relative'), fields.number('tau', least=0.0))
 
 
 def _gauss_markov_from_document(fields: Fields | None) -> GaussMarkov | None:

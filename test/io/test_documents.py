@@ -17,7 +17,7 @@ import pytest
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
-from allan_ros.core.fit import Coefficient, GaussMarkov, Sinusoid
+from allan_ros.core.fit import Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.stream.health import Segment
 from allan_ros.io.documents import (
     results_from_document,
@@ -106,13 +106,24 @@ def test_extra_terms_survive(small_results: Results) -> None:
     axis = small_results.axes['accel_y']
     fit = replace(
         axis.fit,
-        gauss_markov=GaussMarkov(1e-4, (9e-5, 1.1e-4), 300.0, (200.0, 500.0)),
-        sinusoid=Sinusoid(1e-3, (9e-4, 1.1e-3), 25.0, (24.9, 25.1)),
+        processes=Processes(
+            (
+                GaussMarkov(2e-4, (1e-4, 3e-4), 3.0, (2.0, 5.0)),
+                GaussMarkov(1e-4, (9e-5, 1.1e-4), 300.0, (200.0, 500.0)),
+            ),
+            (Sinusoid(1e-3, (9e-4, 1.1e-3), 25.0, (24.9, 25.1)),),
+        ),
+        deviation=Deviation(0.06, 240.0),
     )
     results = replace(small_results, axes={'accel_y': replace(axis, fit=fit)})
-    again = results_from_document(through_text(results_to_document(results)))
-    assert again.axes['accel_y'].fit.gauss_markov == fit.gauss_markov
-    assert again.axes['accel_y'].fit.sinusoid == fit.sinusoid
+    document = through_text(results_to_document(results))
+    again = results_from_document(document).axes['accel_y'].fit
+    assert again.processes == fit.processes
+    assert again.deviation == fit.deviation
+    assert again.selected == fit.selected
+    del document['axes']['accel_y']['processes']  # as earlier versions wrote it
+    earlier = results_from_document(document).axes['accel_y'].fit.processes
+    assert earlier == Processes(fit.processes.gauss_markov[:1], fit.processes.sinusoid)
 
 
 def test_of_many_segments_the_longest_are_listed(small_results: Results) -> None:

@@ -9,15 +9,26 @@ from importlib import import_module
 
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from .model import TERMS, AxisFit, Coefficient, GaussMarkov, NoiseModel, Sinusoid
+from .model import (
+    TERMS,
+    AxisFit,
+    Coefficient,
+    Deviation,
+    GaussMarkov,
+    NoiseModel,
+    Processes,
+    Sinusoid,
+)
 
 __all__ = [
     'METHODS',
     'TERMS',
     'AxisFit',
     'Coefficient',
+    'Deviation',
     'GaussMarkov',
     'NoiseModel',
+    'Processes',
     'Sinusoid',
     'clear_cache',
     'fit_noise',

@@ -20,6 +20,7 @@ from .model import (
     Floats,
     GaussMarkov,
     NoiseModel,
+    Processes,
     Sinusoid,
     coefficient_to_si,
 )
@@ -75,8 +76,8 @@ def _fit_axis(evidence: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, l
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
     ramp = ramp_interval(evidence, axis, chosen.fit, intervals[K].upper)
     noise['R'] = _ramp(ramp, tau0)
-    gauss_markov, sinusoid = _extras(chosen, intervals[len(RANDOM_TERMS) :], tau0)
-    fit = AxisFit(noise, frame.misfit.size, frame.m_min, chosen.first.z, gauss_markov, sinusoid)
+    processes = _processes(chosen, intervals[len(RANDOM_TERMS) :], tau0)
+    fit = AxisFit(noise, frame.misfit.size, frame.m_min, chosen.first.z, processes)
     return fit, explain(evidence, axis, chosen, fit, ramp, tau0)
 
 
@@ -145,19 +146,23 @@ def _size_ends(term: Candidate, power: float, interval: CoefficientInterval) -> 
     return math.sqrt(max(power - low, 0.0)), math.sqrt(power + high)
 
 
-def _extras(
+def _processes(
     chosen: SelectedOptions, intervals: list[CoefficientInterval], tau0: float
-) -> tuple[GaussMarkov | None, Sinusoid | None]:
+) -> Processes:
     """Return the extra terms in SI units."""
-    gauss_markov: GaussMarkov | None = None
-    sinusoid: Sinusoid | None = None
+    gauss_markov: list[GaussMarkov] = []
+    sinusoid: list[Sinusoid] = []
     powers = chosen.fit.power[len(RANDOM_TERMS) :]
     for term, interval, power in zip(chosen.terms, intervals, powers):
         size = math.sqrt(max(float(power), 0.0))
         ends = _size_ends(term, float(power), interval)
         shape, low, high = term.extra.shape, term.low, term.high
         if isinstance(term.extra, GaussMarkovTerm):
-            gauss_markov = GaussMarkov(size, ends, shape * tau0, (low * tau0, high * tau0))
+            drift = GaussMarkov(size, ends, shape * tau0, (low * tau0, high * tau0))
+            gauss_markov.append(drift)
         else:
-            sinusoid = Sinusoid(size, ends, shape / tau0, (low / tau0, high / tau0))
-    return gauss_markov, sinusoid
+            sinusoid.append(Sinusoid(size, ends, shape / tau0, (low / tau0, high / tau0)))
+    return Processes(
+        tuple(sorted(gauss_markov, key=lambda p: p.correlation_time)),
+        tuple(sorted(sinusoid, key=lambda p: p.frequency)),
+    )

@@ -7,13 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..findings import Finding
-from ..noise import NoiseTerms, term_avar
+from ..noise import NoiseTerms, ProcessModel, term_avar
 
 Floats = NDArray[np.float64]
 
@@ -101,9 +101,18 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class GaussMarkov:
-    """First-order Gauss-Markov noise (IEEE 952's exponentially correlated noise).
+    """First-order Gauss-Markov process (exponentially correlated noise of IEEE Std 952).
 
-    ``sigma`` is its standard deviation in the unit of the samples, ``correlation_time`` in s.
+    Attributes
+    ----------
+    sigma : float
+        Stationary standard deviation in the unit of the samples.
+    sigma_ci95 : (low, high)
+        95 % interval.
+    correlation_time : float
+        In s.
+    correlation_time_ci95 : (low, high)
+        95 % interval.
     """
 
     sigma: float
@@ -114,12 +123,55 @@ class GaussMarkov:
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """A line in the spectrum (IEEE 952's sinusoidal noise): amplitude and frequency in Hz."""
+    """Sinusoidal noise of IEEE Std 952, e.g. vibration.
+
+    Attributes
+    ----------
+    amplitude : float
+        In the unit of the samples.
+    amplitude_ci95 : (low, high)
+        95 % interval.
+    frequency : float
+        In Hz, below half the sample rate. A faster vibration appears at its alias.
+    frequency_ci95 : (low, high)
+        95 % interval.
+    """
 
     amplitude: float
     amplitude_ci95: tuple[float, float]
     frequency: float
     frequency_ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Processes beside the five terms, where the five terms do not describe the curve.
+
+    Attributes
+    ----------
+    gauss_markov : tuple of GaussMarkov
+        Shortest correlation time first.
+    sinusoid : tuple of Sinusoid
+        Lowest frequency first.
+    """
+
+    gauss_markov: tuple[GaussMarkov, ...] = ()
+    sinusoid: tuple[Sinusoid, ...] = ()
+
+
+class Deviation(NamedTuple):
+    """Largest deviation of the measured Allan deviation from the model, beyond its scatter.
+
+    Attributes
+    ----------
+    relative : float
+        Measured over modelled Allan deviation, less 1.
+    tau : float
+        Averaging time in s.
+    """
+
+    relative: float
+    tau: float
 
 
 @dataclass(frozen=True)
@@ -131,20 +183,50 @@ class AxisFit:
     noise : mapping of term to Coefficient
         All five of `TERMS`.
     misfit : float
-        Fractional model error eps that makes the five terms fit (0: they describe the curve).
+        Fractional model error that makes the selected model fit; 0 where it fits without one.
     m_min : int
         Smallest averaging factor used; above 1 where a low-pass filter hides the shorter ones.
     gof_z : float or None
-        Goodness of fit as a normal deviate, before eps; None where the method has none.
-    gauss_markov, sinusoid : extra terms, only where the fit demanded them.
+        Goodness of fit of the five terms as a normal deviate; None where the method has none.
+    processes : Processes
+        Gauss-Markov processes and sinusoids; empty where the five terms describe the curve.
+    deviation : Deviation or None
+        Where and by how much the selected model departs from the data; None where it does not.
     """
 
     noise: Mapping[str, Coefficient]
     misfit: float = 0.0
     m_min: int = 1
     gof_z: float | None = None
-    gauss_markov: GaussMarkov | None = None
-    sinusoid: Sinusoid | None = None
+    processes: Processes = Processes()
+    deviation: Deviation | None = None
+
+    @property
+    def gauss_markov(self) -> GaussMarkov | None:
+        """The Gauss-Markov process of the largest standard deviation, or None."""
+        return max(self.processes.gauss_markov, key=lambda p: p.sigma, default=None)
+
+    @property
+    def sinusoid(self) -> Sinusoid | None:
+        """The sinusoid of the largest amplitude, or None."""
+        return max(self.processes.sinusoid, key=lambda p: p.amplitude, default=None)
+
+    @property
+    def selected(self) -> ProcessModel:
+        """The selected model: the resolved terms and the processes, for drawing and prediction.
+
+        The five terms if they describe the curve, else what is left of them beside the processes.
+        """
+        values = {
+            term: c.value * (c.sign or 1)
+            for term, c in self.noise.items()
+            if c.status == 'estimated' and c.value is not None and math.isfinite(c.value)
+        }
+        return ProcessModel(
+            NoiseTerms(**values),
+            tuple((p.sigma, p.correlation_time) for p in self.processes.gauss_markov),
+            tuple((p.amplitude, p.frequency) for p in self.processes.sinusoid),
+        )
 
 
 @dataclass(frozen=True)

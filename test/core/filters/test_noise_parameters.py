@@ -25,7 +25,7 @@ from allan_ros.core.filters.noise_parameters import (
     walk_rate_std,
     white_std,
 )
-from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov
+from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov, Processes
 from allan_ros.core.noise import NoiseTerms, term_avar
 from allan_ros.core.simulate import simulate_axis
 
@@ -131,5 +131,5 @@ def test_the_bias_is_the_gauss_markov_process_before_it_is_b() -> None:
     b = fit_with(B=Coefficient(1e-4, (9e-5, 1.1e-4)))
     assert bias_level('gyro_z', b) == Level('gyro_z', 'B', 1e-4, (9e-5, 1.1e-4))
     process = GaussMarkov(3e-4, (2e-4, 4e-4), 100.0, (80.0, 130.0))
-    both = AxisFit(b.noise, gauss_markov=process)
+    both = AxisFit(b.noise, processes=Processes((process,)))
     assert bias_level('gyro_z', both) == Level('gyro_z', 'sigma', 3e-4, (2e-4, 4e-4))

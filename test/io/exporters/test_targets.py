@@ -20,7 +20,7 @@ import yaml
 
 import allan_ros
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit import Coefficient, GaussMarkov
+from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export, target_of
 from allan_ros.io.results import Results
 
@@ -338,7 +338,7 @@ def with_process(results: Results, axis: str, sigma: float, hours: float) -> Res
         sigma, (0.9 * sigma, 1.1 * sigma), seconds, (0.8 * seconds, 1.3 * seconds)
     )
     had = results.axes[axis]
-    changed = replace(had, fit=replace(had.fit, gauss_markov=process))
+    changed = replace(had, fit=replace(had.fit, processes=Processes((process,))))
     return replace(results, axes={**results.axes, axis: changed})
 
 
