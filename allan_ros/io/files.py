@@ -8,14 +8,64 @@ import contextlib
 import fcntl
 import os
 import re
+import stat
 import time
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 from ..core.errors import AllanError
 
 ABANDONED_S = 3600.0
 """A draft that nobody has written to for an hour was left by a process that was killed."""
+
+
+def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Links are followed. The call never waits, which opening a FIFO does otherwise.
+
+    Raises
+    ------
+    AllanError
+        When the path is a folder, FIFO, device or socket.
+    OSError
+        When it is missing or unreadable.
+    """
+    if not stat.S_ISREG(os.stat(path).st_mode):  # opening a device may already have an effect
+        raise _not_regular(path)
+    flags = os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0) | getattr(os, 'O_BINARY', 0)
+    file = os.fdopen(os.open(path, flags), 'rb')
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # replaced in between
+        file.close()
+        raise _not_regular(path)
+    return file
+
+
+def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
+    """Return the content of a regular file of at most ``limit`` bytes.
+
+    Raises
+    ------
+    AllanError
+        When the path is no regular file, or the file is larger.
+    OSError
+        When it is missing or unreadable.
+    """
+    with open_regular(path) as file:
+        data = file.read(limit + 1)
+    if len(data) > limit:
+        raise AllanError(
+            f'{os.fspath(path)}: is larger than {limit} bytes, the limit for such a file: '
+            'check the path'
+        )
+    return data
+
+
+def _not_regular(path: str | os.PathLike[str]) -> AllanError:
+    return AllanError(
+        f'{os.fspath(path)}: is a folder, FIFO, device or socket: give a regular file'
+    )
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
