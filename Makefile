@@ -7,7 +7,14 @@ DISTRO ?= jazzy
 VENV ?= .venv
 JOBS ?= 2
 
+TESTS ?= test
+
 FLOOR := .venv-floor
+LINT := .venv-lint
+# The type checker and the numpy whose types it reads are pinned, so that the result does not
+# depend on the Python or the numpy of the environment that runs the tests.
+LINT_PINS := mypy==2.4.1 ruff==0.17.5
+LINT_TYPES := numpy==2.4.6 rich==15.0.0
 # What Ubuntu 22.04 (ROS 2 Humble) ships.
 FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.*
 
@@ -16,10 +23,10 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-# The matrices of a fit are small: threads only wait for each other, and tests run side by side.
+# The matrices of a fit are small: more threads per process only cost time.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-floor lint format bench fuzz faults soak audit docs pictures clean
+.PHONY: help venv demo test unit test-floor site lint format bench fuzz faults soak audit docs pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -30,18 +37,20 @@ venv: $(VENV)/.ready  ## create the environment, with rclpy wheels where they ex
 demo: $(VENV)/.ready  ## simulate the paper's IMU, analyse it, show found against true
 	$(VENV)/bin/python scripts/demo.py demo
 
-test: lint  ## lint, then run all tests
+test: unit lint  ## run all tests, then check style and types
+
+unit: $(VENV)/.ready  ## run the tests alone (TESTS=test/core for some of them)
 	AMENT_PREFIX_PATH="$(abspath $(VENV)):$$AMENT_PREFIX_PATH" \
-		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadgroup
+		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadgroup $(TESTS)
 
-lint: $(VENV)/.ready  ## check style and types
-	$(VENV)/bin/ruff check .
-	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/mypy
+lint: $(LINT)/.ready  ## check style and types
+	$(LINT)/bin/ruff check .
+	$(LINT)/bin/ruff format --check .
+	$(LINT)/bin/mypy
 
-format: $(VENV)/.ready  ## put the code into the house style
-	$(VENV)/bin/ruff check --fix .
-	$(VENV)/bin/ruff format .
+format: $(LINT)/.ready  ## format the code and fix what ruff can fix
+	$(LINT)/bin/ruff check --fix .
+	$(LINT)/bin/ruff format .
 
 bench: $(VENV)/.ready  ## run the benchmarks
 	@for file in $(filter-out %_faults.py %_soak.py,$(wildcard bench/bench_*.py)); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
@@ -71,18 +80,31 @@ test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy a
 	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) test/core test/io test/cli
 
 clean:  ## remove environments and what was built
-	rm -rf $(VENV) $(FLOOR) build install log demo *.egg-info
+	rm -rf $(VENV) $(FLOOR) $(LINT) build site install log demo *.egg-info
 
-# The stamp is written last: an environment that was not finished, or whose Python is gone, is
-# made anew.
-ifneq ($(shell $(VENV)/bin/python -c 'print("runs")' 2>/dev/null),runs)
-.PHONY: $(VENV)/.ready
+# The stamp is written last: an unfinished environment, or one whose Python is gone, is made again.
+define runs
+ifneq ($$(shell $(1)/bin/python -c 'print("runs")' 2>/dev/null),runs)
+.PHONY: $(1)/.ready
 endif
+endef
+$(foreach each,$(VENV) $(LINT),$(eval $(call runs,$(each))))
+
 $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO)) && \
 		$(VENV)/bin/python -m pip install --quiet --editable ".[$$extras]"
+	touch $@
+
+# Types of a numpy that is newer than the oldest Python are only read, never run.
+$(LINT)/.ready: Makefile
+	rm -rf $(LINT)
+	$(PYTHON) -m venv $(LINT)
+	$(LINT)/bin/python -m pip install --quiet $(LINT_PINS)
+	packages=$$($(LINT)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') && \
+		$(LINT)/bin/python -m pip install --quiet --target "$$packages" --no-deps \
+		--ignore-requires-python --only-binary=:all: --python-version 3.11 $(LINT_TYPES)
 	touch $@
 
 $(FLOOR)/.ready: setup.py pyproject.toml

@@ -90,13 +90,10 @@ setup(
             'gtsam>=4.3; python_version >= "3.11" and python_version < "3.14"',
             'opencv-python-headless>=4.5',
         ],
-        # The tools are pinned, so that a lint that passes today passes next year.
-        'lint': ['mypy==2.4.1', 'ruff==0.17.5'],
         'test': [
             'allantools==2024.6',
             'hypothesis>=6.100',
             'pytest>=7',
-            'pytest-rerunfailures>=14',
             'pytest-xdist>=3',
             DASK,
         ],

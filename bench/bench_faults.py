@@ -5,8 +5,9 @@
     python bench/bench_faults.py                     all, about 25 min
     python bench/bench_faults.py nan_burst unplugged these
 
-The rows are written into docs/reliability.md. Each fault runs in a process of its own; those of
-the network and of a full disk need root (network namespaces, tmpfs) and are left out without.
+The rows are written into docs/engineering/reliability.md. Each fault runs in its own process.
+Faults of the network and of a full disk need root (network namespaces, tmpfs); without root they
+are skipped.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from allan_ros.io.files import write_atomic
 
-RELIABILITY = Path(__file__).resolve().parents[1] / 'docs' / 'reliability.md'
+RELIABILITY = Path(__file__).resolve().parents[1] / 'docs' / 'engineering' / 'reliability.md'
 
 
 class DocTable:

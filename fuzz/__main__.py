@@ -34,7 +34,7 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=60.0, help='in all (default 60)')
     parser.add_argument('--seed', type=int, default=0, help='where to begin; other, other inputs')
     parser.add_argument('--shrink', action='store_true', help='make what crashes small: slow')
-    parser.add_argument('--write', action='store_true', help='write docs/reliability.md too')
+    parser.add_argument('--write', action='store_true', help='also write the table of the docs')
     parser.add_argument('--here', action='store_true', help='run in this process, print JSON')
     options = parser.parse_args()
     names = options.targets or list(TARGETS)
@@ -102,7 +102,7 @@ def _row(tally: Tally) -> tuple[str, ...]:
 
 
 def _write(row: tuple[str, ...]) -> None:
-    """Write a row into the table of docs/reliability.md, in place of the one of this target."""
+    """Replace the row of this target in docs/engineering/reliability.md."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'bench'))
     from doc_table import DocTable
 

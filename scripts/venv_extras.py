@@ -13,7 +13,7 @@ import sys
 def main() -> None:
     """Print the extras on stdout, and on stderr why the nodes cannot run if they cannot."""
     distro = sys.argv[1]
-    extras = ['test', 'lint']
+    extras = ['test']
     if importlib.util.find_spec('rclpy'):
         print('rclpy of the sourced ROS installation is used', file=sys.stderr)
     elif (

@@ -15,7 +15,7 @@ import pytest
 from allan_ros.cli.main import VERBS, build_parser
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
 LARGEST_PICTURE = 150_000
 """Bytes: pages must open quickly on a phone."""
 
@@ -59,7 +59,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_the_index_leads_to_every_page() -> None:
     index = (ROOT / 'docs' / 'README.md').read_text()
-    pages = [page.name for page in PAGES[1:] if page.name != 'README.md']
+    docs = ROOT / 'docs'
+    pages = [str(page.relative_to(docs)) for page in PAGES[1:] if page != docs / 'README.md']
     assert [name for name in pages if f']({name})' not in index] == []
 
 
