@@ -2,20 +2,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """`AllanSums` as a plain document (dicts, lists, numbers, strings) and back, without loss.
 
-The same document is the checkpoint, ``sums.json`` and the payload of the sums topic, so it may come
-from a stranger: reading is strict and bounded, and never trusts a length.
+The same document is the checkpoint, ``sums.json`` and the payload of the sums topic. Its source is
+not trusted: the reader checks every length, every bound and whether the parts agree.
 """
 
 from __future__ import annotations
 
+import base64
+import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..fields import Fields
+from ..fields import MAX_INTEGER, Fields
 from ..imu import AXES, MAX_NAME, ImuIdentity
 from .engine import PHASE_POINTS
+from .history import (
+    CELLS,
+    FIRST_EDGE,
+    KEPT_RECORDINGS,
+    PERIODS,
+    AgeBin,
+    History,
+    Recording,
+    age_bin,
+    edge_age,
+)
 from .sums import (
     FIRST_FACTORS,
     KEPT_SEGMENTS,
@@ -24,18 +38,30 @@ from .sums import (
     AllanSums,
     LengthClass,
     SegmentRecord,
+    counts,
+    grid_for,
 )
 
 SUMS_SCHEMA = 'allan_ros/sums/1'
-"""Name and version of the document; a reader refuses any other."""
-
+"""Name and version of the document; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
-"""More factors than that are centuries of samples."""
-
+"""Most averaging factors: more would be centuries of samples."""
 
 MAX_CLASSES = 500
-"""1.1^500 is 5e20 samples: no stream has a longer segment."""
+"""Most length classes: 1.1^500 is 5e20 samples."""
+
+MAX_BINS = 120
+"""Most bins by age: the last edge is at 2^66 samples."""
+
+MAX_SUM = 1e80
+"""Largest sum of squares; the covariance of a fit takes its fourth power."""
+
+MAX_PERIOD_NS = 10**13
+"""Longest sample period, nearly three hours."""
+
+SAME = 1e-6
+"""The sums by age add up to the sums, to this fraction."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
@@ -57,6 +83,7 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
                 'start_ns': int(s.start_ns),
                 'samples': int(s.samples),
                 'phase_step': int(s.phase_step),
+                'age': int(s.age),
                 'signed': s.signed.tolist(),
                 'phase': s.phase.tolist(),
             }
@@ -71,7 +98,68 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
             }
             for c in sums.classes
         ],
+        **({'history': _history_to_document(sums.history)} if sums.history.recordings else {}),
     }
+
+
+def _history_to_document(history: History) -> dict[str, Any]:
+    return {
+        'first_age': edge_age(history.first),
+        'recording_count': history.recording_count,
+        'bins': [
+            {
+                'age': edge_age(b.index),
+                'count': b.count.tolist(),
+                'sum_sq': _packed(b.sum_sq, '<f8'),
+                **({'pooled': [list(p) for p in b.pooled]} if b.pooled else {}),
+                **({'ramp_correction': b.ramp.tolist()} if len(b.ramp) else {}),
+            }
+            for b in history.bins
+        ],
+        'recordings': [
+            {
+                'start_ns': int(r.start_ns),
+                'length': int(r.length),
+                'samples': int(r.samples),
+                'reference': r.reference.tolist(),
+                'step': r.step,
+                'cell_samples': r.cell_samples.tolist(),
+                'cell_means': _packed(r.cell_means, '<f4'),
+                'period': r.period,
+                'level_count': r.level_count.tolist(),
+                'level_sum_sq': _packed(r.level_sum_sq, '<f4'),
+            }
+            for r in history.recordings
+        ],
+    }
+
+
+def _packed(values: NDArray[np.float64], kind: str) -> str:
+    """Return an array as base64 text of its little-endian numbers: half the size of decimals."""
+    return base64.b64encode(values.astype(kind).tobytes()).decode('ascii')
+
+
+def _unpacked(fields: Fields, key: str, kind: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the array of a packed text."""
+    size = math.prod(shape) * np.dtype(kind).itemsize
+    text = fields.text(key, longest=4 * (size // 3 + 1))
+    try:
+        data = base64.b64decode(text, validate=True)
+    except ValueError as error:
+        raise AllanError(f'{fields.where}.{key} is not base64: {error}') from error
+    if len(data) != size:
+        raise AllanError(f'{fields.where}.{key} has {len(data)} bytes: {size} are expected')
+    values = np.frombuffer(data, kind).astype(float).reshape(shape)
+    if not np.all(np.abs(values) <= MAX_SUM):  # NaN is not either
+        raise AllanError(f'{fields.where}.{key} is not finite or above {MAX_SUM:g}')
+    return values
+
+
+def _unpacked_squares(fields: Fields, key: str, kind: str, *shape: int) -> NDArray[np.float64]:
+    values = _unpacked(fields, key, kind, shape)
+    if np.any(values < 0.0):
+        raise AllanError(f'{fields.where}.{key} has a negative sum of squares')
+    return values
 
 
 def sums_from_document(document: object) -> AllanSums:
@@ -81,7 +169,7 @@ def sums_from_document(document: object) -> AllanSums:
     ------
     AllanError
         When the document is of another version, or anything in it is missing, of the wrong kind or
-        shape, not finite, or beyond its bounds.
+        shape, not finite, beyond its bounds, or contradicts the rest of it.
     """
     top = Fields(document, 'sums')
     top.schema(SUMS_SCHEMA)
@@ -91,45 +179,185 @@ def sums_from_document(document: object) -> AllanSums:
             f'sums.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
         )
     n = len(top.sequence('count', MAX_FACTORS))
-    segments = tuple(_segment(f, len(axes), n) for f in top.each('segments', KEPT_SEGMENTS))
-    classes = tuple(_length_class(f, len(axes), n) for f in top.each('classes', MAX_CLASSES))
+    width = len(axes)
     sums = AllanSums(
         ImuIdentity(*(top.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
         top.integers('count', n),
-        top.table('sum_sq', n, len(axes), least=0.0),
+        _squares(top, 'sum_sq', n, width),
         top.integers('group_count', n),
-        top.table('group_sum_sq', n, len(axes), least=0.0),
-        segments,
-        classes,
+        _squares(top, 'group_sum_sq', n, width),
+        tuple(_segment(f, width, n) for f in top.each('segments', KEPT_SEGMENTS)),
+        tuple(_length_class(f, width, n) for f in top.each('classes', MAX_CLASSES)),
         top.integer('elapsed_ns', least=0),
         top.integer('intervals', least=0),
+        _history(top.fields('history'), width, n) if 'history' in top else History(),
     )
     if not np.array_equal(top.integers('m', n), sums.m):
-        raise AllanError('sums.m is not the grid of this version: accumulate anew')
+        raise AllanError('sums.m is not the grid of this version: accumulate the data again')
+    _check(sums)
     return sums
 
 
+def _check(sums: AllanSums) -> None:
+    """Do nothing if the parts of the sums agree with each other.
+
+    Raises
+    ------
+    AllanError
+        Naming the part that contradicts the others.
+    """
+    if sums.intervals != sums.samples - sums.segment_count:
+        raise AllanError(
+            f'sums.intervals is {sums.intervals}: {sums.samples} samples in {sums.segment_count} '
+            f'segments have {sums.samples - sums.segment_count}'
+        )
+    longest_ns = sums.intervals * MAX_PERIOD_NS
+    if not sums.intervals <= sums.elapsed_ns <= longest_ns:
+        raise AllanError(
+            f'sums.elapsed_ns is {sums.elapsed_ns}: {sums.intervals} sample periods take from '
+            f'{sums.intervals} to {longest_ns} ns'
+        )
+    kept = np.zeros_like(sums.count)
+    for segment in sums.segments:
+        kept += counts(segment.samples, sums.m, sums.stride)
+    pooled = sums.count - kept
+    most = np.zeros_like(sums.count)
+    for c in sums.classes:
+        most += c.samples // sums.stride + c.count
+    if np.any(pooled < 0) or np.any(pooled > most):
+        raise AllanError('sums.count is not that of the segments and classes: the file is damaged')
+    if np.any(sums.group_count > sums.count):
+        raise AllanError('sums.group_count exceeds sums.count: the file is damaged')
+    bins = sums.history.bins
+    if bins:
+        number, total = np.zeros_like(sums.count), np.zeros_like(sums.sum_sq)
+        for b in bins:
+            number[: len(b.count)] += b.count
+            total[: len(b.count)] += b.sum_sq
+        near = np.abs(total - sums.sum_sq) <= SAME * sums.sum_sq
+        if not np.array_equal(number, sums.count) or not near.all():
+            raise AllanError('sums.history does not add up to the sums: the file is damaged')
+
+
+def _squares(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.float64]:
+    """Return a table of sums of squares."""
+    values = fields.table(key, rows, columns, least=0.0)
+    if np.any(values > MAX_SUM):
+        raise AllanError(f'{fields.where}.{key} is above {MAX_SUM:g}: no IMU has such samples')
+    return values
+
+
+def _signed(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.float64]:
+    """Return a table of sums of samples."""
+    values = fields.table(key, rows, columns)
+    if np.any(values**2 > MAX_SUM):
+        raise AllanError(f'{fields.where}.{key} is above {MAX_SUM**0.5:g}: no IMU has such samples')
+    return values
+
+
+def _power_of_two(fields: Fields, key: str) -> int:
+    value = fields.integer(key, least=1)
+    if value & (value - 1):
+        raise AllanError(f'{fields.where}.{key} is {value}: a power of two is expected')
+    return value
+
+
+def _rows(fields: Fields, key: str, expected: int) -> int:
+    found = len(fields.sequence(key, expected))
+    if found != expected:
+        raise AllanError(f'{fields.where}.{key} has {found} rows: {expected} are expected')
+    return found
+
+
 def _segment(fields: Fields, axes: int, factors: int) -> SegmentRecord:
-    signed = fields.sequence('signed', factors)
-    phase = fields.sequence('phase', PHASE_POINTS)
-    step = fields.integer('phase_step', least=1)
-    if step & (step - 1):
-        raise AllanError(f'{fields.where}.phase_step is {step}: a power of two is expected')
+    step, samples = _power_of_two(fields, 'phase_step'), fields.integer('samples', least=1)
+    signed = len(grid_for(samples)[0])
+    if signed > factors or samples // step >= PHASE_POINTS:
+        raise AllanError(
+            f'{fields.where}.samples is {samples}: too many for {factors} factors or for phase '
+            f'points {step} samples apart'
+        )
     return SegmentRecord(
         fields.integer('start_ns'),
-        fields.integer('samples', least=1),
-        fields.table('signed', len(signed), axes),
-        fields.table('phase', len(phase), axes),
+        samples,
+        _signed(fields, 'signed', _rows(fields, 'signed', signed), axes),
+        _signed(fields, 'phase', _rows(fields, 'phase', samples // step + 1), axes),
         step,
+        fields.integer('age', 0, least=0),
     )
 
 
 def _length_class(fields: Fields, axes: int, factors: int) -> LengthClass:
-    rows = fields.sequence('ramp_correction', factors)
-    return LengthClass(
-        fields.integer('index', least=0),
-        fields.integer('count', least=1),
-        fields.integer('samples', least=1),
-        fields.table('ramp_correction', len(rows), axes),
+    rows = len(fields.sequence('ramp_correction', factors))
+    count, samples = fields.integer('count', least=1), fields.integer('samples', least=1)
+    if not count <= samples or len(grid_for(samples // count)[0]) > factors:
+        raise AllanError(
+            f'{fields.where}.samples is {samples}, in {count} segments of at most {factors} factors'
+        )
+    ramp = fields.table('ramp_correction', rows, axes)
+    if np.any(np.abs(ramp) > MAX_SUM):
+        raise AllanError(f'{fields.where}.ramp_correction is above {MAX_SUM:g}')
+    return LengthClass(fields.integer('index', least=0), count, samples, ramp)
+
+
+def _history(fields: Fields, axes: int, factors: int) -> History:
+    bins = tuple(_age_bin(f, axes, factors) for f in fields.each('bins', MAX_BINS))
+    if [b.index for b in bins] != sorted({b.index for b in bins}):
+        raise AllanError(f'{fields.where}.bins: ages ascend')
+    recordings = tuple(_recording(f, axes) for f in fields.each('recordings', KEPT_RECORDINGS))
+    first = age_bin(fields.integer('first_age', least=FIRST_EDGE))
+    return History(first, bins, recordings, fields.integer('recording_count', least=1))
+
+
+def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
+    age = fields.integer('age', least=0)
+    if edge_age(age_bin(age)) != age:
+        raise AllanError(f'{fields.where}.age is {age}: not an edge between two bins')
+    n = len(fields.sequence('count', factors))
+    pooled = fields.sequence('pooled', MAX_CLASSES) if 'pooled' in fields else []
+    for each in pooled:
+        if (
+            not isinstance(each, list)
+            or len(each) != 3
+            or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in each)
+        ):
+            raise AllanError(f'{fields.where}.pooled: three whole numbers each are expected')
+    ramp = np.zeros((0, axes))
+    if 'ramp_correction' in fields:
+        rows = len(fields.sequence('ramp_correction', factors))
+        ramp = fields.table('ramp_correction', rows, axes)
+    return AgeBin(
+        age_bin(age),
+        fields.integers('count', n),
+        _unpacked_squares(fields, 'sum_sq', '<f8', n, axes),
+        tuple((each[0], each[1], each[2]) for each in pooled),
+        ramp,
+    )
+
+
+def _recording(fields: Fields, axes: int) -> Recording:
+    step, period = _power_of_two(fields, 'step'), _power_of_two(fields, 'period')
+    samples = fields.integer('samples', least=1)
+    length = fields.integer('length', least=samples)
+    cells = len(fields.sequence('cell_samples', CELLS))
+    number = fields.integers('cell_samples', cells)
+    rows = fields.sequence('level_count', PERIODS)
+    levels = len(rows[0]) if rows and isinstance(rows[0], list) else 0
+    count = fields.table('level_count', len(rows), levels, least=0.0)
+    if len(fields.sequence('reference', axes)) != axes:
+        raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
+    if np.any(number > step) or cells * step > length + step or levels > MAX_LEVELS:
+        raise AllanError(f'{fields.where}: cells and levels contradict its length of {length}')
+    return Recording(
+        fields.integer('start_ns'),
+        length,
+        samples,
+        step,
+        number,
+        _unpacked(fields, 'cell_means', '<f4', (cells, axes)),
+        fields.numbers('reference'),
+        period,
+        count.astype(np.int64),
+        _unpacked_squares(fields, 'level_sum_sq', '<f4', len(rows), levels, axes),
     )

@@ -17,6 +17,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import AllanError
 from ..imu import AXES, ImuIdentity
+from .history import (
+    CELLS,
+    PERIOD_OVER_FACTOR,
+    PERIODS,
+    History,
+    PeriodSums,
+    Recording,
+    SegmentAges,
+    bins_of,
+    cell_step,
+    short,
+    starts_between,
+)
 from .sums import FIRST_FACTORS, LEVEL_FACTORS, AllanSums, SegmentRecord, counts, grid_for
 
 Floats = NDArray[np.float64]
@@ -37,6 +50,33 @@ _HISTORY = 2 * LEVEL_FACTORS[-1]
 _ALL_FACTORS = FIRST_FACTORS + LEVEL_FACTORS
 
 
+class _LevelSums:
+    """Sums of squares of a level: of all differences by the age of their start, and the groups'.
+
+    Attributes
+    ----------
+    bins : dict of bin index to (factors, axes) float64 array
+    groups : (factors, axes) float64 array
+    """
+
+    def __init__(self, factors: int, axes: int) -> None:
+        self.bins: dict[int, Floats] = {}
+        self.groups = np.zeros((factors, axes))
+
+    def of_bin(self, index: int) -> Floats:
+        """Return the sums of one bin, to be added to."""
+        if index not in self.bins:
+            self.bins[index] = np.zeros_like(self.groups)
+        return self.bins[index]
+
+    def copy(self) -> _LevelSums:
+        """Return a copy that can be added to."""
+        other = _LevelSums(*self.groups.shape)
+        other.bins = {index: squares.copy() for index, squares in self.bins.items()}
+        other.groups = self.groups.copy()
+        return other
+
+
 class _Level:
     """Phase at every 2^j-th sample of the open segment, and its sums of squares so far.
 
@@ -44,14 +84,21 @@ class _Level:
     ``fill`` points that wait to be summed.
     """
 
-    def __init__(self, factors: tuple[int, ...], axes: int) -> None:
-        self.factors = factors
+    def __init__(self, level: int, axes: int, ages: SegmentAges) -> None:
+        self.level = level
+        self.factors = LEVEL_FACTORS if level else _ALL_FACTORS
+        self.ages = ages
         self.points = np.empty((axes, _HISTORY + BLOCK))
         self.fill = 0
         self.summed = 0
         self.first: Floats | None = None
-        self.sum_sq = np.zeros((len(factors), axes))
-        self.group_sum_sq = np.zeros((len(factors), axes))
+        self.sums = _LevelSums(len(self.factors), axes)
+        # every second octave is also summed by period
+        self.by_period = {
+            i: PeriodSums(axes)
+            for i, f in enumerate(self.factors)
+            if (f << level).bit_count() == 1 and (f << level).bit_length() % 2
+        }
 
     @property
     def past(self) -> int:
@@ -64,9 +111,8 @@ class _Level:
 
     def sum_block(self) -> Floats:
         """Sum the full block, keep its end as history, return every second point for above."""
-        sum_sq, group_sum_sq = self.sums_of(self.points[:, _HISTORY - self.past :])
-        self.sum_sq += sum_sq
-        self.group_sum_sq += group_sum_sq
+        period = cell_step(self.ages.offset + ((self.summed + BLOCK) << self.level), PERIODS)
+        self._add(self.points[:, _HISTORY - self.past :], period, self.sums, self.by_period)
         if self.first is None:
             self.first = self.waiting()[:, :_HISTORY].copy()
         upward = self.waiting()[:, ::2].copy()
@@ -79,13 +125,34 @@ class _Level:
         """Return new points, (axes, n), behind the history they follow on."""
         return np.concatenate([self.points[:, _HISTORY - self.past : _HISTORY], new], axis=1)
 
-    def sums_of(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return sum d^2 of every d that ends in new points: all, and the groups'.
+    def sums_with(self, points: Floats, period: int) -> tuple[_LevelSums, dict[int, Floats]]:
+        """Return the sums so far and those of every difference that ends in new points.
 
-        points : (axes, history + new), the new ones behind the history they follow on.
+        Parameters
+        ----------
+        points : (axes, history + new) float64 array
+            The new points behind the history they follow on.
+        period : int
+            Length in samples of the periods to sum by.
+
+        Returns
+        -------
+        sums : _LevelSums
+        by_period : dict of factor to (periods, axes) float64 array
         """
-        sum_sq = np.zeros_like(self.sum_sq)
-        group_sum_sq = np.zeros_like(self.sum_sq)
+        sums = self.sums.copy()
+        by_period = {
+            i: sums_so_far.copy()
+            for i, sums_so_far in self.by_period.items()
+            if PERIOD_OVER_FACTOR * (self.factors[i] << self.level) <= period
+        }
+        self._add(points, period, sums, by_period)
+        return sums, {self.factors[i] << self.level: p.at(period) for i, p in by_period.items()}
+
+    def _add(
+        self, points: Floats, period: int, sums: _LevelSums, by_period: dict[int, PeriodSums]
+    ) -> None:
+        """Add the squares of every difference that ends in new points, as of `sums_with`."""
         scratch = np.empty((2, *points.shape))
         for i, f in enumerate(self.factors):
             reach = min(self.past, 2 * f)
@@ -97,10 +164,23 @@ class _Level:
             np.subtract(window[:, f:], window[:, :-f], out=g)
             d = scratch[1, :, :length]
             np.subtract(g[:, f:], g[:, :-f], out=d)
-            sum_sq[i] = _squares(d)
-            first_start = self.summed - reach
-            group_sum_sq[i] = _squares(d[:, -first_start % f :: f]) if f > 1 else sum_sq[i]
-        return sum_sq, group_sum_sq
+            first = self.summed - reach
+            pieces = [
+                (index, _squares(d[:, low:high]))
+                for index, low, high in self.ages.by_bin(first, length, self.level)
+            ]
+            for index, squares in pieces:
+                sums.of_bin(index)[i] += squares
+            every = d[:, -first % f :: f]
+            sums.groups[i] += _squares(every) if f > 1 or len(pieces) > 1 else pieces[0][1]
+            if i in by_period:
+                at, begins = self.ages.by_period(first, length, self.level, period)
+                if len(begins) > 1:
+                    by_period[i].add(period, at, np.add.reduceat(d * d, begins, axis=1).T)
+                elif len(pieces) == 1:
+                    by_period[i].add(period, at, pieces[0][1][None])
+                else:
+                    by_period[i].add(period, at, _squares(d)[None])
 
     def ends(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the first and the last points of the level; arguments as of `sums_of`."""
@@ -126,26 +206,38 @@ def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
     return out
 
 
-class _CoarsePhase:
-    """At most `PHASE_POINTS` points of the phase of a segment, evenly spaced from its start."""
+class _SparsePhase:
+    """The phase of a segment at ages that are multiples of a step, a power of two.
 
-    def __init__(self, axes: int) -> None:
+    Parameters
+    ----------
+    axes : int
+    points : int
+        The step doubles whenever the last age reaches that many steps.
+    offset : int
+        Age of the first sample of the segment.
+    """
+
+    def __init__(self, axes: int, points: int, offset: int = 0) -> None:
+        self._limit, self._offset = points, offset
         self.step = 1
         self.points = np.empty((axes, 0))
 
     def extended(self, theta: Floats, base: Floats, first: int) -> tuple[Floats, int]:
         """Return points and step with base + theta added, whose first point has that index."""
-        step = self.step
-        points = np.concatenate([self.points, theta[:, -first % step :: step] + base], axis=1)
-        while points.shape[1] > PHASE_POINTS:
-            points, step = points[:, ::2], 2 * step
+        age, step = self._offset + first, self.step
+        points = np.concatenate([self.points, theta[:, -age % step :: step] + base], axis=1)
+        while age + theta.shape[1] - 1 >= self._limit * step:
+            odd = -(-self._offset // step) % 2
+            points, step = points[:, odd::2], 2 * step
         return points, step
 
 
 class OpenSegment:
     """The cascade of the segment that is being fed."""
 
-    def __init__(self, axes: int, reference: Floats, start_ns: int) -> None:
+    def __init__(self, axes: int, reference: Floats, start_ns: int, offset: int = 0) -> None:
+        self.ages = SegmentAges(offset)
         self.reference = reference[:, None].copy()
         self.start_ns = self.last_ns = start_ns
         self.samples = 0
@@ -153,8 +245,9 @@ class OpenSegment:
         # the rounding of a running sum of 1e8 samples stays small too.
         self.base = np.zeros((axes, 1))
         self.theta = np.zeros(axes)
-        self.levels = [_Level(_ALL_FACTORS, axes)]
-        self.coarse = _CoarsePhase(axes)
+        self.levels = [_Level(0, axes, self.ages)]
+        self.coarse = _SparsePhase(axes, PHASE_POINTS)
+        self.cells = _SparsePhase(axes, CELLS, offset)
         bottom = self.levels[0]
         bottom.points[:, _HISTORY] = 0.0  # theta(0)
         bottom.fill = 1
@@ -180,9 +273,8 @@ class OpenSegment:
 
     def _sum_from_bottom(self) -> None:
         bottom = self.levels[0]
-        self.coarse.points, self.coarse.step = self.coarse.extended(
-            bottom.waiting(), self.base, bottom.summed
-        )
+        for sparse in (self.coarse, self.cells):
+            sparse.points, sparse.step = sparse.extended(bottom.waiting(), self.base, bottom.summed)
         upward = bottom.sum_block() + self.base
         last = bottom.points[:, _HISTORY - 1 : _HISTORY].copy()
         self.base += last
@@ -191,7 +283,7 @@ class OpenSegment:
         j = 1
         while upward.shape[1]:
             if j == len(self.levels):
-                self.levels.append(_Level(LEVEL_FACTORS, len(upward)))
+                self.levels.append(_Level(j, len(upward), self.ages))
             level = self.levels[j]
             begin = _HISTORY + level.fill
             level.points[:, begin : begin + upward.shape[1]] = upward
@@ -204,43 +296,84 @@ class OpenSegment:
     def sums(self, identity: ImuIdentity, axes: tuple[str, ...]) -> AllanSums:
         """Return the segment's sums as if it ended here; nothing is changed."""
         m, stride = grid_for(self.samples)
-        sum_sq: list[Floats] = []
-        groups: list[Floats] = []
-        signed: list[Floats] = []
-        carry = np.empty((len(self.theta), 0))
-        j = 0
-        while len(sum_sq) < len(m):
-            level = self.levels[j] if j < len(self.levels) else _Level(LEVEL_FACTORS, len(carry))
+        period = cell_step(self.ages.offset + self.samples, PERIODS)
+        shape = (len(m), len(axes))
+        bins: dict[int, Floats] = {}
+        groups, signed = np.zeros(shape), np.zeros(shape)
+        by_period: dict[int, Floats] = {}
+        carry = np.empty((len(axes), 0))
+        j = row = 0
+        while row < len(m):
+            level = self.levels[j] if j < len(self.levels) else _Level(j, len(axes), self.ages)
             new = np.concatenate([level.waiting(), carry], axis=1)
             points = level.with_history(new)
-            tail_sq, tail_groups = level.sums_of(points)
-            sum_sq += list(level.sum_sq + tail_sq)
-            groups += list(level.group_sum_sq + tail_groups)
+            sums, level_by_period = level.sums_with(points, period)
+            by_period.update(level_by_period)
+            reached = level.factors[: len(m) - row]
+            rows = slice(row, row + len(reached))
+            groups[rows] = sums.groups[: len(reached)]
+            for index, squares in sums.bins.items():
+                bins.setdefault(index, np.zeros(shape))[rows] = squares[: len(reached)]
             first, last = level.ends(points)
-            reached = level.factors[: len(m) - len(signed)]
-            signed += [_signed_sum(first, last, f) for f in reached]
+            signed[rows] = [_signed_sum(first, last, f) for f in reached]
             carry = new[:, ::2] + self.base if j == 0 else new[:, ::2]
+            row += len(reached)
             j += 1
+        sum_sq = np.zeros(shape)
+        for index in sorted(bins):
+            sum_sq += bins[index]
         bottom = self.levels[0]
         phase, step = self.coarse.extended(bottom.waiting(), self.base, bottom.summed)
-        cut = (len(m), len(axes))
         record = SegmentRecord(
-            self.start_ns,
-            self.samples,
-            np.array(signed).reshape(cut),
-            phase.T.copy(),
-            step,
+            self.start_ns, self.samples, signed, phase.T.copy(), step, self.ages.offset
+        )
+        history = History.of_segment(
+            bins_of(bins, m, stride, self.ages.offset, self.samples),
+            self._recording(period, by_period),
         )
         return AllanSums(
             identity,
             axes,
             counts(self.samples, m, stride),
-            np.array(sum_sq[: len(m)]).reshape(cut),
+            sum_sq,
             counts(self.samples, m, m),
-            np.array(groups[: len(m)]).reshape(cut),
+            groups,
             (record,),
             elapsed_ns=self.last_ns - self.start_ns,
             intervals=self.samples - 1,
+            history=history,
+        )
+
+    def _recording(self, period: int, by_period: dict[int, Floats]) -> Recording:
+        """Return the means by cell and the sums of squares by period of this segment."""
+        offset, bottom, axes = self.ages.offset, self.levels[0], len(self.theta)
+        phase, step = self.cells.extended(bottom.waiting(), self.base, bottom.summed)
+        first = -(-offset // step)
+        means = np.diff(phase, axis=1).T / step
+        samples = np.zeros(first + len(means), np.int64)
+        samples[first:] = step
+        kept = [m for m in (4**i for i in range(len(by_period))) if m in by_period]
+        number = (offset + self.samples) // period + 1
+        count = np.zeros((number, len(kept)), np.int64)
+        sum_sq = np.zeros((number, len(kept), axes))
+        for i, m in enumerate(kept):
+            stride = np.array([max(1, m // LEVEL_FACTORS[0])])
+            for at in range(offset // period, number):
+                low, high = at * period, (at + 1) * period
+                factor = np.array([m])
+                count[at, i] = starts_between(factor, stride, offset, self.samples, low, high)[0]
+            sum_sq[: len(by_period[m]), i] = by_period[m]
+        return Recording(
+            self.start_ns,
+            offset + self.samples,
+            self.samples,
+            step,
+            samples,
+            short(np.concatenate([np.zeros((first, axes)), means])),
+            self.reference[:, 0].copy(),
+            period,
+            count,
+            short(sum_sq),
         )
 
 
@@ -328,6 +461,7 @@ class RunningAllan:
 
     def __init__(self, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES) -> None:
         self._closed = AllanSums.empty(identity, axes)
+        self._start_ns = 0
         self._open: OpenSegment | None = None
 
     def update(self, samples: ArrayLike, first_ns: int, last_ns: int) -> None:
@@ -344,7 +478,8 @@ class RunningAllan:
         if not len(values):
             return
         if self._open is None:
-            self._open = OpenSegment(len(self._closed.axes), values[0], first_ns)
+            age = self._age(first_ns)
+            self._open = OpenSegment(len(self._closed.axes), values[0], first_ns, age)
         self._open.feed(values.T)
         self._open.last_ns = last_ns
 
@@ -352,6 +487,17 @@ class RunningAllan:
         """Cut: the next sample starts a new segment, and no difference straddles the cut."""
         self._closed = self.sums
         self._open = None
+
+    def _age(self, first_ns: int) -> int:
+        """Return the age of the first sample of a new segment, in sample periods."""
+        closed = self._closed
+        if not closed.samples:
+            self._start_ns = first_ns
+            return 0
+        passed = first_ns - self._start_ns
+        if closed.intervals and closed.elapsed_ns:
+            passed = round(passed * closed.intervals / closed.elapsed_ns)
+        return max(passed, closed.history.length)
 
     @property
     def open_samples(self) -> int:
@@ -364,4 +510,4 @@ class RunningAllan:
         if self._open is None:
             return self._closed
         now = self._open.sums(self._closed.identity, self._closed.axes)
-        return self._closed.extended(now)
+        return self._closed.extended(now, continues=True)

@@ -9,7 +9,7 @@ and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u). tau0 only scales the resul
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..imu import AXES, ImuIdentity
+from .history import History, add_padded, same_values
 
 FIRST_FACTORS = (1, 2, 3, 4, 6)
 """Factors that only level 0 has."""
@@ -90,7 +91,7 @@ LEAST_VARIANCE = 1e-80
 and its inverse square over all averaging times, stays within the numbers of full precision."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SegmentRecord:
     """What is kept of one segment beside its share of the sums: the evidence of its ramp.
 
@@ -106,6 +107,8 @@ class SegmentRecord:
         Phase at sample 0, ``phase_step``, 2 ``phase_step`` ... : at most 128 points.
     phase_step : int
         Samples between two phase points, a power of two.
+    age : int
+        Sample periods since the first sample of the recording.
     """
 
     start_ns: int
@@ -113,6 +116,10 @@ class SegmentRecord:
     signed: Floats
     phase: Floats
     phase_step: int
+    age: int = 0
+
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other)
 
     @cached_property
     def order(self) -> tuple[int, int, int]:
@@ -155,7 +162,7 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
     return weights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LengthClass:
     """Segments of one length within 10 %, pooled.
 
@@ -176,6 +183,9 @@ class LengthClass:
     samples: int
     ramp_correction: Floats
 
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other)
+
     @classmethod
     def of(cls, segment: SegmentRecord) -> LengthClass:
         """Return the class of one segment alone."""
@@ -194,11 +204,11 @@ class LengthClass:
             self.index,
             self.count + other.count,
             self.samples + other.samples,
-            _add_padded(self.ramp_correction, other.ramp_correction),
+            add_padded(self.ramp_correction, other.ramp_correction),
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AllanSums:
     """Running Allan sums of one stream; ``+`` adds those of another run of the same IMU.
 
@@ -220,6 +230,9 @@ class AllanSums:
     elapsed_ns, intervals : int
         Time between the first and last stamp of each segment, and the sample periods in it,
         summed over the segments: tau0 is their quotient, refined with every sample.
+    history : History
+        The same sums by the age of each difference; empty if they were read from a document
+        without them.
     """
 
     identity: ImuIdentity
@@ -232,6 +245,10 @@ class AllanSums:
     classes: tuple[LengthClass, ...] = ()
     elapsed_ns: int = 0
     intervals: int = 0
+    history: History = field(default_factory=History)
+
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other)
 
     @classmethod
     def empty(
@@ -311,24 +328,44 @@ class AllanSums:
             )
         return self.extended(other)
 
-    def extended(self, other: AllanSums) -> AllanSums:
-        """Return the sums of both, which the caller knows to be of one stream."""
+    def extended(self, other: AllanSums, continues: bool = False) -> AllanSums:
+        """Return the sums of both, which the caller knows to be of one stream.
+
+        Parameters
+        ----------
+        other : AllanSums
+        continues : bool
+            Whether ``other`` is a later segment of the same recording, aged from its start.
+        """
         segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
+        pooled = [(s, LengthClass.of(s)) for s in segments[KEPT_SEGMENTS:]]
         classes = {c.index: c for c in self.classes}
-        for more in (*other.classes, *(LengthClass.of(s) for s in segments[KEPT_SEGMENTS:])):
+        for more in (*other.classes, *(c for _, c in pooled)):
             have = classes.get(more.index)
             classes[more.index] = more if have is None else have + more
+        history = History()
+        if self._has_history and other._has_history:
+            both = (self.history, other.history)
+            history = both[0].continued(both[1]) if continues else both[0] + both[1]
+            history = history.with_pooled(
+                (s.age, (c.index, c.count, c.samples), c.ramp_correction) for s, c in pooled
+            )
         return replace(
             self,
-            count=_add_padded(self.count, other.count),
-            sum_sq=_add_padded(self.sum_sq, other.sum_sq),
-            group_count=_add_padded(self.group_count, other.group_count),
-            group_sum_sq=_add_padded(self.group_sum_sq, other.group_sum_sq),
+            count=add_padded(self.count, other.count),
+            sum_sq=add_padded(self.sum_sq, other.sum_sq),
+            group_count=add_padded(self.group_count, other.group_count),
+            group_sum_sq=add_padded(self.group_sum_sq, other.group_sum_sq),
             segments=tuple(segments[:KEPT_SEGMENTS]),
             classes=tuple(classes[i] for i in sorted(classes)),
             elapsed_ns=self.elapsed_ns + other.elapsed_ns,
             intervals=self.intervals + other.intervals,
+            history=history,
         )
+
+    @property
+    def _has_history(self) -> bool:
+        return bool(self.history.recordings) or not self.samples
 
     def refuse_stranger(self, other: AllanSums) -> None:
         """Do nothing if both are of one stream, whichever axes they have.
@@ -373,15 +410,6 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
 def _levels(factors: int) -> int:
     """Return how many levels of the grid hold that many factors (at least one)."""
     return max(1, -(-(factors - 5) // 4))
-
-
-def _add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
-    """Return a + b along the first axis, the shorter one filled with zeros."""
-    if len(a) < len(b):
-        a, b = b, a
-    out = a.copy()
-    out[: len(b)] += b
-    return out
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.engine import PHASE_POINTS
+from ..allan.history import cell_step
 from ..allan.sums import counts, grid_for
 from .model import DIFFERENCE, RANDOM_TERMS, Floats, phase_covariance, walk_from_cubic
 
@@ -102,11 +103,17 @@ def _bends_of(weights: Floats) -> Floats:
 
 
 @lru_cache(maxsize=80)
-def ramp_geometry(samples: int) -> RampGeometry:
-    """Return the geometry of a segment of that many samples; the last 80 are remembered."""
-    step = 1
-    while samples // step >= PHASE_POINTS:
-        step *= 2
+def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
+    """Return the geometry of a segment of that many samples; the last 80 are remembered.
+
+    Parameters
+    ----------
+    samples : int
+    step : int
+        Samples between two points of its phase record; 0 gives that of a complete segment.
+    """
+    if not step:
+        step = cell_step(samples, PHASE_POINTS)
     points = samples // step + 1
     m, stride = grid_for(samples)
     lags = np.arange(-2, max(points, 3), dtype=np.float64) * step

@@ -129,11 +129,11 @@ class _Part:
     at: Ints
 
     @classmethod
-    def of(cls, samples: int, number: int, factors: int) -> _Part:
+    def of(cls, samples: int, number: int, factors: int, step: int = 0) -> _Part:
         pairs = pair_sums(samples)
         i, j = np.triu_indices(len(pairs.m))
         at = i * factors - i * (i - 1) // 2 + (j - i)
-        return cls(number, pairs, ramp_geometry(samples), at)
+        return cls(number, pairs, ramp_geometry(samples, step), at)
 
     def add(self, squares: Floats) -> None:
         """Add its pair sums to the pooled ones, (10, pairs), its ramps left in."""
@@ -170,7 +170,7 @@ class PooledTable:
         factors = len(sums.count)
         self.m = sums.m
         self.terms = avar_terms(self.m)
-        self._kept = [_Part.of(s.samples, 1, factors) for s in sums.segments]
+        self._kept = [_Part.of(s.samples, 1, factors, s.phase_step) for s in sums.segments]
         self._pooled_sums = sums.sum_sq.copy()
         self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
         pooled = sums.count.copy()

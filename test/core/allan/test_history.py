@@ -1,0 +1,206 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sums by age: they add up to the sums, and leaving out the early part is exact."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.sums import TICK_NS, sums_of
+
+from allan_ros.core.allan.document import sums_from_document, sums_to_document
+from allan_ros.core.allan.engine import BLOCK, RunningAllan
+from allan_ros.core.allan.history import CELLS, PERIODS, age_bin, edge_age
+from allan_ros.core.allan.settled import settled_sums
+from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import AXES
+
+
+def noise(n, axes=2, seed=0):
+    return np.random.default_rng(seed).normal(size=(n, axes)) + 9.8
+
+
+def recording(y, gaps=(), axes=None):
+    """Return the sums of samples with gaps (first, last) left out of one recording."""
+    engine = RunningAllan(axes=axes or AXES[: y.shape[1]])
+    at = 0
+    for first, last in (*gaps, (len(y), len(y))):
+        engine.update(y[at:first], at * TICK_NS, (first - 1) * TICK_NS)
+        engine.end_segment()
+        at = last
+    return engine.sums
+
+
+def binned(sums):
+    number, total = np.zeros_like(sums.count), np.zeros_like(sums.sum_sq)
+    for each in sums.history.bins:
+        number[: len(each.count)] += each.count
+        total[: len(each.count)] += each.sum_sq
+    return number, total
+
+
+def test_edges_are_at_powers_of_two_and_halfway():
+    assert [edge_age(i) for i in range(6)] == [0, 256, 384, 512, 768, 1024]
+    for age in range(3000):
+        assert edge_age(age_bin(age)) <= age < edge_age(age_bin(age) + 1)
+
+
+@pytest.mark.parametrize('gaps', [(), ((500, 900),), ((300, 310), (7000, 30_000))])
+def test_bins_add_up_to_the_sums(gaps):
+    sums = recording(noise(50_000), gaps)
+    number, total = binned(sums)
+    assert np.array_equal(number, sums.count)
+    assert total == pytest.approx(sums.sum_sq, rel=1e-12)
+    assert len(sums.history.bins) <= 17
+
+
+def test_one_segment_is_the_sum_of_its_bins_to_the_bit():
+    sums = recording(noise(50_000))
+    assert np.array_equal(binned(sums)[1], sums.sum_sq)
+
+
+@pytest.mark.parametrize('gaps', [(), ((500, 900),), ((7000, 30_000),)])
+def test_cells_and_periods_are_those_of_the_samples(gaps):
+    y = noise(50_000)
+    sums = recording(y, gaps)
+    one = sums.history.recordings[0]
+    assert len(one.cell_samples) <= CELLS and len(one.level_count) <= PERIODS
+    assert one.samples == sums.samples and one.length == 50_000
+    full = np.flatnonzero(one.cell_samples == one.step)
+    assert len(full) > 0.9 * sums.samples / one.step - 4
+    for cell in full:
+        mean = y[cell * one.step : (cell + 1) * one.step].mean(axis=0)
+        assert one.cell_means[cell] + one.reference == pytest.approx(mean, abs=1e-6)
+    rows = np.searchsorted(sums.m, one.level_m)
+    count = one.level_count.sum(axis=0)
+    # a segment too short for a period of 16 factors adds nothing there
+    assert np.all(count <= sums.count[rows]) and count[0] > 0.98 * sums.count[0]
+    if not gaps:
+        assert np.array_equal(count, sums.count[rows])
+        assert one.level_sum_sq.sum(axis=0) == pytest.approx(sums.sum_sq[rows], rel=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 3 * BLOCK), st.lists(st.integers(1, 2 * BLOCK), min_size=1, max_size=4))
+def test_any_chunking_gives_the_same_history(n, chunks):
+    y = noise(n)
+    assert sums_of(y, cuts=[n // 3]) == sums_of(y, chunks, cuts=[n // 3])
+
+
+def test_the_settled_part_equals_sums_of_the_samples_alone():
+    y = noise(60_000) + np.cumsum(noise(60_000, seed=1) - 9.8, axis=0) * 0.01
+    sums = recording(y)
+    step = sums.segments[0].phase_step
+    for age in sums.history.ages:
+        if age % step or age > 50_000:
+            continue
+        found, expected = settled_sums(sums, age), recording(y[age:])
+        assert np.array_equal(found.count, expected.count)
+        assert found.sum_sq == pytest.approx(expected.sum_sq, rel=1e-9)
+        assert found.samples == expected.samples and found.tau0 == pytest.approx(expected.tau0)
+        assert found.segments[0].start_ns == age * TICK_NS
+        scale = np.sqrt(expected.count[:, None] * expected.avar) * expected.m[:, None]
+        # where strides are shorter than a phase step the signed sum is interpolated
+        long = expected.stride >= step
+        error = np.abs(found.segments[0].signed - expected.segments[0].signed) / scale
+        assert error[long].max(initial=0.0) < 1e-9
+
+
+def test_the_settled_part_between_phase_points_is_near():
+    """The differences left out or kept in excess are at most 1/64 of all."""
+    y = noise(60_000)
+    sums = recording(y, ((100, 150),))
+    for age in sums.history.ages[:-3]:
+        found, expected = settled_sums(sums, age), recording(y[max(age, 150) :])
+        n = min(len(found.count), len(expected.count)) - 8
+        assert found.count[:n] == pytest.approx(expected.count[:n], rel=0.05)
+        # 300 or more differences: 8 sigma of what 1/64 of them can change
+        many = expected.count[:n] // np.maximum(expected.m // expected.stride, 1)[:n] > 300
+        assert found.avar[:n][many] == pytest.approx(expected.avar[:n][many], rel=0.06)
+
+
+def test_the_settled_part_of_many_segments_has_consistent_counts():
+    y = noise(80_000)
+    sums = recording(y, tuple((i, i + 7) for i in range(1000, 79_000, 997)))
+    assert sums.classes and len(sums.segments) == 32
+    for age in sums.history.ages[4:-2]:
+        found = settled_sums(sums, age)
+        assert abs(found.samples - (80_000 - age)) < 0.05 * 80_000
+        assert np.all(np.abs(found.avar[0] - 1.0) < 0.05)  # 6 sigma of 30 000 differences
+        assert sum(c.count for c in found.classes) + len(found.segments) == found.segment_count
+
+
+def test_no_age_but_an_edge_can_be_left_out():
+    with pytest.raises(AllanError, match='no edge'):
+        settled_sums(recording(noise(5000)), 1234)
+
+
+def test_recordings_add_at_equal_ages():
+    a, b, c = (recording(noise(n, seed=n)) for n in (30_000, 50_000, 9000))
+    left, right, other = (a + b) + c, a + (b + c), (c + b) + a
+    for total in (right, other):
+        assert np.array_equal(total.count, left.count)
+        assert total.sum_sq == pytest.approx(left.sum_sq, rel=1e-12)
+        assert total.history.recordings == left.history.recordings
+        assert total.history.ages == left.history.ages
+    assert left.history.recording_count == 3
+    number, total = binned(left)
+    assert np.array_equal(number, left.count)
+    assert total == pytest.approx(left.sum_sq, rel=1e-12)
+
+
+def test_sums_read_without_a_history_add_but_cannot_be_divided():
+    old = sums_to_document(recording(noise(5000)))
+    del old['history']
+    total = sums_from_document(old) + recording(noise(5000, seed=1))
+    assert total.samples == 10_000 and total.history.ages == ()
+
+
+@pytest.mark.parametrize('gaps', [(), tuple((i, i + 7) for i in range(500, 29_000, 600))])
+def test_a_document_holds_the_history_without_loss(gaps):
+    sums = recording(noise(30_000, 6), gaps)
+    both = sums + recording(noise(20_000, 6))
+    for each in (sums, both):
+        assert sums_from_document(json.loads(json.dumps(sums_to_document(each)))) == each
+
+
+def test_equality_of_sums_is_by_value():
+    a, b, c = (sums_of(noise(3000, seed=s)) for s in (1, 1, 2))
+    assert a == b and a != c and a != 1
+
+
+@pytest.mark.parametrize(
+    'path, value',
+    [
+        (('elapsed_ns',), 0),
+        (('elapsed_ns',), 10**40),
+        (('intervals',), 5),
+        (('segments', 0, 'samples'), 1),
+        (('segments', 0, 'samples'), 2999),
+        (('segments', 0, 'signed'), [[0.0] * 2]),
+        (('segments', 0, 'phase'), [[0.0] * 2]),
+        (('segments', 0, 'phase_step'), 3),
+        (('sum_sq', 3, 0), 1e150),
+        (('segments', 0, 'phase', 3, 0), 1e150),
+        (('count', 0), 1),
+        (('group_count', 0), 10**9),
+        (('history', 'bins', 0, 'age'), 257),
+        (('history', 'bins', 0, 'count', 0), 7),
+        (('history', 'bins', 0, 'sum_sq'), 'AAAA'),
+        (('history', 'bins', 0, 'sum_sq'), 'not base64'),
+        (('history', 'recordings', 0, 'step'), 3),
+        (('history', 'recordings', 0, 'cell_samples', 0), 10**6),
+        (('history', 'recordings', 0, 'reference'), []),
+        (('history', 'recordings', 0, 'level_count'), [[]] * 20),
+    ],
+)
+def test_a_document_that_contradicts_itself_is_rejected(path, value):
+    document = json.loads(json.dumps(sums_to_document(recording(noise(3000)))))
+    place = document
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    with pytest.raises(AllanError):
+        sums_from_document(document)
