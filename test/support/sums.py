@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of samples, and their comparison to the last bit."""
 
-import numpy as np
-
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.imu import ImuIdentity
