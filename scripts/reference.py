@@ -197,12 +197,12 @@ def _with_words(entry: str) -> str:
     rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
     words = CATALOGUE[id.strip()]
     message, remedy = (_without_numbers(text) for text in (words.message, words.remedy))
-    return f'{id}\n\n> *{words.severity}:* {message}; **{remedy}**\n\n{rest.lstrip()}'
+    return f'{id}\n\n> *{words.severity}:* {message} **{remedy}**\n\n{rest.lstrip()}'
 
 
 def _without_numbers(template: str) -> str:
     """Return a template of `str.format` with … for what is filled in."""
-    return re.sub(r'\{[^{}]*\}', '…', template).replace('<', '&lt;')
+    return re.sub(r'\{[^{}]*\}', '…', template.replace('{when}', '')).replace('<', '&lt;')
 
 
 def pages() -> dict[str, str]:

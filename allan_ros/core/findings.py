@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The catalogue of findings: the only place where one is worded."""
+"""The catalogue of findings, the only place where one is worded.
+
+A message states the cause and the number, a remedy the next step; each is one short sentence.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,17 @@ from typing import Literal
 
 from .errors import one_line
 
+__all__ = ['CATALOGUE', 'Finding', 'Severity', 'finding']
+
 Severity = Literal['info', 'warning', 'error']
 
 
 @dataclass(frozen=True)
 class Wording:
-    """The words of one kind of finding; ``message`` and ``remedy`` are `str.format` templates."""
+    """The text of one kind of finding; ``message`` and ``remedy`` are `str.format` templates.
+
+    ``{when}`` is empty for a complete stream and ' in the last minute' for a live one.
+    """
 
     severity: Severity
     message: str
@@ -22,427 +30,398 @@ class Wording:
 
 
 CATALOGUE = {
-    # --- the stream: what was dropped, repaired or refused on the way to the sums -----------------
+    # --- the stream: samples dropped, repaired or rejected on the way to the sums -----------------
     'stamps_unusable': Wording(
         'warning',
-        'header stamps are {what}; record time is used instead',
-        'let the driver fill header.stamp, or choose record time to say that this is meant',
+        'Header stamps are {what}, so record time is used.',
+        'Set header.stamp in the driver, or select record time to confirm.',
     ),
     'stamps_from_rate': Wording(
         'warning',
-        'header stamps are {what} and there is no record time; samples are taken to come evenly at '
-        'the declared {rate:g} Hz',
-        'let the driver fill header.stamp: lost samples cannot be seen without it',
+        'Header stamps are {what} and there is no record time; samples are placed evenly at the '
+        'declared {rate:g} Hz.',
+        'Set header.stamp in the driver: lost samples cannot be detected without it.',
     ),
     'stamps_missing': Wording(
         'error',
-        'header stamps are {what} and there is no record time',
-        'let the driver fill header.stamp, or declare the rate',
+        'Header stamps are {what} and there is no record time.',
+        'Set header.stamp in the driver, or declare the sample rate.',
     ),
     'bursty_stamps': Wording(
         'info',
-        'stamps come in bursts; samples are taken to be even at {rate:.4g} Hz',
-        'a sample lost here and there cannot be seen; stamp in the driver, or in the sensor, to do '
-        'so',
+        'Stamps arrive in bursts; samples are placed evenly at {rate:.4g} Hz.',
+        'Stamp samples in the sensor or driver if single lost samples must be detected.',
     ),
     'rate_differs': Wording(
         'warning',
-        'the stamps say {measured:.5g} Hz, {declared:.5g} Hz was declared',
-        'the stamps are believed; correct the declared rate, or the clock that stamps',
+        'The stamps give {measured:.5g} Hz, but {declared:.5g} Hz was declared; the stamps are '
+        'used.',
+        'Correct the declared rate, or the clock that sets the stamps.',
     ),
     'rate_changed': Wording(
         'warning',
-        'the sample rate changed {times} times; the results are of the longest time at one rate',
-        'record at one rate: the noise of a digital sensor depends on it',
+        'The sample rate changed {times} times{when} and is now {rate:.5g} Hz; the results are '
+        'those of the longest data at one rate.',
+        'Keep the rate constant: the noise of a digital sensor depends on it.',
     ),
     'frame_changed': Wording(
         'warning',
-        'frame_id changed from "{before}" to "{after}" (change {times}); different IMUs are kept '
-        'apart',
-        'give each IMU a topic of its own; the results are of the one with the longest time',
+        'frame_id changed {times} times{when} and is now "{frame_id}"; each frame_id counts as '
+        'another IMU.',
+        'Give each IMU its own topic; the results are those of the IMU with the longest data.',
     ),
     'sensor_absent': Wording(
         'info',
-        'no {sensor} in these messages (covariance[0] is -1, or not a number)',
-        'nothing to do if the IMU has none; else let the driver fill it in',
+        'The messages have no {sensor} (covariance[0] is -1, or the values are NaN).',
+        'If the IMU has one, fill it in the driver.',
     ),
     'sensor_all_zero': Wording(
         'info',
-        'the {sensor} is zero throughout and is taken to be absent',
-        'set its covariance[0] to -1 in the driver, as the message asks for',
+        'All {sensor} values are zero; the sensor is treated as absent.',
+        'Set its covariance[0] to -1 in the driver if the IMU has none.',
     ),
     'zero_filled': Wording(
         'warning',
         '{share:.0%} of the messages have zeros for the {sensor}; only its own samples are used, '
-        'at their own rate',
-        'let the driver publish each sensor with its own samples, or set covariance[0] to -1 in '
-        'the other half',
+        'at their own rate.',
+        'Publish each sensor with its own samples, or set covariance[0] to -1 in the others.',
     ),
     'held': Wording(
         'warning',
-        '{share:.0%} of the messages repeat the {sensor} sample before; only fresh samples are '
-        'used, at their own rate',
-        'nothing to do; a filter that takes all of them counts one sample several times',
+        '{share:.0%} of the messages repeat the previous {sensor} sample; only new samples are '
+        'used, at their own rate.',
+        'No action is needed here, but a filter that uses every message counts samples twice.',
     ),
     'gaps': Wording(
         'info',
-        'samples are missing: {lost} lost in all, {cuts} gaps cut the recording into segments',
-        'if it should have none, look at the queue depth of the recorder and the load of the '
-        'machine',
+        '{lost} samples are missing; {cuts} gaps split the recording.',
+        'If this is unexpected, check the queue depth of the recorder and the load of the machine.',
     ),
     'bridged': Wording(
         'warning',
         '{bridged} lost samples ({share:.2%}) were interpolated, which raises N by up to '
-        '{bias:.2%}',
-        'use a deeper queue, or a reliable publisher, while recording',
+        '{bias:.2%}.',
+        'Record with a deeper queue or a reliable publisher.',
     ),
     'not_finite': Wording(
         'warning',
-        '{count} samples are NaN or infinite and were dropped',
-        'look at the driver: a sensor does not measure infinity',
+        '{count} samples{when} are NaN or infinite and were dropped.',
+        'Check the driver.',
     ),
     'duplicates': Wording(
         'warning',
-        '{count} samples repeat the one before, stamp and all, and were dropped',
-        'look for two recorders or two publishers on one topic',
+        '{count} samples{when} repeat the previous stamp and values and were dropped.',
+        'Check for two recorders or two publishers on one topic.',
     ),
     'backward_stamps': Wording(
         'warning',
-        '{count} samples are stamped before the latest one and were dropped',
-        'look for two publishers on one topic, or a driver that stamps out of order',
+        '{count} samples{when} have a stamp before the latest one and were dropped.',
+        'Check for two publishers on one topic, or a driver that stamps out of order.',
     ),
     'clock_jumps': Wording(
         'warning',
-        'the clock was set back {count} times; no difference straddles such a step',
-        'stamp with a steady clock, or let the clock settle before recording',
+        'The clock was set back {count} times{when}; the data are split there.',
+        'Use a steady clock for the stamps, or let the clock settle first.',
     ),
     'motion': Wording(
         'info',
-        'the IMU moved for {share:.1%} of the time; only the still rest counts',
-        'let it rest for longer, or turn the motion gate off if it did rest',
+        'The IMU moved for {share:.1%} of the time; only data at rest are used.',
+        'If it was at rest, switch the motion gate off.',
     ),
     'never_still': Wording(
         'error',
-        'the IMU was never found still in {seconds:.0f} s',
-        'let it rest on a firm support; turn the motion gate off if it did rest',
+        'The IMU was never at rest in {seconds:.0f} s.',
+        'Put it on a firm support, or switch the motion gate off if it was at rest.',
     ),
     'relearned': Wording(
         'warning',
-        'the recording began in motion: what was gathered until the IMU came to rest was thrown '
-        'away',
-        'begin with the IMU at rest',
+        'The recording began in motion; data from before the IMU came to rest were discarded.',
+        'Start with the IMU at rest.',
     ),
     'stuck': Wording(
         'warning',
-        'an axis showed one value for {count} samples, which noise does not do; they were dropped',
-        'look at the sensor and its cable, and at the driver',
+        'An axis repeated one value for {count} samples{when}, which were dropped.',
+        'Check the sensor, its cable and the driver.',
     ),
     'saturated': Wording(
         'warning',
-        '{count} samples stand at the end of the range',
-        'choose a wider range if the motion matters; a still IMU should never come near it',
+        '{count} samples are at the end of the measurement range.',
+        'Select a wider range if the motion matters; an IMU at rest should not reach it.',
     ),
     'no_noise': Wording(
         'error',
-        'there is no noise to measure: the samples are constant or a straight line',
-        'check that the sensor is powered and that its driver sends live values',
+        'The samples have no noise: they are constant or a straight line.',
+        'Check that the sensor is powered and that the driver sends live values.',
     ),
     'warm_up': Wording(
         'warning',
-        'the mean drifts by {drift:.3g} {unit} in the first {seconds:.0f} s, far more than later',
-        'leave out the warm-up: skip that long at the start',
+        'The mean drifts by {drift:.3g} {unit} in the first {seconds:.0f} s, far more than later.',
+        'Skip the warm-up at the start.',
     ),
     'short': Wording(
         'warning',
-        'only {seconds:.3g} s of evidence',
-        'record longer: minutes show N, hours show B and K',
+        'There are only {seconds:.3g} s of data at rest.',
+        'Record minutes for N, hours for B and K.',
     ),
     'nothing_left': Wording(
         'error',
-        'no evidence is left of {received} samples',
-        'the other findings say what became of them',
+        'None of {received} samples is usable.',
+        'See the other findings for the reasons.',
     ),
-    # --- the nodes: what comes in, and what survives a restart ------------------------------------
+    # --- the nodes: the input, and what survives a restart ----------------------------------------
     'no_publisher': Wording(
         'error',
-        'nothing publishes on {topic}',
-        'start the driver, or remap imu/data to its topic',
+        'Nothing publishes on {topic}.',
+        'Start the driver, or remap imu/data to its topic.',
     ),
     'input_silent': Wording(
         'error',
-        'no message on {topic} for {seconds:.1f} s, though {publishers} publish there',
-        'look at the driver, its cable and its power, and at the network between',
+        'No message on {topic} for {seconds:.1f} s, although {publishers} publisher(s) are '
+        'connected.',
+        'Check the driver, the cable and power of the sensor, and the network.',
     ),
     'input_stopped': Wording(
         'error',
-        'the last message on {topic} came {seconds:.1f} s ago, and its publisher is gone',
-        'start the driver again, and look at its log for why it ended',
+        'The last message on {topic} came {seconds:.1f} s ago and its publisher is gone.',
+        'Restart the driver, and check its log for the reason.',
     ),
     'input_unusable': Wording(
         'error',
-        'messages come on {topic}, but none was usable for {seconds:.1f} s',
-        'look at the values and stamps that the driver sends: the counts below say what is wrong',
+        'Messages arrive on {topic}, but none was usable for {seconds:.1f} s.',
+        'Check the values and stamps of the driver; the counts below name the problem.',
     ),
     'qos_incompatible': Wording(
         'error',
-        '{count} publishers on {topic} offer less than this subscription asks for; nothing comes '
-        'from them',
-        'leave its reliability at best_effort in the QoS overrides',
+        '{count} publisher(s) on {topic} offer less than this subscription requests, so their '
+        'messages do not arrive.',
+        'Keep reliability at best_effort in the QoS overrides.',
     ),
     'several_publishers': Wording(
         'warning',
-        '{count} publishers on {topic}: {names}; their samples mix',
-        'give each IMU a topic of its own; one that was killed is counted for some 20 s more',
+        '{count} publishers on {topic} ({names}): their samples are mixed.',
+        'Give each IMU its own topic; a killed publisher is listed for about 20 s more.',
     ),
     'messages_lost': Wording(
         'warning',
-        '{lost} messages were lost on their way in the last minute, {share:.2%} of them',
-        'raise input.queue_depth, or look at the load of the machine and the network',
+        '{lost} messages ({share:.2%}) were lost in transport in the last minute.',
+        'Raise input.queue_depth, or check the load of the machine and the network.',
     ),
     'samples_missing': Wording(
         'warning',
-        '{count} samples of the last minute ({share:.2%}) were never sent, by the stamps of the '
-        'others',
-        'look at the driver, the bus of the sensor and the load of the machine that both are on',
+        '{count} samples ({share:.2%}) of the last minute were never sent, according to the '
+        'stamps.',
+        'Check the driver, the bus of the sensor and the load of their machine.',
     ),
     'stamps_leapt': Wording(
         'warning',
-        'the stamps leapt ahead by {seconds:.0f} s within the last minute; no difference straddles '
-        'it',
-        'stamp with a steady clock, or let the clock settle before the driver starts',
-    ),
-    'frame_changed_lately': Wording(
-        'warning',
-        'frame_id changed {times} times in the last minute, now it is "{frame_id}"; each frame_id '
-        'is taken to be an IMU of its own',
-        'give each IMU a topic of its own; look at what the driver was started with, and where',
+        'The stamps jumped ahead by {seconds:.0f} s in the last minute; the data are split there.',
+        'Use a steady clock for the stamps, or let the clock settle before the driver starts.',
     ),
     'frame_waits': Wording(
         'warning',
-        'the samples have frame_id "{present}" now, the results are of "{shown}", which has more '
-        'evidence',
-        'put that IMU back, or begin anew with ~/reset',
-    ),
-    'sensor_stuck': Wording(
-        'warning',
-        'an axis has been showing one value: {count} samples in the last minute',
-        'look at the sensor and its cable, and at the driver',
-    ),
-    'rate_changed_lately': Wording(
-        'warning',
-        'the sample rate changed to {rate:.5g} Hz within the last minute; its sums are kept apart',
-        'look at the settings of the driver: the noise of a digital sensor depends on its rate',
+        'The samples now have frame_id "{present}", but the results are of "{shown}", which has '
+        'more data.',
+        'Connect that IMU again, or call ~/reset.',
     ),
     'beyond_limit': Wording(
         'warning',
         '{term} is {value} ({interval}), above the {limit} of {reference} by more than '
-        '{margin:.0%}',
-        'look for vibration, a warm-up and the supply voltage; if it stays, the sensor is worse '
-        'than it should be',
+        '{margin:.0%}.',
+        'Check vibration, warm-up and supply voltage; if it stays, the sensor is degraded.',
     ),
     'noise_changed': Wording(
         'warning',
-        '{what} {verb} from {before} to {after} {ago} ago (ratio {low:.2f}..{high:.2f})',
-        'look for vibration, a change of temperature or supply, or other settings of the sensor',
+        '{what} {verb} from {before} to {after} {ago} ago (ratio {low:.2f}..{high:.2f}).',
+        'Check vibration, temperature, supply voltage and the sensor settings.',
     ),
     'no_sums': Wording(
         'error',
-        'no sums on {topic} for {seconds:.0f} s',
-        'start allan_accumulator, or remap sums to its topic',
+        'No sums on {topic} for {seconds:.0f} s.',
+        'Start allan_accumulator, or remap sums to its topic.',
     ),
     'run_began_anew': Wording(
         'info',
-        'the stamps went back and stayed back; the sums of the run before are {kept}',
-        'nothing to do where a recording is looped: a second pass is no new evidence',
+        'The stamps went back and stayed there; the sums of the previous pass are {kept}.',
+        'No action is needed for a looped recording: a second pass is no new data.',
     ),
     'checkpoint_refused': Wording(
         'warning',
-        '{path} is left as it is, and nothing is saved: {reason}',
-        'give another checkpoint path, or move the file away',
+        '{path} is left unchanged and nothing is saved: {reason}.',
+        'Set another checkpoint path, or move the file away.',
     ),
     'checkpoint_in_use': Wording(
         'warning',
-        '{path} is kept by another node ({owner}), and nothing is saved by this one',
-        'stop one of the two, or give each a checkpoint of its own; then start this one again',
+        '{path} is in use by another node ({owner}), so this node saves nothing.',
+        'Stop one of them, or give each its own checkpoint; then restart this node.',
     ),
     'checkpoint_corrupt': Wording(
         'warning',
-        '{path} is not whole and was renamed to {aside} ({reason})',
-        'nothing to do: the sums began anew; look at the disk if it happens again',
+        '{path} is damaged ({reason}); it was renamed to {aside} and the sums start from zero.',
+        'Check the disk if this happens again.',
     ),
     'checkpoint_unwritable': Wording(
         'warning',
-        'the sums would not survive a restart: {reason}',
-        'writing is tried again at every period',
+        'The checkpoint cannot be written: {reason}.',
+        'Fix the path; until then the sums are lost at a restart. Writing is retried.',
     ),
-    # --- the relay: what the messages passed on lack ----------------------------------------------
+    # --- the relay: what the relayed messages lack ------------------------------------------------
     'relay_without_model': Wording(
         'warning',
-        'there is no noise model on {topic} yet: messages are {done}',
-        'start allan_estimator, or remap noise_model to its topic; a minute at rest shows N',
+        'There is no noise model on {topic} yet; messages are {done}.',
+        'Start allan_estimator, or remap noise_model to its topic; N needs a minute at rest.',
     ),
     'relay_model_unreadable': Wording(
         'warning',
-        'a noise model on {topic} cannot be read: {reason}',
-        'let allan_estimator or allan_monitor of this version publish it',
+        'A noise model on {topic} cannot be read: {reason}.',
+        'Publish it with allan_estimator or allan_monitor of this version.',
     ),
     'relay_nothing_to_fill': Wording(
         'warning',
-        'the noise model knows no variance of the {sensor}, whose covariance stays as it is',
-        'let the IMU rest for longer, and fit by method gls',
+        'The noise model has no variance of the {sensor}; its covariance is left unchanged.',
+        'Keep the IMU at rest for longer, and fit with method gls.',
     ),
     'relay_other_frame': Wording(
         'warning',
-        '{count} messages have frame_id "{found}", the noise model is of "{expected}"; they were '
-        'passed on as they are',
-        'relay the topic that is measured; axes that were turned have other variances',
+        '{count} messages have frame_id "{found}", but the noise model is of "{expected}"; they '
+        'are passed on unchanged.',
+        'Relay the topic that is measured: rotated axes have other variances.',
     ),
     'relay_malformed': Wording(
         'warning',
-        '{count} messages are no Imu and were passed on as they are; the last: {reason}',
-        'look at what publishes on {topic}',
+        '{count} messages are no Imu messages and are passed on unchanged; the last: {reason}.',
+        'Check the publisher of {topic}.',
     ),
     'relay_unpublished': Wording(
         'warning',
-        '{count} messages could not be published',
-        'look for a reliable subscriber that has stopped reading',
+        '{count} messages could not be published.',
+        'Check for a reliable subscriber that stopped reading.',
     ),
-    # --- the recording: what the readers could not read to the end --------------------------------
+    # --- the recording: what the readers could not read -------------------------------------------
     'table_cut': Wording(
         'warning',
-        '{path}: line {line}, the last, is cut off and left out',
-        'nothing to do unless more is missing; compare with the original',
+        '{path}: line {line}, the last one, is incomplete and was dropped.',
+        'Compare with the original if more is missing.',
     ),
     'bag_cut': Wording(
         'warning',
-        '{path}: is cut off after {read} of {size} bytes (the recorder was not stopped cleanly); '
-        'what is whole was read',
-        'stop the recorder with Ctrl-C and wait for it to end; "mcap recover" mends the file '
-        'itself',
+        '{path}: the file ends after {read} of {size} bytes (the recorder was not stopped '
+        'cleanly); complete messages were read.',
+        'Stop the recorder with Ctrl-C and wait for it to exit; "mcap recover" repairs the file.',
     ),
     'recording_lost': Wording(
         'error',
-        '{path}: is left out, because every worker of the cluster that read it died',
-        'look into the logs of the workers (memory is the usual cause) and analyse it alone; '
-        '"allan merge" adds it',
+        '{path}: left out, because every worker that read it died.',
+        'Check the logs of the workers (usually memory), analyze it alone, and use "allan merge".',
     ),
     # --- the fit: methods 'paper' and 'relative' --------------------------------------------------
     'too_few_points': Wording(
         'warning',
-        'the curve has {points} points, five terms need at least {needed}',
-        'record longer: an hour or more shows most terms',
+        'The curve has {points} points, but five terms need at least {needed}.',
+        'Record for an hour or more.',
     ),
     'negative_coefficient': Wording(
         'warning',
-        'plain least squares makes {terms} negative, which no noise can be: the scatter of the '
-        'long averaging times outweighs that term',
-        'use the default method gls, which keeps terms from going below zero and gives limits',
+        'Plain least squares makes the square of {terms} negative, because the long averaging '
+        'times scatter more than that term.',
+        'Use the default method gls, which gives an upper limit instead.',
     ),
     'overlap_gain': Wording(
         'info',
-        'the same fit on overlapping groups gives {values}; its standard errors are {gains} times '
-        'smaller',
-        'method gls uses the overlapping groups and how they are correlated',
+        'The same fit on overlapping groups gives {values} with standard errors {gains} times '
+        'smaller.',
+        'Use the default method gls, which uses overlapping groups and their correlation.',
     ),
     # --- the fit: method 'gls' --------------------------------------------------------------------
     'record_too_short': Wording(
         'warning',
-        'the longest segment has {samples} samples: too few to tell the terms apart',
-        'record at least a minute at rest; an hour or more shows most terms',
+        'The longest segment has {samples} samples, too few to separate the terms.',
+        'Record at least a minute at rest, and hours for B and K.',
     ),
     'low_pass': Wording(
         'info',
-        'the samples are low-pass filtered (Q would be negative by {deviations:.0f} standard '
-        'deviations), so Q is not observable',
-        "switch the sensor's filter off to see Q; N is the noise of the frequencies that pass",
+        'Low-pass filter detected ({deviations:.0f} standard deviations): N is valid within its '
+        'pass band and Q cannot be measured.',
+        "Switch the sensor's filter off to measure Q.",
     ),
     'short_averages': Wording(
         'warning',
-        'averaging times below {tau:.3g} s do not follow the five terms{hint} and were left out; Q '
-        'is not observable',
-        'look for a filter in the sensor, or vibration; N holds from that time on',
+        'Averaging times below {tau:.3g} s are excluded{hint}; Q cannot be measured.',
+        'Check for a filter in the sensor, or vibration.',
     ),
     'vibration': Wording(
         'warning',
-        'the curve has the bump of a line at {frequency:.3g} Hz, amplitude {amplitude:.2g} {unit}; '
-        'it was fitted beside the five terms, whose intervals allow for it',
-        'look for a fan, a machine or a resonance of the building at this frequency, and put the '
-        'sensor on a heavier or softer base',
+        'Vibration at {frequency:.3g} Hz, amplitude {amplitude:.2g} {unit}; it is fitted as a '
+        'separate term.',
+        'Isolate or move the sensor.',
     ),
     'gauss_markov': Wording(
         'info',
-        'correlated noise of {sigma:.2g} {unit} with a correlation time of {time} was fitted '
-        'beside the five terms, whose intervals allow for it',
-        'a filter with a first-order Gauss-Markov bias takes these two numbers',
+        'Correlated noise of {sigma:.2g} {unit} with a correlation time of {time}; it is fitted '
+        'as a separate term.',
+        'Use these two numbers in a filter with a first-order Gauss-Markov bias.',
     ),
     'misfit': Wording(
         'warning',
-        'the terms describe the curve to {misfit:.1%} only; the intervals are widened accordingly',
-        'look at the curve: temperature, vibration or motion; record at rest, warmed up, in still '
-        'air',
+        'The model deviates from the data by {misfit:.1%}; the intervals are widened accordingly.',
+        'Check temperature, vibration and motion, and record at rest and warmed up.',
     ),
     'levels_off': Wording(
         'info',
-        'the longest averages lie far below what the shorter ones foretell: the drift levels off',
-        'K holds for times up to where the curve bends; a bias that returns is a first-order '
-        'Gauss-Markov process, often of temperature',
+        'The drift is bounded: the longest averages lie far below the extrapolated walk, so K '
+        'overestimates drift there.',
+        'Use a first-order Gauss-Markov bias in the filter.',
     ),
     'rounding': Wording(
         'info',
-        'the samples are multiples of {step:.3g} {unit}; rounding makes {share:.0%} of the white '
-        'noise',
-        'N includes it; a finer range or resolution of the sensor would lower it (it is not Q)',
+        'The samples are multiples of {step:.3g} {unit}; rounding makes {share:.0%} of the white '
+        'noise.',
+        'Select a finer range or resolution to lower N; this is not Q.',
     ),
     'drift_not_separable': Wording(
         'info',
-        'there is drift, but this record cannot tell a random walk (K) from a ramp (R)',
-        'record longer, {how_long}, at a steady temperature',
+        'There is drift, but random walk (K) and ramp (R) cannot be separated.',
+        'Record {how_long} at a steady temperature.',
     ),
     'ramps_differ': Wording(
         'info',
-        'the segments drift by different ramps, which noise does not explain; R is that of the '
-        'longest',
-        'let the sensor warm up and keep its temperature steady if R is wanted',
+        'The segments drift at significantly different rates; R is that of the longest one.',
+        'If R matters, let the sensor warm up and keep its temperature steady.',
     ),
     'record_longer': Wording(
         'info',
-        'this record is too short to show {terms}',
-        'record {how_long}',
+        'Not resolved: {terms}.',
+        'Record {how_long}.',
     ),
-    # --- the files: what could not be made of the results -----------------------------------------
+    # --- the files --------------------------------------------------------------------------------
     'file_left_out': Wording(
         'warning',
-        '{file} is not written ({why})',
-        'the other files are complete',
+        '{file} is not written ({why}).',
+        'All other files are complete.',
     ),
-    # --- the files for filters: what a number in them is not --------------------------------------
     'export_limits': Wording(
         'info',
-        'not measured but the 95 % upper limit, because this record does not show it: {keys}',
-        'record longer, or refuse such numbers with --strict',
+        'Upper limits (95 %) instead of measured values: {keys}.',
+        'Record longer, or reject limits with --strict.',
     ),
     'export_clamped': Wording(
         'warning',
-        '{key} would be {value:g}, outside the range {low:g} to {high:g} that is accepted; '
-        '{written:g} is written',
-        'nothing to do if the IMU is that good; else check unit and rate',
+        '{key} would be {value:g}, outside the accepted range {low:g} to {high:g}; {written:g} is '
+        'written.',
+        'Check unit and rate.',
     ),
     'export_half_of_noise': Wording(
         'info',
         '{keys} are the customary N sqrt(f), of which the midpoint rule of this filter propagates '
-        'half the variance',
-        'write N sqrt(2f) with --exact, or allow for it in --inflate',
+        'half the variance.',
+        'Write N sqrt(2f) with --exact, or use --inflate.',
     ),
     'export_no_gauss_markov': Wording(
         'info',
-        '{key} is B: no correlation time was found, so that corrtime is not measured for it',
-        'tune corrtime, or record until the curve bends down behind its flat part',
+        '{key} is B, because no correlation time was found; corrtime is not measured for it.',
+        'Tune corrtime, or record until the curve falls again after its flat part.',
     ),
 }
-"""id -> its words."""
-
-
-__all__ = ['CATALOGUE', 'Finding', 'Severity', 'finding']
+"""id -> its text."""
 
 
 @dataclass(frozen=True)
@@ -457,17 +436,27 @@ class Finding:
 
     def __str__(self) -> str:
         where = f'{", ".join(self.axes)}: ' if self.axes else ''
-        return f'{where}{self.message}; {self.remedy}'
+        return f'{where}{self.message} {self.remedy}'
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding of that id with its numbers filled in.
+    """Return the finding with that id, its numbers filled in.
+
+    Parameters
+    ----------
+    id : str
+        Key of `CATALOGUE`.
+    axes : tuple of str
+        Axes that it concerns; empty for all.
+    **values : object
+        Numbers of its templates; ``when`` may be left out.
 
     Raises
     ------
     KeyError
-        When the id is not in the catalogue, or a value its words need is missing.
+        When the id is not in the catalogue, or a value of its templates is missing.
     """
-    words = CATALOGUE[id]
-    message, remedy = (one_line(t.format(**values)) for t in (words.message, words.remedy))
-    return Finding(id, words.severity, message, remedy, axes)
+    wording = CATALOGUE[id]
+    values = {'when': '', **values}
+    message, remedy = (one_line(t.format(**values)) for t in (wording.message, wording.remedy))
+    return Finding(id, wording.severity, message, remedy, axes)

@@ -59,7 +59,7 @@ def test_what_a_number_is_not_goes_to_stderr(
     assert main(['export', str(folder / 'results.json'), '--to', 'orb_slam3']) == 0
     shown = capsys.readouterr()
     # Six minutes show no K of these sensors.
-    assert 'allan export: not measured but the 95 % upper limit' in shown.err
+    assert 'allan export: Upper limits (95 %)' in shown.err
     assert shown.out.startswith('%YAML:1.0\n')
 
 

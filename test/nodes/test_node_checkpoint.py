@@ -46,7 +46,7 @@ def test_a_path_that_another_node_keeps_is_neither_read_nor_written(
     graph.send(graph.publisher('imu/b'), still_imu(1500, seed=2))
     graph.until(lambda: graph.value('second: imu/data input', 'used') == '1500')
     saved = graph.call('/second/save')
-    assert not saved.success and 'nothing is saved by this one' in saved.message
+    assert not saved.success and 'this node saves nothing' in saved.message
     assert first.stop(signal.SIGKILL) == -signal.SIGKILL
     assert second.stop() == 0, second.output
     assert second.output.count('kept by another node') == 1

@@ -123,8 +123,8 @@ def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results)
     assert received == payloads(batch)
     status = graph.until(lambda: graph.status('relay'))
     assert status.level == WARN and status.name == 'allan_imu_relay: relay'
-    assert 'no noise model on /noise_model yet' in status.message
-    assert 'start allan_estimator' in status.message
+    assert 'There is no noise model on /noise_model yet' in status.message
+    assert 'Start allan_estimator' in status.message
     publish_model(graph, results)
     filled(graph)
     graph.send(publisher, batch)

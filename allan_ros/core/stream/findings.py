@@ -60,7 +60,7 @@ def stream_findings(
         found.append(finding('bursty_stamps', rate=rate))
     changes = counts.cuts['rate change']
     if changes:
-        found.append(finding('rate_changed', times=changes))
+        found.append(finding('rate_changed', times=changes, rate=health.rate_hz or 0.0))
     for name, count in (
         ('not_finite', counts.not_finite),
         ('duplicates', counts.duplicate),

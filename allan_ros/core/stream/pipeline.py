@@ -91,7 +91,6 @@ class ImuStream:
         self._frames: dict[str, FrameStream] = {}
         self._present = self._frame('')
         self._frame_changes = 0
-        self._frame_note: Finding | None = None
         self._forgotten = Counts()  # of the frames there was no room for
 
     def update(self, batch: ImuBatch) -> None:
@@ -103,8 +102,6 @@ class ImuStream:
             self._present = self._frames[after] = self._frame(after)
         elif after != before:
             self._frame_changes += 1
-            times = self._frame_changes
-            self._frame_note = finding('frame_changed', before=before, after=after, times=times)
             self._present = self._frames.get(after) or self._another(after)
         self._received += len(batch)
         self._present.update(batch)
@@ -190,8 +187,9 @@ class ImuStream:
     ) -> tuple[Finding, ...]:
         frames = self._frames.values()
         found = [note for frame in frames for note in frame.notes]
-        if self._frame_note is not None:
-            found.append(self._frame_note)
+        if self._frame_changes:
+            times, frame_id = self._frame_changes, self._present.identity.frame_id
+            found.append(finding('frame_changed', times=times, frame_id=frame_id))
         relearned = sum(lane.relearned for frame in frames for lane in frame.lanes)
         found += stream_findings(health, longest, self._settings, relearned)
         return tuple(dict.fromkeys(found))

@@ -16,7 +16,11 @@ from .cleaning import BACKWARD_RUN
 from .health import StreamHealth
 
 LATELY_S = 60.0
-"""What happened within this time is said; before, only the counts tell."""
+"""Events of this time are reported; older ones only remain in the counts."""
+
+
+LATELY = ' in the last minute'
+"""`LATELY_S` in the text of a finding."""
 
 
 TOLD_LOST_SHARE = 1e-3
@@ -167,12 +171,12 @@ class TransportMonitor:
         if usable != self._usable:
             self._last_usable, self._usable = time_s, usable
         run = {
-            'sensor_stuck': c.stuck,
+            'stuck': c.stuck,
             'not_finite': c.not_finite,
             'duplicates': c.duplicate,
             'backward_stamps': c.backward,
             'clock_jumps': c.cuts['clock jump'],
-            'rate_changed_lately': c.cuts['rate change'],
+            'rate_changed': c.cuts['rate change'],
             'frame_changed': health.frame_changes,
         }
         if self._tallies and c.received < self._tallies[-1].samples:
@@ -251,12 +255,15 @@ class TransportMonitor:
             more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
         if more['frame_changed'] > 0:
             times = more['frame_changed']
-            found.append(finding('frame_changed_lately', times=times, frame_id=health.frame_id))
-        if more['rate_changed_lately'] > 0 and health.rate_hz:
-            found.append(finding('rate_changed_lately', rate=health.rate_hz))
-        for id in ('sensor_stuck', 'not_finite', 'duplicates', 'clock_jumps', 'backward_stamps'):
+            found.append(
+                finding('frame_changed', when=LATELY, times=times, frame_id=health.frame_id)
+            )
+        if more['rate_changed'] > 0 and health.rate_hz:
+            times = more['rate_changed']
+            found.append(finding('rate_changed', when=LATELY, times=times, rate=health.rate_hz))
+        for id in ('stuck', 'not_finite', 'duplicates', 'clock_jumps', 'backward_stamps'):
             if more[id] > 0:
-                found.append(finding(id, count=more[id]))
+                found.append(finding(id, when=LATELY, count=more[id]))
         if health.frame_id != health.evidence_frame_id:
             present, shown = health.frame_id, health.evidence_frame_id
             found.append(finding('frame_waits', present=present, shown=shown))

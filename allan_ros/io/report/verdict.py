@@ -244,7 +244,7 @@ def _steps(results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]
         for remedy, findings in remedies.items():
             axes = dict.fromkeys(axis for finding in findings for axis in finding.axes)
             where = f' ({_axes_text(tuple(axes), results)})' if axes else ''
-            yield f'{_sentence(remedy)}{where}.'
+            yield f'{remedy.rstrip(".")}{where}.'
     if wait is not None:
         yield f'Record about {about(wait)} at rest, warmed up, if a filter needs what is hidden.'
     if not comparisons and measured(results):
@@ -275,7 +275,3 @@ def _and(words: Sequence[str]) -> str:
 
 def _count(number: int, thing: str) -> str:
     return f'{number} {thing}{"" if number == 1 else "s"}'
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]

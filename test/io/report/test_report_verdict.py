@@ -63,7 +63,7 @@ def test_without_a_reference_it_says_how_to_name_one(small_results: Results) -> 
 
 def test_warnings_ask_for_care_and_their_remedies_come_first(small_results: Results) -> None:
     warnings = tuple(
-        Finding('x', 'warning', 'it hums', 'silence the fan', (axis,))
+        Finding('x', 'warning', 'It hums.', 'Silence the fan.', (axis,))
         for axis in ('gyro_x', 'gyro_y')
     )
     said = verdict_of(replace(small_results, findings=warnings), [], 'datasheet')
