@@ -25,7 +25,8 @@ from allan_ros.core.imu import AXES, from_datasheet, sensor_of
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.io.comparison import Subject, compare_runs
-from allan_ros.io.results import Provenance, Results, analyse_sums
+from allan_ros.io.recorded import Provenance
+from allan_ros.io.results import Results, analyse_sums
 
 RATE = 50.0
 """Hz."""

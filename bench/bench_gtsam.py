@@ -34,7 +34,8 @@ from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis, simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.exporters import ExportOptions, make_export
-from allan_ros.io.results import Provenance, Results, analyse_sums
+from allan_ros.io.recorded import Provenance
+from allan_ros.io.results import Results, analyse_sums
 
 Floats = NDArray[np.float64]
 

@@ -170,15 +170,11 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 def spread(path: Path, processes: int) -> None:
     """Read a bag `RECORDINGS` times, as ``allan analyze --jobs`` reads as many bags."""
-    from allan_ros.cli.console import Console
-    from allan_ros.cli.parts import Job, in_processes, in_turn
-    from allan_ros.core.settings import SegmenterSettings
-    from allan_ros.io.readers.recording import ReadOptions
+    from allan_ros.api import read_in_processes, read_in_turn
+    from allan_ros.io.recorded import ReadJob
 
-    jobs = [Job(str(path), ReadOptions(), SegmenterSettings(), '')] * RECORDINGS
-    console = Console(quiet=True)
-    parts = in_turn(jobs, console) if processes == 1 else in_processes(jobs, processes, console)
-    for _ in parts:
+    jobs = [ReadJob(str(path))] * RECORDINGS
+    for _ in read_in_turn(jobs) if processes == 1 else read_in_processes(jobs, processes):
         pass
 
 

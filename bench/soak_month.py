@@ -28,7 +28,8 @@ from allan_ros.core.stream.health import Counts
 from allan_ros.core.stream.pipeline import Accumulation, ImuStream
 from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.documents import sums_file_to_document
-from allan_ros.io.results import Provenance, analyse_sums
+from allan_ros.io.recorded import Provenance
+from allan_ros.io.results import analyse_sums
 from allan_ros.nodes.checkpointing import CheckpointKeeper
 
 RATE_HZ = 200.0

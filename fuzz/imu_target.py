@@ -17,7 +17,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
 from allan_ros.io.readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
-from allan_ros.io.results import Provenance
+from allan_ros.io.recorded import Provenance
 from allan_ros.io.text import to_json
 
 from .damage import any_bytes, floats, texts

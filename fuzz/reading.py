@@ -16,7 +16,7 @@ from allan_ros.io.documents import sums_file_from_document, sums_file_to_documen
 from allan_ros.io.readers.cdr import encode_imus
 from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.readers.recording import ReadOptions
-from allan_ros.io.results import Provenance
+from allan_ros.io.recorded import Provenance
 from allan_ros.io.text import to_json
 
 from .harness import BrokenRule, check_document, check_line, refused_or_valid

@@ -29,7 +29,8 @@ from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.plot_style import TERM_STYLES
-from allan_ros.io.results import AxisResult, Provenance, Results, analyse_sums
+from allan_ros.io.recorded import Provenance
+from allan_ros.io.results import AxisResult, Results, analyse_sums
 
 RATE = 100.0
 """Hz, of every picture."""

@@ -15,7 +15,8 @@ from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers.recording import SourceInfo
-from allan_ros.io.results import Provenance, Results, analyse_sums
+from allan_ros.io.recorded import Provenance
+from allan_ros.io.results import Results, analyse_sums
 
 # How long an example takes says something of the machine, nothing of the law.
 settings.register_profile('allan_ros', deadline=None)

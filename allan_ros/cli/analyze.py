@@ -3,7 +3,7 @@
 """Measure the noise of an IMU from its recordings.
 
 An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
-runs of the same IMU: their evidence adds up.
+recordings of the same IMU: their sums are added.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
@@ -16,24 +16,28 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ..api import (
+    ResultSettings,
+    add_recordings,
+    fit_recorded,
+    load_baseline,
+    read_in_processes,
+    read_in_turn,
+)
 from ..core.errors import AllanError
+from ..core.findings import Finding
 from ..core.settings import SegmenterSettings
-from ..io.plot_style import PictureSettings
+from ..io.plot_style import PictureSettings, load_style
+from ..io.readers.recording import ReadOptions
+from ..io.recorded import ReadJob, RecordingSums
 from .console import Console
 from .options import add_settings, settings_of
-from .outcome import OutcomeSettings, add_runs, check_outcome, finish
-
-if TYPE_CHECKING:
-    from ..core.findings import Finding
-    from .parts import Job, Part
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb; defaults are those of the settings classes."""
-    from ..io.readers.recording import ReadOptions
-
     parser.add_argument('inputs', nargs='+', metavar='INPUT', help='a recording')
     parser.add_argument(
         '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
@@ -61,53 +65,114 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='read them on the Dask cluster of this scheduler, as tcp://host:8786; '
         'its workers must see the same paths',
     )
-    add_settings(parser, 'result', OutcomeSettings)
+    add_settings(parser, 'result', ResultSettings)
     add_settings(parser, 'pictures', PictureSettings)
     add_settings(parser, 'evidence', SegmenterSettings, without=['declared_rate'])
     add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, accumulate, fit, show and write."""
-    from ..core.findings import Finding
-    from ..io.readers.recording import ReadOptions
-    from .parts import Job, add_findings, add_spectra
-
-    check_outcome(args)
+    """Read, fit, show and write."""
+    check_result_arguments(args)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
-    evidence = settings_of(SegmenterSettings, args, declared_rate=args.rate)
+    segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     console = Console.of(args)
-    console.detail(f'settings: {_settings_text(reading, evidence)}')
-    drawn = bool(args.output)
-    jobs = [Job(path, reading, evidence, args.hardware_id, drawn) for path in args.inputs]
+    console.detail(f'settings: {_settings_text(reading, segmenter)}')
+    with_context = bool(args.output)
+    jobs = [
+        ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in args.inputs
+    ]
     outcomes = list(_spread(jobs, args, console))
     lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
-    parts = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
-    if not parts:
+    recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
+    if not recordings:
         raise AllanError('; '.join(str(finding) for finding in lost))
-    for part in parts:
-        console.detail(_read_text(part))
-    parts[0] = add_findings(parts[0], lost)
-    run = add_runs(part.run for part in parts)
-    signals, temperatures = zip(*((part.signal, part.temperature) for part in parts))
-    return finish(run, args, signals, add_spectra(parts), temperatures)
+    for recorded in recordings:
+        console.detail(_read_text(recorded))
+    return show_results(add_recordings(recordings).with_findings(lost), args)
+
+
+def check_result_arguments(args: argparse.Namespace) -> None:
+    """Refuse what cannot be shown or written, before hours of recordings are read.
+
+    Raises
+    ------
+    AllanError
+        When a target of ``--export``, the datasheet, the earlier run or the style of the pictures
+        is unknown, there is no folder to write to, or a number is out of its range.
+    """
+    from ..io.datasheets import load_sensor
+    from ..io.exporters import target_of
+
+    settings_of(ResultSettings, args)
+    if args.sensor:
+        load_sensor(args.sensor)
+    load_baseline(args.baseline)
+    load_style(settings_of(PictureSettings, args).plot_style)
+    for name in args.export:
+        target_of(name)
+    for option, given in (('--export', args.export), ('--baseline', args.baseline)):
+        if given and not args.output:
+            raise AllanError(f'{option} writes into the folder of -o: give one')
+
+
+def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
+    """Fit the sums, write the files where ``--output`` says, and print the results.
+
+    Returns
+    -------
+    int
+        Exit code: 1 where nothing could be computed, else 0.
+    """
+    console, settings = Console.of(args), settings_of(ResultSettings, args)
+    with console.timed(f'fitted by {settings.method}'):
+        results = fit_recorded(recorded, settings)
+    written = ''
+    if args.output:
+        from ..io.result_files import write_result_files
+
+        with console.timed('drawn and written'):
+            results, paths = write_result_files(
+                args.output,
+                results,
+                former=load_baseline(settings.baseline),
+                margin=settings.margin,
+                command=args.command_line,
+                units=settings.units,
+                targets=settings.export,
+                pictures=settings_of(PictureSettings, args),
+            )
+        written = f'written to {args.output}: {", ".join(sorted(path.name for path in paths))}'
+    if console.json:
+        from ..io.documents import results_to_document
+
+        console.document(results_to_document(results))
+        console.findings(results.findings)
+        if written:
+            console.say(written)
+    elif not (console.quiet and written):
+        from .tables import print_results
+
+        print_results(results, settings.units)
+        if written:
+            print(f'\n{written}')
+    known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
+    return 0 if any(c.value is not None for c in known) else 1
 
 
 def _spread(
-    jobs: Sequence[Job], args: argparse.Namespace, console: Console
-) -> Iterator[Part | Finding]:
-    """Do the jobs where the arguments say."""
+    jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
+) -> Iterator[RecordingSums | Finding]:
+    """Read the recordings where the arguments say."""
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     if args.scheduler:
         from .cluster import on_cluster
 
         return on_cluster(jobs, args.scheduler, console)
-    from .parts import in_processes, in_turn
-
     if min(args.jobs, len(jobs)) > 1:
-        return in_processes(jobs, args.jobs, console)
-    return in_turn(jobs, console)
+        return read_in_processes(jobs, args.jobs, console)
+    return read_in_turn(jobs, console)
 
 
 def _settings_text(*settings: Any) -> str:
@@ -116,9 +181,9 @@ def _settings_text(*settings: Any) -> str:
     return ', '.join(f'{name}={value!r}' for name, value in values.items())
 
 
-def _read_text(part: Part) -> str:
+def _read_text(recorded: RecordingSums) -> str:
     """Return what was read of one recording, and how."""
-    (source,), counts = part.run.provenance.sources, part.run.provenance.counts
+    (source,), counts = recorded.provenance.sources, recorded.provenance.counts
     what = ' '.join(word for word in (source.topic, source.type) if word)
     return (
         f'{source.path}: {counts.received:,} samples from {source.storage}'

@@ -9,8 +9,8 @@ from typing import Any
 
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
+from ..io.recorded import ReadJob, RecordingSums, read_recording
 from .console import Console
-from .parts import Job, Part, accumulate
 
 CONNECT_S = 10.0
 """Seconds to wait for a scheduler."""
@@ -24,11 +24,11 @@ anew takes some seconds, on a busy machine a minute."""
 
 
 def on_cluster(
-    jobs: Sequence[Job],
+    jobs: Sequence[ReadJob],
     address: str,
     console: Console,
-    work: Callable[[Job], Part] = accumulate,
-) -> Iterator[Part | Finding]:
+    work: Callable[[ReadJob], RecordingSums] = read_recording,
+) -> Iterator[RecordingSums | Finding]:
     """Do the jobs on a cluster whose workers have this package and see the same paths.
 
     What a dead worker had begun is done by another. A job at which workers die again and again
@@ -52,19 +52,19 @@ def on_cluster(
         raise AllanError(
             f'no Dask scheduler answers at {address}: check the address and that it runs'
         ) from error
-    outcomes: dict[Job, Part | Finding] = {}
+    outcomes: dict[ReadJob, RecordingSums | Finding] = {}
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
         # a result of an earlier analysis is no answer: the recording may have changed
         futures = client.map(work, jobs, pure=False)
-        doubtful: list[Job] = []
+        doubtful: list[ReadJob] = []
         for job, future in zip(jobs, futures):
             try:
-                part = _made(client, future)
+                recorded = _made(client, future)
             except KilledWorker:
                 doubtful.append(job)
                 continue
-            outcomes[job] = part
-            progress.advance(part.run.provenance.counts.received)
+            outcomes[job] = recorded
+            progress.advance(recorded.provenance.counts.received)
         # a worker takes with it what waits there too: only alone it shows which job is deadly
         for job in doubtful:
             try:
@@ -74,14 +74,14 @@ def on_cluster(
     yield from (outcomes[job] for job in jobs)
 
 
-def _made(client: Any, future: Any) -> Part:
+def _made(client: Any, future: Any) -> RecordingSums:
     """Return what became of a job, however long it takes, as long as there are workers."""
     from distributed import TimeoutError as Unfinished
 
     alone = 0.0
     while alone < ALONE_S:
         try:
-            made: Part = future.result(timeout=ASK_S)
+            made: RecordingSums = future.result(timeout=ASK_S)
             return made
         except Unfinished:
             if future.status == 'error':  # its own: a disk far away, perhaps

@@ -25,7 +25,6 @@ from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
     from ..io.comparison import RunComparison
-    from ..io.results import Results
 
 SENSOR_PREFIX = 'sensor:'
 
@@ -92,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
+    from ..api import results_of
     from ..io.comparison import Subject, compare_runs, comparison_document, labels_of
     from ..io.datasheets import load_sensor
     from ..io.plot_style import load_style
@@ -112,7 +112,9 @@ def run(args: argparse.Namespace) -> int:
         raise AllanError(f'two runs are called {_twice(labels)!r}: tell them apart with --label')
     if len(paths) + len(datasheets) < 2 or not paths:
         raise AllanError('give two runs, or a run and sensor:NAME: there is nothing to compare')
-    runs = [Subject(label, _read(path, args, console)) for label, path in zip(labels, paths)]
+    runs = [
+        Subject(label, results_of(path, args.method, console)) for label, path in zip(labels, paths)
+    ]
     comparison = compare_runs(runs, datasheets, args.margin)
     if console.json:
         console.document(comparison_document(comparison))
@@ -192,21 +194,6 @@ def _column(comparison: RunComparison, axis: str, units: str) -> list[str]:
         off = [d for d in tried if d.verdict in ('higher', 'lower')]
         cells.append(f'{len(off)} of {len(tried)} differ' if tried else NOT_THERE)
     return cells
-
-
-def _read(path: str, args: argparse.Namespace, console: Console) -> Results:
-    """Return the results of a path; a recording is analysed as `allan analyze` does."""
-    from ..core.settings import SegmenterSettings
-    from ..io.comparison import read_run
-    from ..io.readers.recording import ReadOptions
-    from ..io.results import analyse_sums
-    from .parts import Job, in_turn
-
-    results = read_run(path, args.method)
-    if results is not None:
-        return results
-    [part] = in_turn([Job(path, ReadOptions(), SegmenterSettings(), '')], console)
-    return analyse_sums(part.run.sums, part.run.provenance, args.method)
 
 
 def _twice(labels: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
 from .console import Console
-from .options import RESULTS, add_settings, file_of, settings_of
+from .options import add_settings, settings_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,15 +58,13 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if not args.results or not args.to:
         raise AllanError('give a results.json or its folder, and --to TARGET; --list tells them')
-    from ..io.documents import results_from_document
+    from ..api import RESULTS, file_in, load
     from ..io.exporters import make_export, target_of
     from ..io.files import write_atomic
-    from ..io.text import read_json
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
-    measured = file_of(args.results, RESULTS)
-    results = results_from_document(read_json(measured), measured)
+    results = load(file_in(args.results, RESULTS))
     existing = _text(args.merge_into) if args.merge_into else None
     made = make_export(results, args.to, options, existing)
     where = args.output or args.merge_into

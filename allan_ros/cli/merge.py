@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import argparse
 
+from ..api import ResultSettings, add_recordings, load_sums
 from ..io.plot_style import PictureSettings
-from .options import SUMS, add_settings, file_of
-from .outcome import OutcomeSettings, RecordingSums, add_runs, check_outcome, finish
+from .analyze import check_result_arguments, show_results
+from .options import add_settings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,16 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
     )
-    add_settings(parser, 'result', OutcomeSettings)
+    add_settings(parser, 'result', ResultSettings)
     add_settings(parser, 'pictures', PictureSettings)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, add, fit, show and write."""
-    from ..io.documents import sums_file_from_document
-    from ..io.text import read_json
-
-    check_outcome(args)
-    paths = [file_of(path, SUMS) for path in args.inputs]
-    runs = [RecordingSums(path, *sums_file_from_document(read_json(path), path)) for path in paths]
-    return finish(add_runs(runs), args)
+    check_result_arguments(args)
+    return show_results(add_recordings(map(load_sums, args.inputs)), args)

@@ -7,33 +7,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Collection
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.errors import AllanError
 from ..core.settings import describe
-
-RESULTS, SUMS = 'results.json', 'sums.json'
-"""Files of the folder of an analysis: what was found, and the sums it was found from."""
-
-
-def file_of(path: str, name: str) -> str:
-    """Return the path itself, or where it is a folder the file of that name in it.
-
-    Raises
-    ------
-    AllanError
-        When the folder has none.
-    """
-    if not Path(path).is_dir():
-        return path
-    inside = Path(path) / name
-    if not inside.is_file():
-        raise AllanError(
-            f'{path}: no {name} in this folder: give the folder of an analysis, or the file'
-        )
-    return str(inside)
-
 
 T = TypeVar('T')
 

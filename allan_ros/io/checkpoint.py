@@ -12,7 +12,7 @@ from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
 from .files import remove_drafts, write_atomic
-from .results import Provenance
+from .recorded import Provenance
 from .text import read_json, to_json
 
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,15 +22,9 @@ from ..core.errors import AllanError
 from ..core.imu import AXES
 from .datasheet_comparison import DatasheetComparison, against_datasheet, comparison_to_document
 from .datasheets import Datasheet
-from .documents import (
-    SUMS_SCHEMA,
-    results_from_document,
-    results_to_document,
-    sums_file_from_document,
-)
+from .documents import results_to_document
 from .format import significant
-from .results import AxisCurve, Results, analyse_sums
-from .text import read_json
+from .results import AxisCurve, Results
 
 SCHEMA = 'allan_ros/comparison/1'
 
@@ -132,27 +125,6 @@ def compare_runs(
             for run in runs
         ),
     )
-
-
-def read_run(path: str | os.PathLike[str], method: str = 'gls') -> Results | None:
-    """Return the results of a results.json, a sums.json or a folder of results.
-
-    None where it is none of these: a recording, perhaps.
-
-    Raises
-    ------
-    AllanError
-        When it is one of these and cannot be read.
-    """
-    place = Path(path)
-    if place.is_dir():
-        place = next((place / name for name in DOCUMENTS if (place / name).is_file()), place)
-    if place.suffix.lower() != '.json':
-        return None
-    document = read_json(place)
-    if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
-        return analyse_sums(*sums_file_from_document(document, str(place)), method)
-    return results_from_document(document, str(place))
 
 
 def labels_of(paths: Sequence[str]) -> list[str]:

@@ -28,7 +28,8 @@ from ..core.imu import AXES, MAX_NAME, SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.health import Counts, Segment
 from .datasheet_comparison import comparison_from_document, comparison_to_document
 from .readers.recording import SourceInfo
-from .results import AxisCurve, AxisResult, Provenance, Results
+from .recorded import Provenance
+from .results import AxisCurve, AxisResult, Results
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'

@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..core.allan.spectrum import SpectrumSums, spectrum_of
-from ..core.allan.sums import AllanSums
+from ..core.allan.spectrum import spectrum_of
 from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import SENSORS
@@ -21,7 +20,6 @@ from .files import write_atomic
 from .plot_style import PictureSettings, load_style
 from .report import Beside, render_report
 from .results import Results
-from .signal import SignalEnvelope, TemperatureTrace
 from .signal_summary import summarize_signal
 from .text import to_json
 
@@ -35,10 +33,7 @@ FINGERPRINT_DIGITS = 16
 def write_result_files(
     folder: str | os.PathLike[str],
     results: Results,
-    sums: Sequence[AllanSums],
-    signals: Sequence[SignalEnvelope] = (),
-    spectra: Sequence[SpectrumSums] = (),
-    temperatures: Sequence[TemperatureTrace | None] = (),
+    *,
     former: Mapping[str, Results] | None = None,
     margin: float = 0.0,
     command: str = '',
@@ -50,37 +45,40 @@ def write_result_files(
 
     Parameters
     ----------
-    signals : sequence of SignalEnvelope
-        One a recording.
-    spectra : sequence of SpectrumSums
-        Of ``sums``, in the same order; empty where none were kept.
-    temperatures : sequence of TemperatureTrace or None
-        Of ``signals``, in the same order; empty where none was looked for.
+    folder : path
+    results : Results
+        With the sums they were fitted to.
     former : mapping of name to Results
-        Earlier runs that the report holds these results against.
+        Earlier runs that the report compares these results with.
     margin : float
-        Fraction by which an interval must lie above an earlier run to be beyond it.
+        Fraction by which an interval must exceed an earlier run.
     command : str
-        The words to do it again.
+        The command that repeats the analysis.
+    units : 'datasheet' or 'si'
     targets : sequence of str
-        Names of `exporters.TARGETS` to write files for, besides Kalibr.
+        Names of `exporters.TARGETS` to write files for, in addition to Kalibr.
+    pictures : PictureSettings
 
     Returns
     -------
     results : Results
-        As written: with a finding where a file cannot be made of them (imu.yaml without an
-        accelerometer, say).
+        As written: with a finding where a file cannot be made from them (imu.yaml without an
+        accelerometer, for example).
     paths : list of Path
-        What was written.
+        The files that were written.
 
     Raises
     ------
     AllanError
-        When the folder cannot be made or written, or the style of the pictures is unknown.
+        When the results have no sums, the folder cannot be made or written, or the style of the
+        pictures is unknown.
     """
     # Heavy to import (0.3 s), and merging sums on a robot needs no pictures until here.
     from .plots import as_element, sensor_figure, to_form
 
+    recorded = results.recorded
+    if recorded is None:
+        raise AllanError('these results were read from a file without their sums: analyze again')
     style = load_style(pictures.plot_style)
     folder = made_folder(Path(folder))
     paths = []
@@ -91,7 +89,9 @@ def write_result_files(
             left_out = finding('file_left_out', file=target_of(target).file_name, why=str(error))
             results = replace(results, findings=(*results.findings, left_out))
     known = results.provenance
-    outline = summarize_signal(signals, known.spans, OUTLINE_BINS, known.counts.cuts, temperatures)
+    outline = summarize_signal(
+        recorded.signals, known.spans, OUTLINE_BINS, known.counts.cuts, recorded.temperatures
+    )
     elements = {}
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:
@@ -102,8 +102,12 @@ def write_result_files(
         elements[sensor] = as_element(drawn['svg'])
         for form in pictures.plot_format:
             contents[f'allan_{sensor}.{form}'] = drawn[form]
-    sums_document = sums_file_to_document(sums, results.provenance)
-    densities = (spectrum_of(of, s.tau0) for of, s in zip(spectra, sums) if s.tau0 is not None)
+    sums_document = sums_file_to_document(recorded.sums, results.provenance)
+    densities = (
+        spectrum_of(of, s.tau0)
+        for of, s in zip(recorded.spectra, recorded.sums)
+        if s.tau0 is not None
+    )
     beside = Beside(
         elements,
         outline,

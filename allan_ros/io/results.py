@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,46 +19,9 @@ from ..core.fit import TERMS, AxisFit, NoiseModel, fit_noise
 from ..core.fit.regions import Region, read_curve
 from ..core.imu import AXES, ImuIdentity
 from ..core.noise import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
-from ..core.stream.health import Counts, Segment
 from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
 from .datasheets import Datasheet
-from .readers.recording import SourceInfo
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Where sums came from: what stands beside them in `sums.json` and `results.json`.
-
-    Attributes
-    ----------
-    sources : tuple of SourceInfo
-    spans : tuple of Span
-        The segments, in the order in which they were recorded.
-    findings : tuple of Finding
-        What was found while reading and segmenting.
-    counts : Counts
-        What became of the samples.
-    settings : mapping
-        The settings of the analysis, as plain values.
-    """
-
-    sources: tuple[SourceInfo, ...] = ()
-    spans: tuple[Segment, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    counts: Counts = field(default_factory=Counts)
-    settings: Mapping[str, Any] = field(default_factory=dict)
-
-    def __add__(self, other: Provenance) -> Provenance:
-        """Return that of both; a finding both have is said once, the settings are the first's."""
-        counts = deepcopy(self.counts)
-        counts.add(other.counts)
-        return Provenance(
-            self.sources + other.sources,
-            tuple(sorted(self.spans + other.spans, key=lambda span: span.start_ns)),
-            tuple(dict.fromkeys(self.findings + other.findings)),
-            counts,
-            self.settings,
-        )
+from .recorded import Provenance, RecordingSums
 
 
 @dataclass(frozen=True)
@@ -149,7 +110,9 @@ class Results:
     findings : tuple of Finding
         Those of the provenance, then those of the fit and of the comparison.
     datasheet : DatasheetComparison or None
-        What a datasheet says of it, where one was named.
+        The comparison with a datasheet, if one was named.
+    recorded : RecordingSums or None
+        The sums that were fitted; None for results that were read from a file.
     """
 
     identity: ImuIdentity
@@ -162,38 +125,36 @@ class Results:
     provenance: Provenance
     findings: tuple[Finding, ...]
     datasheet: DatasheetComparison | None = None
+    recorded: RecordingSums | None = field(default=None, repr=False, compare=False)
 
     @property
     def rate_hz(self) -> float:
         """Sample rate in Hz."""
         return 1.0 / self.tau0
 
-    def held_against(self, datasheet: Datasheet, margin: float) -> Results:
-        """Return the same beside what a datasheet says, with a finding for what lies beyond it."""
+    def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
+        """Return the same with the comparison with a datasheet, and a finding for each excess."""
         noise = {name: axis.fit.noise for name, axis in self.axes.items()}
         comparison = against_datasheet(noise, datasheet, margin)
         found = datasheet_findings(noise, comparison)
         return replace(self, datasheet=comparison, findings=(*self.findings, *found))
 
 
-def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU and return all that is known of it.
-
-    Parameters
-    ----------
-    sums : sequence of AllanSums
-        One with all axes, or one for each sensor when they tick at different rates.
+def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
+    """Fit the sums of one IMU and return the results.
 
     Raises
     ------
     AllanError
         When there is too little data to compute anything.
     """
+    sums = recorded.sums
     curves = [allan_curve(s) for s in sums]
     fits = [fit_noise(s, method) for s in sums]
     axes = dict(_axis_results(zip(curves, fits)))
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')
+    findings = (*recorded.provenance.findings, *(f for fit in fits for f in fit.findings))
     return Results(
         longest.identity,
         method,
@@ -202,9 +163,24 @@ def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str 
         longest.samples * tau0,
         longest.segment_count,
         {name: axes[name] for name in AXES if name in axes},
-        provenance,
-        tuple(dict.fromkeys((*provenance.findings, *(f for fit in fits for f in fit.findings)))),
+        recorded.provenance,
+        tuple(dict.fromkeys(findings)),
+        recorded=recorded,
     )
+
+
+def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
+    """Fit the sums of one IMU, as `analyse_recorded` does.
+
+    Parameters
+    ----------
+    sums : sequence of AllanSums
+        One with all axes, or one for each sensor when they have different rates.
+    provenance : Provenance
+    method : str
+        One of `core.fit.METHODS`.
+    """
+    return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
 def _axis_results(

@@ -24,7 +24,7 @@ from ..core.stream.pipeline import ImuStream, RunSplitter
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
 from ..io.documents import sums_file_to_document
 from ..io.readers.recording import SourceInfo
-from ..io.results import Provenance
+from ..io.recorded import Provenance
 from .checkpointing import CheckpointKeeper, Total
 from .diagnostics import InputView, input_status, status_name
 from .imu_input import ImuInput

@@ -15,7 +15,7 @@ from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..io.checkpoint import Checkpoint
 from ..io.files import PathLock
-from ..io.results import Provenance
+from ..io.recorded import Provenance
 
 SPANS_KEPT = 1000
 """Longest segments that are listed beside the sums."""

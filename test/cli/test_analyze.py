@@ -120,7 +120,7 @@ def test_merging_sums_is_analysing_together(recording: Path, tmp_path: Path) -> 
 def test_a_run_given_twice_is_refused(analysed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sums = str(analysed / 'sums.json')
     assert main(['merge', sums, sums]) == 1
-    assert 'give each run once' in capsys.readouterr().err
+    assert 'give each recording once' in capsys.readouterr().err
 
 
 def test_different_imus_are_told_apart(

@@ -93,7 +93,7 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export', '{results}'], 'give a results.json or its folder'),
         (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
         (['export', '{results}', '--to', 'klibr'], 'Known are kalibr, openvins'),
-        (['export', '{sums}', '--to', 'kalibr'], 'schema is'),
+        (['export', '{yaml}', '--to', 'kalibr'], 'is not JSON'),
         (['export', '{results}', '--to', 'kalibr', '--strict'], 'is not observable'),
         (['export', '{results}', '--to', 'kalibr', '--exact'], 'vins_fusion only'),
         (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),

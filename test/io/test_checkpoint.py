@@ -15,7 +15,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.checkpoint import Checkpoint
-from allan_ros.io.results import Provenance
+from allan_ros.io.recorded import Provenance
 
 
 def sums_of(frame_id: str = 'imu', period_ns: int = 10**7, axes: slice = slice(0, 6)):

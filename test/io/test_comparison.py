@@ -20,7 +20,6 @@ from allan_ros.io.comparison import (
     comparison_document,
     comparison_headline,
     labels_of,
-    read_run,
 )
 from allan_ros.io.comparison_files import (
     CSV_COLUMNS,
@@ -30,10 +29,8 @@ from allan_ros.io.comparison_files import (
     write_comparison,
 )
 from allan_ros.io.datasheets import Datasheet, Limit, Source
-from allan_ros.io.documents import results_to_document
 from allan_ros.io.plot_style import STYLES, PictureSettings
 from allan_ros.io.results import Results
-from allan_ros.io.text import to_json
 
 
 def scaled(results: Results, factor: float, term: str = 'N', axis: str = 'gyro_z') -> Results:
@@ -133,19 +130,6 @@ def test_the_files_say_the_same(small_results: Results, tmp_path: Path) -> None:
     text = markdown(comparison)
     assert text.startswith('b is 1.50x noisier than a')
     assert sum(line.endswith('| higher |') for line in text.splitlines()) == 1
-
-
-def test_what_can_be_read(small_results: Results, tmp_path: Path) -> None:
-    (tmp_path / 'results.json').write_text(to_json(results_to_document(small_results)))
-    for path in (tmp_path, tmp_path / 'results.json'):
-        found = read_run(path)
-        assert found is not None
-        assert found.axes['gyro_x'].fit.noise == small_results.axes['gyro_x'].fit.noise
-    assert read_run(tmp_path / 'imu.mcap') is None
-    assert read_run(tmp_path.parent) is None
-    (tmp_path / 'other.json').write_text('[]')
-    with pytest.raises(AllanError, match=r'other\.json'):
-        read_run(tmp_path / 'other.json')
 
 
 def test_labels_are_short_where_that_tells_them_apart() -> None:

@@ -21,7 +21,7 @@ def sheet_of(**limits: float) -> Datasheet:
 
 
 def held(results: Results, **limits: float) -> Results:
-    return results.held_against(sheet_of(**limits), 0.2)
+    return results.against_datasheet(sheet_of(**limits), 0.2)
 
 
 @pytest.mark.parametrize('share, verdict', [(1.0, 'within'), (0.9, 'within'), (0.5, 'beyond')])

@@ -45,7 +45,7 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     spectrum = spectrum_of(running.sums, small_results.tau0)
     assert spectrum is not None
     results = replace(small_results, identity=ImuIdentity(HOSTILE, ''))
-    results = results.held_against(load_sensor('adis16475-3'), 0.1)
+    results = results.against_datasheet(load_sensor('adis16475-3'), 0.1)
     warmth = TemperatureTrace('/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400))
     spans = [Segment(int(stamps[5000]), 15_000, 300.0, 'motion')]
     outline = summarize_signal([envelope], spans, 1000, {}, [warmth])

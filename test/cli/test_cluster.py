@@ -12,15 +12,14 @@ from typing import Any
 
 import pytest
 
+from allan_ros.api import read_in_processes, read_in_turn
 from allan_ros.cli.cluster import on_cluster
 from allan_ros.cli.console import Console
 from allan_ros.cli.main import main
-from allan_ros.cli.parts import Job, Part, accumulate, in_processes, in_turn
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
-from allan_ros.core.settings import SegmenterSettings
-from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io.recorded import ReadJob, RecordingSums, read_recording
 
 
 @pytest.fixture(scope='module')
@@ -34,13 +33,13 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return paths
 
 
-def jobs_of(paths: list[str]) -> list[Job]:
-    return [Job(path, ReadOptions(), SegmenterSettings(), '') for path in paths]
+def jobs_of(paths: list[str]) -> list[ReadJob]:
+    return [ReadJob(path) for path in paths]
 
 
 def documents(parts: Iterable[Any]) -> list[Any]:
     """Return the sums of all parts as plain values."""
-    return [sums_to_document(sums) for part in parts for sums in part.run.sums]
+    return [sums_to_document(sums) for part in parts for sums in part.sums]
 
 
 def shown(paths: list[str], capsys: pytest.CaptureFixture[str], *how: str) -> str:
@@ -53,7 +52,9 @@ def test_processes_give_what_one_gives(
     recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs = jobs_of(recordings)
-    assert documents(in_processes(jobs, 2, Console())) == documents(in_turn(jobs, Console()))
+    assert documents(read_in_processes(jobs, 2, Console())) == documents(
+        read_in_turn(jobs, Console())
+    )
     assert shown(recordings, capsys, '--jobs', '2') == shown(recordings, capsys)
 
 
@@ -88,18 +89,20 @@ def test_a_cluster_gives_what_one_process_gives(
     cluster: Any, recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs, address = jobs_of(recordings), cluster.scheduler_address
-    assert documents(on_cluster(jobs, address, Console())) == documents(in_turn(jobs, Console()))
+    assert documents(on_cluster(jobs, address, Console())) == documents(
+        read_in_turn(jobs, Console())
+    )
     assert shown(recordings, capsys, '--scheduler', address) == shown(recordings, capsys)
 
 
-def deadly(victim: str, deaths: Path, times: int) -> Callable[[Job], Part]:
+def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], RecordingSums]:
     """Return work at which the worker of one recording dies so many times."""
 
-    def work(job: Job) -> Part:
+    def work(job: ReadJob) -> RecordingSums:
         if job.path == victim and len(list(deaths.iterdir())) < times:
             (deaths / str(os.getpid())).touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        return accumulate(job)
+        return read_recording(job)
 
     return work
 
@@ -110,7 +113,7 @@ def test_a_dead_worker_costs_nothing_while_another_lives(
     work = deadly(recordings[1], tmp_path, times=1)
     parts = list(on_cluster(jobs_of(recordings), cluster.scheduler_address, Console(), work))
     assert len(list(tmp_path.iterdir())) == 1
-    assert documents(parts) == documents([accumulate(job) for job in jobs_of(recordings)])
+    assert documents(parts) == documents([read_recording(job) for job in jobs_of(recordings)])
 
 
 def test_a_recording_at_which_all_workers_die_costs_itself_only(
@@ -120,7 +123,7 @@ def test_a_recording_at_which_all_workers_die_costs_itself_only(
     first, lost, third = on_cluster(jobs_of(recordings), cluster.scheduler_address, Console(), work)
     assert isinstance(lost, Finding) and lost.id == 'recording_lost'
     assert lost.message.startswith(recordings[1])
-    kept = [accumulate(job) for job in jobs_of([recordings[0], recordings[2]])]
+    kept = [read_recording(job) for job in jobs_of([recordings[0], recordings[2]])]
     assert documents([first, third]) == documents(kept)
 
 

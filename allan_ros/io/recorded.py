@@ -1,0 +1,234 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`RecordingSums`: what reading recordings gives, as one addable value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from ..core.allan.spectrum import SpectrumSums
+from ..core.allan.sums import AllanSums
+from ..core.errors import AllanError
+from ..core.findings import Finding
+from ..core.imu import ImuBatch
+from ..core.settings import SegmenterSettings
+from ..core.stream.health import Counts, Segment
+from ..core.stream.pipeline import ImuStream
+from .readers.open import open_recordings
+from .readers.recording import ReadOptions, Recording, SourceInfo
+from .signal import SignalEnvelope, TemperatureTrace
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where sums come from: stored next to them in `sums.json` and `results.json`.
+
+    Attributes
+    ----------
+    sources : tuple of SourceInfo
+    spans : tuple of Segment
+        The segments, in the order in which they were recorded.
+    findings : tuple of Finding
+        Findings of the reader and of the stream.
+    counts : Counts
+        What happened to the samples.
+    settings : mapping
+        The settings of the analysis, as plain values.
+    """
+
+    sources: tuple[SourceInfo, ...] = ()
+    spans: tuple[Segment, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    counts: Counts = field(default_factory=Counts)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __add__(self, other: Provenance) -> Provenance:
+        """Return the provenance of both; equal findings appear once, settings are the first's."""
+        counts = deepcopy(self.counts)
+        counts.add(other.counts)
+        return Provenance(
+            self.sources + other.sources,
+            tuple(sorted(self.spans + other.spans, key=lambda span: span.start_ns)),
+            tuple(dict.fromkeys(self.findings + other.findings)),
+            counts,
+            self.settings,
+        )
+
+
+@dataclass(frozen=True)
+class RecordingSums:
+    """The sums of one or more recordings of one IMU, and what a report shows about them.
+
+    Attributes
+    ----------
+    name : str
+        For messages: the path of the first recording.
+    sums : tuple of AllanSums
+        One with all axes, or one per sensor where the sensors have different rates.
+    provenance : Provenance
+    signals : tuple of SignalEnvelope
+        One per recording; empty unless the report context was requested.
+    spectra : tuple of SpectrumSums
+        Those of ``sums``, in the same order; empty unless requested.
+    temperatures : tuple of TemperatureTrace or None
+        Those of ``signals``, in the same order.
+    """
+
+    name: str
+    sums: tuple[AllanSums, ...]
+    provenance: Provenance = field(default_factory=Provenance)
+    signals: tuple[SignalEnvelope, ...] = ()
+    spectra: tuple[SpectrumSums, ...] = ()
+    temperatures: tuple[TemperatureTrace | None, ...] = ()
+
+    def __add__(self, other: RecordingSums) -> RecordingSums:
+        """Return the sums of both recordings.
+
+        Raises
+        ------
+        AllanError
+            When the other is of another IMU (the message names what differs), or contains
+            samples that this one contains too.
+        """
+        by_axes = {s.axes: s for s in other.sums}
+        if set(by_axes) != {s.axes for s in self.sums}:
+            raise AllanError(
+                f'{other.name} has {_axes_text(other.sums)}, {self.name} has '
+                f'{_axes_text(self.sums)}: analyze them separately'
+            )
+        try:
+            sums = tuple(s + by_axes[s.axes] for s in self.sums)
+        except AllanError as error:
+            raise AllanError(f'{other.name} cannot be added to {self.name}: {error}') from error
+        if any(_share_a_segment(s, by_axes[s.axes]) for s in self.sums):
+            raise AllanError(
+                f'{other.name} contains samples of a recording given before it: give each '
+                'recording once, or its samples count twice'
+            )
+        same_spectra = len(self.spectra) == len(other.spectra)
+        return RecordingSums(
+            self.name,
+            sums,
+            self.provenance + other.provenance,
+            self.signals + other.signals,
+            tuple(a + b for a, b in zip(self.spectra, other.spectra)) if same_spectra else (),
+            self.temperatures + other.temperatures,
+        )
+
+    def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:
+        """Return the same with further findings."""
+        return replace(self, provenance=self.provenance + Provenance(findings=tuple(findings)))
+
+
+@dataclass(frozen=True)
+class ReadJob:
+    """One recording to read, in a form that can be sent to another process or machine.
+
+    Attributes
+    ----------
+    path : str
+    reading : ReadOptions
+    segmenter : SegmenterSettings
+    hardware_id : str
+    with_context : bool
+        Whether to keep what a report shows: the signal, the spectrum and the temperature.
+    """
+
+    path: str
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    segmenter: SegmenterSettings = field(default_factory=SegmenterSettings)
+    hardware_id: str = ''
+    with_context: bool = False
+
+    def open(self) -> Recording:
+        """Open the recording without reading its samples.
+
+        Raises
+        ------
+        AllanError
+            When the recording is missing or cannot be read.
+        """
+        (recording,) = open_recordings([self.path], self.reading)
+        return recording
+
+
+def read_recording(
+    job: ReadJob,
+    recording: Recording | None = None,
+    advance: Callable[[int], None] = lambda samples: None,
+) -> RecordingSums:
+    """Return the sums of one recording, which is read once from start to end.
+
+    Parameters
+    ----------
+    job : ReadJob
+    recording : Recording, optional
+        What ``job.open()`` returned, or samples that come from elsewhere.
+    advance : callable, optional
+        Called with the number of samples of every batch.
+
+    Raises
+    ------
+    AllanError
+        When the recording cannot be read or contains no static data.
+    """
+    recording = job.open() if recording is None else recording
+    stream = ImuStream(job.segmenter, job.hardware_id, job.with_context)
+    signal = SignalEnvelope()
+    for batch in recording.batches():
+        stream.update(batch)
+        if job.with_context:
+            signal.update(batch)
+        advance(len(batch))
+    stream.end()
+    known = stream.result()
+    findings = (*recording.findings, *known.findings)
+    counts = known.health.counts
+    if not known.sums:
+        raise AllanError(_no_data(job, counts, findings))
+    settings = {**asdict(job.segmenter), **asdict(job.reading), 'hardware_id': job.hardware_id}
+    provenance = Provenance((recording.info,), known.spans, findings, counts, settings)
+    if not job.with_context:
+        return RecordingSums(job.path, known.sums, provenance)
+    temperature = recording.temperature(known.sums[0].identity.frame_id)
+    return RecordingSums(job.path, known.sums, provenance, (signal,), known.spectra, (temperature,))
+
+
+def batches_in_memory(name: str, batches: Iterable[ImuBatch], samples: int) -> Recording:
+    """Return samples in memory as a recording.
+
+    Parameters
+    ----------
+    name : str
+        For messages and the list of sources.
+    batches : iterable of ImuBatch
+        Read once for each pass; give a list where there is more than one.
+    samples : int
+        How many samples there are.
+    """
+    return Recording(SourceInfo(name, '', 'array', 'memory'), samples, lambda _: iter(batches))
+
+
+def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
+    why = '; '.join(str(each) for each in findings if each.id != 'nothing_left')
+    if counts.skipped and counts.skipped == counts.received:
+        why = f'--skip {job.segmenter.skip:g} (s) leaves out all of it: skip less'
+    why = why or 'it has no samples'
+    return f'{job.path}: no static data in {counts.received:,} samples: {why}'
+
+
+def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
+    """Return whether a segment is in both: no two segments have the same noise."""
+    return any(
+        one.order == other.order and (one.phase == other.phase).all()
+        for one in a.segments
+        for other in b.segments
+        if one.samples > 1
+    )
+
+
+def _axes_text(sums: Sequence[AllanSums]) -> str:
+    return ' and separately '.join(', '.join(s.axes) for s in sums)

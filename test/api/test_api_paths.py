@@ -1,0 +1,49 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The path from a source to results: documents, folders and recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from allan_ros.api import load, load_sums, results_of
+from allan_ros.core.errors import AllanError
+from allan_ros.io.documents import results_to_document, sums_file_to_document
+from allan_ros.io.results import Results
+from allan_ros.io.text import to_json
+
+
+def written(results: Results, folder: Path) -> Path:
+    assert results.recorded is not None
+    sums = sums_file_to_document(results.recorded.sums, results.recorded.provenance)
+    (folder / 'results.json').write_text(to_json(results_to_document(results)))
+    (folder / 'sums.json').write_text(to_json(sums))
+    return folder
+
+
+def test_a_folder_and_its_documents_give_the_same_results(
+    small_results: Results, tmp_path: Path
+) -> None:
+    folder = written(small_results, tmp_path)
+    for path in (folder, folder / 'results.json', folder / 'sums.json'):
+        for found in (load(path), results_of(path)):
+            assert found.axes['gyro_x'].fit.noise == small_results.axes['gyro_x'].fit.noise
+    assert load(folder).recorded is not None
+    assert load(folder / 'results.json').recorded is None
+
+
+@pytest.mark.parametrize('name', ['results.json', 'sums.json'])
+def test_another_document_is_refused_by_its_name(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text('[]')
+    for read in (load, load_sums, results_of):
+        with pytest.raises(AllanError, match=name.replace('.', r'\.')):
+            read(tmp_path / name)
+
+
+def test_a_folder_without_documents_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AllanError, match=r'no results\.json in this folder'):
+        load(tmp_path)
+    with pytest.raises(AllanError, match=r'no sums\.json in this folder'):
+        load_sums(tmp_path)
