@@ -9,7 +9,7 @@ from collections.abc import Collection
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from ..core.settings import describe
+from ..core.settings import AUTO, describe
 
 T = TypeVar('T')
 
@@ -47,11 +47,12 @@ def add_settings(
             )
             continue
         unit = f' [{info.unit}]' if info.unit else ''
-        shown = f' (default {_shown(default)})' if default not in ('', ()) else ''
+        word = 'auto' if info.auto and default == AUTO else _shown(default)
+        shown = f' (default {word})' if default not in ('', ()) else ''
         group.add_argument(
             f'--{name}',
             dest=setting.name,
-            type=_words if isinstance(default, tuple) else type(default),
+            type=_words if isinstance(default, tuple) else _number if info.auto else type(default),
             choices=info.choices or None,
             default=default,
             metavar=_metavar(default, info.choices),
@@ -70,6 +71,10 @@ def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) 
     names = [f.name for f in fields(settings_type)]  # type: ignore[arg-type]
     said = {name: getattr(args, name) for name in names if hasattr(args, name)}
     return settings_type(**{**said, **given})
+
+
+def _number(text: str) -> float:
+    return AUTO if text == 'auto' else float(text)
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -153,11 +153,6 @@ CATALOGUE = {
         'The samples have no noise: they are constant or a straight line.',
         'Check that the sensor is powered and that the driver sends live values.',
     ),
-    'warm_up': Wording(
-        'warning',
-        'The mean drifts by {drift:.3g} {unit} in the first {seconds:.0f} s, far more than later.',
-        'Skip the warm-up at the start.',
-    ),
     'short': Wording(
         'warning',
         'There are only {seconds:.3g} s of data at rest.',
@@ -359,6 +354,21 @@ CATALOGUE = {
         'Correlated noise of {sigma:.2g} {unit} with a correlation time of {time}; it is fitted '
         'as a separate term.',
         'Use these two numbers in a filter with a first-order Gauss-Markov bias.',
+    ),
+    'settled_part': Wording(
+        'info',
+        'The first {early} differ from the rest ({what}) and are left out: {changes}.',
+        'Use --skip 0 for the coefficients of all data.',
+    ),
+    'early_part': Wording(
+        'warning',
+        'The first {early} differ from the rest ({what}): {changes}.',
+        'Skip them with --skip, or record longer after the warm-up.',
+    ),
+    'warm_up': Wording(
+        'warning',
+        'The sensor is warming up ({what}) and settles {when}.',
+        'Record for at least {how_long} in all.',
     ),
     'misfit': Wording(
         'warning',

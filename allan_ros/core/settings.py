@@ -21,6 +21,12 @@ class ParameterInfo:
     high: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    auto: bool = False
+    """Whether the word 'auto' may be given; it is stored as `AUTO`."""
+
+
+AUTO = -1.0
+"""The number that stands for 'auto'."""
 
 
 def parameter(default: Any, doc: str, **info: Any) -> Any:
@@ -102,12 +108,14 @@ class SegmenterSettings:
         read_only=True,
     )
     skip: float = parameter(
-        0.0,
-        'Time left out at the start while the IMU warms up.',
+        AUTO,
+        'Time left out at the start while the IMU warms up. auto (-1) detects it and uses the '
+        'settled part; 0 uses everything.',
         unit='s',
-        low=0.0,
+        low=AUTO,
         high=1e6,
         read_only=True,
+        auto=True,
     )
 
     def __post_init__(self) -> None:

@@ -15,10 +15,12 @@ from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
-from ..core.fit import TERMS, AxisFit, NoiseModel, fit_noise
+from ..core.fit import TERMS, AxisFit, NoiseModel
 from ..core.fit.regions import Region, read_curve
+from ..core.fit.settled import fit_settled
 from ..core.imu import AXES, ImuIdentity
 from ..core.noise import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
+from ..core.settings import AUTO
 from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
 from .datasheets import Datasheet
 from .recorded import Provenance, RecordingSums
@@ -148,9 +150,11 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     AllanError
         When there is too little data to compute anything.
     """
-    sums = recorded.sums
+    skip = recorded.provenance.settings.get('skip', AUTO)
+    settle = isinstance(skip, (int, float)) and skip < 0.0
+    fitted = [fit_settled(s, method, settle) for s in recorded.sums]
+    sums, fits = [s for s, _ in fitted], [fit for _, fit in fitted]
     curves = [allan_curve(s) for s in sums]
-    fits = [fit_noise(s, method) for s in sums]
     axes = dict(_axis_results(zip(curves, fits)))
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')

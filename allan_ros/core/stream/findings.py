@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..allan.sums import AllanSums, SegmentRecord
+from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..settings import SegmenterSettings
 from .health import StreamHealth
@@ -23,23 +23,6 @@ counts 1.5 times, so the variance of a sum grows by 1.5 a lost sample, and N by 
 
 SHORT_S = 60.0
 """Evidence below a minute does not even show N within a few percent at the 1 s line."""
-
-
-WARM_UP_SPANS = 24
-"""A segment is cut into so many spans (at least half as many) to look for a warm-up."""
-
-
-LEAST_WARM_UP_S = 600.0
-"""In a segment shorter than this a warm-up cannot be told from noise."""
-
-
-WARM_UP_RATIO = 4.0
-"""A warm-up moves the mean in the first third by this many times its range in the other two.
-A random walk does so in under 1 of 10,000 recordings, a ramp never."""
-
-
-WARM_UP_SIGMAS = 6.0
-"""And by this many deviations between neighbouring spans of the rest."""
 
 
 def stream_findings(
@@ -99,39 +82,4 @@ def _sums_findings(sums: AllanSums) -> list[Finding]:
     seconds = sums.elapsed_ns * 1e-9
     if seconds < SHORT_S:
         found.append(finding('short', seconds=seconds))
-    first = min(sums.segments, key=lambda s: s.start_ns, default=None)
-    if first is not None and sums.tau0:
-        found += _warm_up(first, sums.tau0, sums.axes)
-    return found
-
-
-def _warm_up(segment: SegmentRecord, tau0: float, axes: tuple[str, ...]) -> list[Finding]:
-    """Return a finding for each axis whose mean settles in the first third of a segment.
-
-    The means are those of spans of the coarse phase record.
-    """
-    if segment.samples * tau0 < LEAST_WARM_UP_S:
-        return []
-    points = max(1, (len(segment.phase) - 1) // WARM_UP_SPANS)
-    span_s = points * segment.phase_step * tau0
-    means = np.diff(segment.phase[::points], axis=0) / (points * segment.phase_step)
-    third = len(means) // 3
-    rest = means[third:]
-    level = rest.mean(axis=0)
-    drift = means[0] - level
-    scatter = np.sqrt((np.diff(rest, axis=0) ** 2).mean(axis=0) / 2.0)
-    least = np.maximum(WARM_UP_RATIO * np.ptp(rest, axis=0), WARM_UP_SIGMAS * scatter)
-    found: list[Finding] = []
-    for i in np.flatnonzero(np.abs(drift) > least):
-        settled = np.abs(means[:, i] - level[i]) <= np.ptp(rest[:, i])
-        sensor = axes[i].split('_')[0]
-        found.append(
-            finding(
-                'warm_up',
-                (axes[i],),
-                drift=float(drift[i]),
-                unit='rad/s' if sensor == 'gyro' else 'm/s^2',
-                seconds=span_s * max(1, int(np.argmax(settled))),
-            )
-        )
     return found

@@ -329,7 +329,7 @@ class FrameStream:
             self.first_ns = int(stamps[0])
             self._skip_until = self.first_ns + round(self._settings.skip * 1e9)
         self.last_ns = int(stamps[-1])
-        if self._skip_until is not None and self._settings.skip:
+        if self._skip_until is not None and self._settings.skip > 0.0:
             late = stamps >= self._skip_until
             if late.any():
                 start = int(np.argmax(late))

@@ -10,9 +10,7 @@ from support.sums import assert_identical
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity
-from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.settings import SegmenterSettings
-from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.pipeline import KEPT_FRAMES, ImuStream
 
 PERIOD = 5_000_000
@@ -229,31 +227,6 @@ def test_the_warm_up_is_left_out():
     result = accumulate(t, x, skip=5.0)
     assert result.health.counts.skipped == 1000
     assert_identical(result.sums[0], accumulate(t[1000:], x[1000:]).sums[0])
-
-
-def test_a_warm_up_drift_is_told_and_how_long_it_lasts():
-    n = 3600 * 20
-    t = START + np.arange(n) * 50_000_000
-    x = np.random.default_rng(0).normal(size=(n, 6)) * 1e-3
-    x[:, 3] += 0.02 * np.exp(-np.arange(n) / 20 / 300)
-    (told,) = (f for f in accumulate(t, x).findings if f.id == 'warm_up')
-    assert told.axes == ('accel_x',)
-    seconds = float(told.message.split('first ')[1].split(' s')[0])
-    assert 300 < seconds < 1500
-
-
-def test_slow_noise_is_no_warm_up():
-    """Random walk, flicker and ramp in 50 hours of six axes: chance of one below 3 %."""
-    rng = np.random.default_rng(1)
-    t = START + np.arange(3600) * 10**9
-    for _ in range(50):
-        noise = [
-            NoiseTerms(N=1e-4, K=1e-5),
-            NoiseTerms(N=1e-4, B=1e-4),
-            NoiseTerms(N=1e-4, R=1e-7),
-        ]
-        axes = [simulate_axis(3600, 1.0, terms, rng) for terms in (*noise, *noise)]
-        assert 'warm_up' not in ids(accumulate(t, np.stack(axes, axis=1), motion_gate=False))
 
 
 def test_another_frame_is_another_imu():

@@ -1,0 +1,195 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fit_settled`: fit the settled part of a recording where its early part differs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..allan.settled import settled_sums
+from ..allan.stationarity import EarlyPart, early_parts
+from ..allan.sums import AllanSums
+from ..errors import AllanError
+from ..findings import Finding, finding
+from ..imu import SENSORS, sensor_of, to_datasheet
+from . import TERMS, Coefficient, NoiseModel, fit_noise
+from .findings import about
+
+LEAST_REST = 0.5
+"""The settled part is used if at least this fraction of the samples remains."""
+
+CERTAIN = 8.0
+"""Twice the log likelihood ratio beyond the threshold from which the early part is left out."""
+
+N_SHIFT, LEAST_SHIFT = 0.02, 0.005
+"""Relative changes of N: one that matters in any case, and one below which it never does."""
+
+TESTED_RECORDINGS = 8
+"""How many of the longest recordings are tested."""
+
+NAMED_CHANGES = 3
+"""How many changed coefficients a finding names."""
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A coefficient of all data, and of the settled part."""
+
+    axis: str
+    term: str
+    complete: Coefficient
+    settled: Coefficient
+
+    @property
+    def size(self) -> float:
+        """Magnitude of the logarithm of their ratio, a limit counting as the value."""
+        a, b = (c.value if c.status == 'estimated' else c.upper95 for c in self._both)
+        return abs(math.log(a / b)) if a and b else 0.0
+
+    @property
+    def _both(self) -> tuple[Coefficient, Coefficient]:
+        return self.complete, self.settled
+
+    def text(self, after: str) -> str:
+        """Return both values in datasheet units."""
+        (a, unit), (b, _) = (_text(self.axis, self.term, c) for c in self._both)
+        return f'{self.axis} {self.term} is {a} {unit} in all data, {b} after {after}'
+
+
+def fit_settled(
+    sums: AllanSums, method: str = 'gls', settle: bool = True
+) -> tuple[AllanSums, NoiseModel]:
+    """Return the fit of the sums or, if an early part differs, of the part after it.
+
+    Parameters
+    ----------
+    sums : AllanSums
+    method : str
+        One of `METHODS`; 'paper' always fits all data.
+    settle : bool
+        Whether the early part may be left out; it is reported in any case.
+
+    Returns
+    -------
+    sums : AllanSums
+        Those that were fitted.
+    model : NoiseModel
+        With a finding where an early part differs.
+
+    Raises
+    ------
+    AllanError
+        As `fit_noise`.
+    """
+    complete = fit_noise(sums, method)
+    if method == 'paper' or not sums.tau0:
+        return sums, complete
+    parts = list(_early_parts(sums))
+    if not parts:
+        return sums, complete
+    last = max(parts, key=lambda part: part.age)
+    rest = _rest(sums, last.age)
+    if rest is None:
+        return sums, replace(complete, findings=(_unsettled(sums, last), *complete.findings))
+    settled = fit_noise(rest, method)
+    changes = sorted(_changes(complete, settled), key=lambda change: -change.size)
+    if not changes:
+        return sums, complete
+    early = about((_edge(sums, last.age) or 0) * sums.tau0)
+    certain = settle and max(part.excess for part in parts) >= CERTAIN
+    found = finding(
+        'settled_part' if certain else 'early_part',
+        tuple(dict.fromkeys(change.axis for change in changes)),
+        early=early,
+        what=_what(sums, parts),
+        changes='; '.join(change.text(early) for change in changes[:NAMED_CHANGES]),
+    )
+    if certain:
+        return rest, replace(settled, findings=(found, *settled.findings))
+    return sums, replace(complete, findings=(found, *complete.findings))
+
+
+def _early_parts(sums: AllanSums) -> Iterator[EarlyPart]:
+    names = [sensor_of(axis) for axis in sums.axes]
+    sensors = [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
+    for recording in sums.history.recordings[:TESTED_RECORDINGS]:
+        yield from early_parts(recording, sensors)
+
+
+def _edge(sums: AllanSums, age: int) -> int | None:
+    """Return the first age at or after the given one at which the sums can be divided."""
+    return next((a for a in sums.history.ages if a >= age), None)
+
+
+def _rest(sums: AllanSums, age: int) -> AllanSums | None:
+    """Return the sums from an age on; None if too few samples remain."""
+    edge = _edge(sums, age)
+    if edge is None:
+        return None
+    try:
+        rest = settled_sums(sums, edge)
+    except AllanError:
+        return None
+    return rest if rest.samples >= LEAST_REST * sums.samples else None
+
+
+def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
+    """Return the finding of a warm-up from which not enough is left."""
+    tau0 = sums.tau0 or 0.0
+    duration = part.age * tau0
+    now = max((r.length for r in sums.history.recordings), default=0)
+    remaining = duration - now * tau0
+    axes = tuple(sums.axes[i] for i in part.axes)
+    return finding(
+        'warm_up',
+        axes,
+        what=_what(sums, [part]),
+        when=f'in about {about(remaining)}' if remaining > 0.0 else f'after {about(duration)}',
+        how_long=about(2.0 * duration),
+    )
+
+
+def _what(sums: AllanSums, parts: list[EarlyPart]) -> str:
+    """Return what differs in the early part."""
+    warm_ups = [part for part in parts if part.kind == 'warm_up']
+    if not warm_ups:
+        return 'larger drift'
+    strongest = max(warm_ups, key=lambda part: part.excess)
+    axis = max(strongest.axes, key=lambda i: abs(strongest.amplitudes[i]))
+    name = sums.axes[axis]
+    value, unit = to_datasheet('B', sensor_of(name), float(abs(strongest.amplitudes[axis])))
+    return f'warm-up by up to {value:.3g} {unit}'
+
+
+def _changes(complete: NoiseModel, settled: NoiseModel) -> Iterator[_Change]:
+    """Yield the coefficients that leave their interval, and an N that moves by over 2 %."""
+    for axis, fit in complete.axes.items():
+        for term in TERMS:
+            a, b = fit.noise[term], settled.axes[axis].noise[term]
+            low, high = _range(a)
+            if b.status == 'estimated' and b.value is not None:
+                left = not low <= b.value <= high
+            else:
+                left = b.upper95 is not None and b.upper95 < low
+            if term == 'N' and a.value and b.value is not None:
+                shift = abs(b.value / a.value - 1.0)
+                left = shift > N_SHIFT or (left and shift > LEAST_SHIFT)
+            if left:
+                yield _Change(axis, term, a, b)
+
+
+def _range(c: Coefficient) -> tuple[float, float]:
+    if c.status == 'estimated' and c.ci95 is not None:
+        return c.ci95
+    return 0.0, np.inf if c.upper95 is None else c.upper95
+
+
+def _text(axis: str, term: str, c: Coefficient) -> tuple[str, str]:
+    limit = c.status != 'estimated'
+    size = c.upper95 if limit else c.value
+    value, unit = to_datasheet(term, sensor_of(axis), size or 0.0)
+    return f'{"< " if limit else ""}{value:.3g}', unit

@@ -1,0 +1,102 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stationarity tests: a warm-up is found and left out, noise of any kind is not."""
+
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.stationarity import CellMeans, early_parts, variance_model
+from allan_ros.core.fit.settled import fit_settled
+from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.simulate import simulate_axis
+
+SENSORS = ((0, 1, 2),)
+AXES = ('gyro_x', 'gyro_y', 'gyro_z')
+DEG_H = np.pi / 180 / 3600
+NOISE = NoiseTerms(N=0.242 * np.pi / 180 / 60, B=5.2 * DEG_H)
+SECONDS = 7200
+
+
+def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0):
+    """Return sums at 1 Hz of three axes of noise and an early part."""
+    rng = np.random.default_rng(seed)
+    y = np.stack([simulate_axis(seconds, 1.0, terms, rng) for _ in AXES], axis=1)
+    engine = RunningAllan(axes=AXES)
+    y += np.reshape(early, (-1, 1))
+    engine.update(y, 0, (seconds - 1) * 10**9)
+    engine.end_segment()
+    return engine.sums
+
+
+def parts_of(sums):
+    return early_parts(sums.history.recordings[0], SENSORS)
+
+
+def test_covariance_of_the_means_is_that_of_simulated_noise():
+    """Four sigma of 400 draws of each variance: chance below 1 % for all."""
+    rng = np.random.default_rng(0)
+    begin = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0])
+    end = np.array([1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0])
+    model = variance_model(CellMeans(begin, end, np.zeros((7, 0))))
+    for unit, terms in zip(model.units, (NoiseTerms(N=1.0), NoiseTerms(B=1.0), NoiseTerms(K=1.0))):
+        draws = []
+        for _ in range(400):
+            fine = simulate_axis(20 * 64, 1 / 64, terms, rng).reshape(20, 64).mean(axis=1)
+            means = [fine[int(a) : int(b)].mean() for a, b in zip(begin, end)]
+            draws.append(model.contrasts @ means)
+        measured = np.mean(np.square(draws), axis=0)
+        assert measured == pytest.approx(np.diag(unit), rel=4 * np.sqrt(2 / 400))
+
+
+@pytest.mark.parametrize(
+    'terms', [NOISE, NoiseTerms(N=NOISE.N), NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)]
+)
+def test_stationary_noise_has_no_early_part(terms):
+    """One false alarm in 200 recordings by design: chance of one in 12 below 6 %; seeds fixed."""
+    assert not any(parts_of(sums_of_noise(terms, seed)) for seed in range(4))
+
+
+@pytest.mark.parametrize('decay', [120.0, 300.0])
+def test_a_warm_up_is_found_and_how_long_it_lasts(decay):
+    t = np.arange(SECONDS)
+    sums = sums_of_noise(NOISE, 1, early=100 * DEG_H * np.exp(-t / decay))
+    parts = parts_of(sums)
+    assert parts[0].kind == 'warm_up' and parts[0].decay == pytest.approx(decay, rel=0.6)
+    assert parts[0].amplitudes[0] == pytest.approx(100 * DEG_H, rel=0.5)
+    assert decay < parts[-1].age < 8 * decay
+
+
+def test_larger_early_drift_is_found():
+    walk = np.cumsum(np.random.default_rng(2).normal(size=900)) * 1.0 * DEG_H * 3
+    early = np.concatenate([walk, np.full(SECONDS - 900, walk[-1])])
+    assert parts_of(sums_of_noise(NOISE, 3, early=early))
+
+
+def test_the_settled_part_is_fitted_and_both_values_are_stated():
+    t = np.arange(SECONDS)
+    sums = sums_of_noise(NOISE, 4, early=300 * DEG_H * np.exp(-t / 200))
+    used, model = fit_settled(sums)
+    assert 0.5 * sums.samples <= used.samples < sums.samples
+    (found,) = (f for f in model.findings if f.id == 'settled_part')
+    assert 'in all data' in found.message and 'warm-up' in found.message
+    assert model.axes['gyro_x'].noise['K'].status == 'not_observable'
+    everything, _ = fit_settled(sums, settle=False)
+    assert everything is sums
+
+
+def test_a_warm_up_that_lasts_is_reported_as_such():
+    t = np.arange(SECONDS)
+    sums = sums_of_noise(NOISE, 5, early=1000 * DEG_H * np.exp(-t / 1500))
+    used, model = fit_settled(sums)
+    assert used is sums
+    assert any(f.id == 'warm_up' for f in model.findings)
+
+
+def test_constant_and_short_recordings_are_not_tested():
+    engine = RunningAllan(axes=AXES)
+    engine.update(np.ones((5000, 3)), 0, 4999 * 10**9)
+    assert parts_of(engine.sums) == ()
+    engine = RunningAllan(axes=AXES)
+    engine.update(np.random.default_rng(0).normal(size=(20, 3)), 0, 19 * 10**9)
+    assert parts_of(engine.sums) == ()
