@@ -18,7 +18,7 @@ from .sums import sums_of
 NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 """What no text of ours says."""
 
-SIGNED = {'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'}
+SIGNED = {'reference', 'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'}
 """Fields whose numbers may be below zero."""
 
 

@@ -369,7 +369,7 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
     return tuple(found)
 
 
-THRESHOLDS = {'warm_up': (19.0, 23.0, 28.0), 'early_drift': (15.0, 17.0, 20.0)}
+THRESHOLDS = {'warm_up': (17.5, 22.0, 26.0), 'early_drift': (16.5, 18.0, 20.0)}
 """Twice the log likelihood ratio that is significant: of one axis, one sensor, and all axes."""
 
 
