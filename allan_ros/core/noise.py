@@ -102,8 +102,10 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
 
 
 def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
-    """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
+    """Return the Allan variance of sampled first-order Gauss-Markov noise of unit variance.
 
+    (4 D(m) - D(2m)) / (2 m^2) with D(n) the variance of the sum of n samples
+    (`gauss_markov_sums`). For many samples per correlation time it becomes
     (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
     (exponentially correlated noise).
 
@@ -121,7 +123,26 @@ def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
     x = np.asarray(m, float) / correlation
     # 2x - 3 + 4 exp(-x) - exp(-2x) without the loss of digits at small x
     growth = 2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)
-    return np.asarray(growth / x**2)
+    slope, step = gauss_markov_sums(correlation)
+    excess = slope / (2.0 * correlation) - step / (2.0 * correlation**2)
+    return np.asarray((step / (2.0 * correlation**2) * growth + 2.0 * excess * x) / x**2)
+
+
+def gauss_markov_sums(correlation: float) -> tuple[float, float]:
+    """Return A and B of D(n) = A n - B (1 - exp(-n/T)), the variance of the sum of n samples.
+
+    Of a sampled first-order Gauss-Markov process of unit variance, whose autocovariance is
+    exp(-k/T) at lag k: A = coth(1/(2T)) and B = 1 / (2 sinh(1/(2T))^2).
+
+    Parameters
+    ----------
+    correlation : float
+        Correlation time T in samples.
+    """
+    half = 0.5 / correlation
+    if half < 1e-4:  # 1/half + half/3 and so on: the difference of both is of the size of half
+        return 1.0 / half + half / 3.0, 0.5 / half**2 - 1.0 / 6.0
+    return 1.0 / math.tanh(half), 0.5 / math.sinh(half) ** 2
 
 
 def sinusoid_avar(m: ArrayLike, frequency: float) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from ..findings import Finding, finding
 from ..imu import SI_UNITS, sensor_of, to_datasheet
 from .intervals import Z_DETECT, RampInterval, Score
 from .model import TERMS, AxisFit, Floats
-from .select import SelectedOptions
+from .select import Selection
 from .solve import K, N
 from .table import PooledTable
 
@@ -207,54 +207,54 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(out.values())
 
 
-def explain_nothing(evidence: PooledTable, axis: int, constant: bool) -> list[Finding]:
+def explain_nothing(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
     """Return why an axis has no numbers."""
-    name = (evidence.sums.axes[axis],)
-    longest = max((s.samples for s in evidence.segments), default=0)
-    if constant and len(evidence.m):
+    name = (pooled.sums.axes[axis],)
+    longest = max((s.samples for s in pooled.segments), default=0)
+    if constant and len(pooled.m):
         return [finding('no_noise', name)]
     return [finding('record_too_short', name, samples=longest)]
 
 
 def explain(
-    evidence: PooledTable,
+    pooled: PooledTable,
     axis: int,
-    chosen: SelectedOptions,
+    selected: Selection,
     fit: AxisFit,
     ramp: RampInterval | None,
     tau0: float,
 ) -> list[Finding]:
     """Return what there is to know of the fit of one axis."""
-    name = (evidence.sums.axes[axis],)
+    name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']
-    found = [*_shape_findings(name, unit, chosen, fit, tau0)]
-    phase = evidence.segments[0].phase[:, axis]
-    white = float(chosen.fit.power[N])
+    found = [*_shape_findings(name, unit, selected, fit, tau0)]
+    phase = pooled.segments[0].phase[:, axis]
+    white = float(selected.fit.power[N])
     step = lattice_step(phase, math.sqrt(max(white, 0.0)))
     if step is not None and step * step / 12.0 > ROUNDING_SHARE * white:
         share = step * step / 12.0 / white
         found.append(finding('rounding', name, step=step, unit=unit, share=min(share, 1.0)))
     if ramp is not None and not ramp.shared:
         found.append(finding('ramps_differ', name))
-    return [*found, *_time_findings(evidence, axis, chosen, fit, tau0)]
+    return [*found, *_time_findings(pooled, axis, selected, fit, tau0)]
 
 
 def _shape_findings(
-    name: tuple[str], unit: str, chosen: SelectedOptions, fit: AxisFit, tau0: float
+    name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
     """Return what of the curve is not the five terms."""
     found = []
     if fit.m_min > 1:
         hint = ''
-        if chosen.hint is not None:
+        if selected.hint is not None:
             # A slow filter bends the shortest averages as a line does: then it may be either.
-            either = ', or a low-pass filter' if chosen.filtered else ''
-            hint = f' (vibration at {chosen.hint.extra.shape / tau0:.3g} Hz{either})'
-        elif chosen.filtered:
+            either = ', or a low-pass filter' if selected.filtered else ''
+            hint = f' (vibration at {selected.hint / tau0:.3g} Hz{either})'
+        elif selected.filtered:
             hint = ' (a low-pass filter)'
         found.append(finding('short_averages', name, tau=fit.m_min * tau0, hint=hint))
-    elif chosen.filtered:
-        found.append(finding('low_pass', name, deviations=-chosen.z_quantization))
+    elif selected.filtered:
+        found.append(finding('low_pass', name, deviations=-selected.z_quantization))
     if fit.sinusoid is not None:
         line = fit.sinusoid
         found.append(
@@ -268,17 +268,17 @@ def _shape_findings(
         found.append(finding('gauss_markov', name, sigma=drift.sigma, unit=unit, time=time))
     if fit.misfit > 0.0:
         found.append(finding('misfit', name, misfit=fit.misfit))
-    if chosen.levels_off:
+    if selected.levels_off:
         found.append(finding('levels_off', name))
     return found
 
 
 def _time_findings(
-    evidence: PooledTable, axis: int, chosen: SelectedOptions, fit: AxisFit, tau0: float
+    pooled: PooledTable, axis: int, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
     """Return what a longer record would show."""
-    name = evidence.sums.axes[axis]
-    seconds = evidence.segments[0].samples * tau0
+    name = pooled.sums.axes[axis]
+    seconds = pooled.segments[0].samples * tau0
     times = record_times(fit, tau0, seconds)
     unseen = {
         term: time.observable
@@ -289,10 +289,10 @@ def _time_findings(
     }
     found = []
     if {'K', 'R'} <= {t for t, c in fit.noise.items() if c.status == 'not_observable'}:
-        held = chosen.fit.frame.table(
-            evidence, axis, chosen.fit.power, np.zeros(len(evidence.segments))
+        held = selected.fit.options.table(
+            pooled, axis, selected.fit.power, np.zeros(len(pooled.segments))
         )
-        if Score(held, K, chosen.fit.power, chosen.fit.frame.misfit)(0.0) > Z_DETECT:
+        if Score(held, K, selected.fit.power, selected.fit.options.misfit)(0.0) > Z_DETECT:
             ends = [unseen[t] for t in 'KR' if t in unseen]
             how_long = f'about {about(min(ends))}' if ends else 'several times as long'
             found.append(finding('drift_not_separable', (name,), how_long=how_long))

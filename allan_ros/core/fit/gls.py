@@ -11,7 +11,14 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding
 from .findings import explain, explain_nothing, joined
-from .intervals import CoefficientInterval, RampInterval, coefficient_interval, ramp_interval
+from .goodness import largest_deviation
+from .intervals import (
+    CoefficientInterval,
+    RampInterval,
+    coefficient_interval,
+    ramp_interval,
+    shape_intervals,
+)
 from .model import (
     RANDOM_TERMS,
     TERMS,
@@ -24,9 +31,10 @@ from .model import (
     Sinusoid,
     coefficient_to_si,
 )
-from .select import Candidate, SelectedOptions, select_options
-from .solve import K, Misfit, N, Q, solve
-from .table import GaussMarkovTerm, PooledTable, Table
+from .processes import GaussMarkovTerm
+from .select import select_model
+from .solve import K, Misfit, N, PointFit, Q, solve
+from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
 """With no more averaging factors than terms a table says nothing of the terms."""
@@ -40,45 +48,57 @@ def fit_gls(sums: AllanSums) -> NoiseModel:
 
     Never fails for want of data: a term of which the sums say nothing has neither value nor limit.
     """
-    evidence = PooledTable(sums)
+    pooled = PooledTable(sums)
     tau0 = sums.tau0 or 1.0
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
     for a, name in enumerate(sums.axes):
-        fit, found = _fit_axis(evidence, a, tau0)
+        fit, found = _fit_axis(pooled, a, tau0)
         axes[name] = fit
         findings += found
     return NoiseModel('gls', tau0, axes, joined(findings))
 
 
-def _fit_axis(evidence: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
-    """Return the fit of one axis, and what to know of it."""
-    constant = evidence.is_noiseless(axis)
-    if constant or len(evidence.m) <= LEAST_FACTORS:
-        return _nothing(), explain_nothing(evidence, axis, constant)
-    chosen = select_options(evidence, axis)
-    table, power, frame = chosen.fit.table, chosen.fit.power, chosen.fit.frame
-    if len(table.m) <= LEAST_FACTORS:
-        return _nothing(), explain_nothing(evidence, axis, constant)
-    intervals = [coefficient_interval(table, t, power, frame.misfit) for t in range(len(power))]
-    values = _consistent(table, power, intervals, frame.misfit)
+def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
+    """Return the fit of one axis and its findings."""
+    constant = pooled.is_noiseless(axis)
+    if constant or len(pooled.m) <= LEAST_FACTORS:
+        return _nothing(), explain_nothing(pooled, axis, constant)
+    selected = select_model(pooled, axis)
+    power, options = selected.fit.power, selected.fit.options
+    if len(selected.fit.table.m) <= LEAST_FACTORS:
+        return _nothing(), explain_nothing(pooled, axis, constant)
+    # With the tangents, uncertain correlation times and frequencies widen all intervals.
+    table = options.table(pooled, axis, power, tangents=True)
+    power = np.concatenate([power, np.zeros(table.terms.shape[1] - len(power))])
+    sizes = range(table.noises + table.lines)
+    intervals = [coefficient_interval(table, t, power, options.misfit) for t in sizes]
+    values = _consistent(table, power, intervals, options.misfit)
     noise = {
         name: _coefficient(name, float(values[t]), intervals[t], tau0)
         for t, name in enumerate(RANDOM_TERMS)
     }
-    if chosen.filtered or frame.m_min > 1:
+    if selected.filtered or options.m_min > 1:
         noise['Q'] = _unseen(None, np.inf)
     elif noise['Q'].status == 'not_observable':
         # A q that cannot be told from 0 nearly doubles the error of N; its interval keeps q.
-        others = tuple(t for t in range(len(power)) if t != Q)
-        alone = solve(table, power, columns=others, misfit=frame.misfit)
-        value = _consistent(table, alone, intervals, frame.misfit)[N]
+        others = tuple(t for t in sizes if t != Q)
+        alone = solve(
+            selected.fit.table, power[: len(sizes)], columns=others, misfit=options.misfit
+        )
+        value = _consistent(selected.fit.table, alone, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
-    ramp = ramp_interval(evidence, axis, chosen.fit, intervals[K].upper)
+    ramp = ramp_interval(pooled, axis, selected.fit, intervals[K].upper)
     noise['R'] = _ramp(ramp, tau0)
-    processes = _processes(chosen, intervals[len(RANDOM_TERMS) :], tau0)
-    fit = AxisFit(noise, frame.misfit.size, frame.m_min, chosen.first.z, processes)
-    return fit, explain(evidence, axis, chosen, fit, ramp, tau0)
+    fit = AxisFit(
+        noise,
+        options.misfit.size,
+        options.m_min,
+        selected.first.z,
+        _processes(selected.fit, table, intervals, tau0),
+        largest_deviation(selected.fit, tau0),
+    )
+    return fit, explain(pooled, axis, selected, fit, ramp, tau0)
 
 
 def _consistent(
@@ -136,33 +156,24 @@ def _nothing() -> AxisFit:
     return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
 
 
-def _size_ends(term: Candidate, power: float, interval: CoefficientInterval) -> tuple[float, float]:
-    """Return the interval of the size of an extra term: at its shape, and over its shapes.
-
-    The two are independent, so their half-widths add as squares.
-    """
-    low = math.hypot(power - min(interval.low, power), power * (1.0 - term.power_low))
-    high = math.hypot(max(interval.high, power) - power, power * (term.power_high - 1.0))
-    return math.sqrt(max(power - low, 0.0)), math.sqrt(power + high)
-
-
 def _processes(
-    chosen: SelectedOptions, intervals: list[CoefficientInterval], tau0: float
+    fit: PointFit, table: Table, intervals: list[CoefficientInterval], tau0: float
 ) -> Processes:
-    """Return the extra terms in SI units."""
+    """Return the Gauss-Markov processes and sinusoids in SI units."""
     gauss_markov: list[GaussMarkov] = []
     sinusoid: list[Sinusoid] = []
-    powers = chosen.fit.power[len(RANDOM_TERMS) :]
-    for term, interval, power in zip(chosen.terms, intervals, powers):
-        size = math.sqrt(max(float(power), 0.0))
-        ends = _size_ends(term, float(power), interval)
-        shape, low, high = term.extra.shape, term.low, term.high
-        if isinstance(term.extra, GaussMarkovTerm):
-            drift = GaussMarkov(size, ends, shape * tau0, (low * tau0, high * tau0))
-            gauss_markov.append(drift)
+    four = len(RANDOM_TERMS)
+    reach = shape_intervals(fit, table)
+    for k, extra in enumerate(fit.options.extras):
+        power, interval = max(float(fit.power[four + k]), 0.0), intervals[four + k]
+        if power == 0.0:
+            continue
+        size = math.sqrt(power)
+        ends = (math.sqrt(min(interval.low, power)), math.sqrt(max(interval.high, power)))
+        low, high = extra.shape / reach[k], extra.shape * reach[k]
+        if isinstance(extra, GaussMarkovTerm):
+            times = (low * tau0, high * tau0)
+            gauss_markov.append(GaussMarkov(size, ends, extra.shape * tau0, times))
         else:
-            sinusoid.append(Sinusoid(size, ends, shape / tau0, (low / tau0, high / tau0)))
-    return Processes(
-        tuple(sorted(gauss_markov, key=lambda p: p.correlation_time)),
-        tuple(sorted(sinusoid, key=lambda p: p.frequency)),
-    )
+            sinusoid.append(Sinusoid(size, ends, extra.shape / tau0, (low / tau0, high / tau0)))
+    return Processes(tuple(gauss_markov), tuple(sinusoid))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import gammainc, ndtri
 
 from .intervals import coefficient_interval
-from .model import Floats
-from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
+from .model import RANDOM_TERMS, Deviation, Floats
+from .solve import JITTER, NO_MISFIT, K, Misfit, PointFit, Whitening, solve, weights_at
 from .table import Table
 
 Z_FAIL = 3.0
@@ -69,23 +69,32 @@ class Goodness:
 
 
 def goodness(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return how far the table is from the terms that are active, best fitted.
+    """Return how far the table is from the active terms at their best fit.
 
-    nu = sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix, less the
-    active terms: the jitter takes the weight off directions that hold no information.
+    The degrees of freedom are those of the covariance, less the active terms and the shapes of the
+    processes.
     """
     covariance = weights_at(table, power, misfit)
-    whitening = Whitening.of(covariance)
     active = np.flatnonzero(power != 0.0)
-    white = whitening.apply(np.column_stack([table.terms[:, active], table.avar]))
+    white = Whitening.of(covariance).apply(np.column_stack([table.terms[:, active], table.avar]))
     design = white[:, :-1] / np.linalg.norm(white[:, :-1], axis=0)
     basis = np.linalg.qr(design)[0]
     rest = white[:, -1] - basis @ (basis.T @ white[:, -1])
-    deviation = whitening.deviation
-    correlation = covariance / np.outer(deviation, deviation)
-    eigenvalues = np.maximum(np.linalg.eigvalsh(correlation), 0.0)
-    freedom = float(np.sum(eigenvalues / (eigenvalues + JITTER))) - len(active)
+    shapes = np.count_nonzero(active >= len(RANDOM_TERMS))
+    freedom = degrees_of_freedom(covariance) - len(active) - shapes
     return Goodness(float(rest @ rest), max(freedom, 1.0))
+
+
+def degrees_of_freedom(covariance: Floats) -> float:
+    """Return how many independent numbers a table of this covariance holds.
+
+    sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix: the jitter takes
+    the weight off directions that hold no information.
+    """
+    deviation = np.sqrt(np.diag(covariance))
+    eigenvalues = np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))
+    eigenvalues = np.maximum(eigenvalues, 0.0)
+    return float(np.sum(eigenvalues / (eigenvalues + JITTER)))
 
 
 def long_tau_deficit(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
@@ -169,3 +178,23 @@ def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misf
         eps = float(np.clip(eps * np.sqrt(ratio), low + MARGIN * (high - low), MISFIT_LIMIT))
         eps = min(eps, high - MARGIN * (high - low))
     return Misfit(eps, m_min)
+
+
+def largest_deviation(fit: PointFit, tau0: float) -> Deviation | None:
+    """Return where the measured Allan deviation departs most from the model, beyond its scatter.
+
+    Returns
+    -------
+    Deviation or None
+        None where no averaging time departs by more than two standard deviations.
+    """
+    table = fit.table
+    model = table.terms @ fit.power
+    covariance = weights_at(table, fit.power, NO_MISFIT)
+    ratio = np.sqrt(np.maximum(table.avar, 0.0) / np.maximum(model, np.finfo(float).tiny))
+    scatter = np.sqrt(np.diag(covariance)) / np.maximum(model, np.finfo(float).tiny)  # 2 sigma
+    beyond = np.abs(ratio - 1.0) - scatter
+    at = int(np.argmax(beyond))
+    if beyond[at] <= 0.0:
+        return None
+    return Deviation(float(ratio[at]) - 1.0, float(table.m[at]) * tau0)

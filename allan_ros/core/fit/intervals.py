@@ -192,6 +192,40 @@ def cross(
     return b
 
 
+WIDEST_SHAPE = 100.0
+"""Ratio of a correlation time or frequency to the ends of its interval at most."""
+
+
+def shape_intervals(fit: PointFit, table: Table) -> Floats:
+    """Return the ratio of each shape to the ends of its 95 % interval, (processes,).
+
+    From the linear fit in which the derivatives of the columns by the logarithms of their shapes
+    are free: the interval is symmetric in the logarithm.
+
+    Parameters
+    ----------
+    fit : PointFit
+    table : Table
+        Of the fit, with tangents.
+    """
+    processes = len(fit.options.extras)
+    if not processes:
+        return np.ones(0)
+    first = table.terms.shape[1] - processes
+    power = np.concatenate([fit.power, np.zeros(processes)])
+    active = np.flatnonzero((power != 0.0) | (np.arange(len(power)) >= first))
+    whitening = Whitening.of(weights_at(table, power, fit.options.misfit))
+    design = whitening.apply(table.terms[:, active])
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0.0] = 1.0
+    unit = design / size
+    inverse = np.linalg.inv(unit.T @ unit + RIDGE * np.eye(len(size)))
+    deviation = (np.sqrt(np.diag(inverse)) / size)[-processes:]
+    sizes = np.maximum(fit.power[-processes:], np.finfo(float).tiny)
+    reach = Z_TWO_SIDED * np.minimum(deviation / sizes, 1e3)
+    return np.asarray(np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))))
+
+
 Z_DETECT_RAMP = 2.58
 """Normal quantile of 99.5 %: R has a sign, so both tails count for 1 % false alarms."""
 
@@ -215,48 +249,48 @@ class RampInterval:
 
 
 def ramp_interval(
-    evidence: PooledTable, axis: int, fit: PointFit, walk: float
+    pooled: PooledTable, axis: int, fit: PointFit, walk: float
 ) -> RampInterval | None:
     """Return the ramp of one axis, or None where no segment can show one.
 
     Parameters
     ----------
-    evidence : PooledTable
+    pooled : PooledTable
     axis : int
     fit : PointFit
     walk : float
         The upper limit of k.
     """
     variance = fit.ramp_variance
-    chosen = np.flatnonzero(variance > 0.0)
-    if not len(chosen):
+    counted = np.flatnonzero(variance > 0.0)
+    if not len(counted):
         return None
-    ramps = fit.table.ramps[chosen]
-    value, deviation = _mean(ramps, variance[chosen])
-    spread = float(np.sum((ramps - value) ** 2 / variance[chosen]))
-    shared = len(chosen) == 1 or bool(chdtrc(len(chosen) - 1, spread) > AGREE)
+    ramps = fit.table.ramps[counted]
+    value, deviation = _mean(ramps, variance[counted])
+    spread = float(np.sum((ramps - value) ** 2 / variance[counted]))
+    shared = len(counted) == 1 or bool(chdtrc(len(counted) - 1, spread) > AGREE)
     if not shared:
-        chosen, ramps = chosen[:1], ramps[:1]
-        value, deviation = _mean(ramps, variance[chosen])
+        counted, ramps = counted[:1], ramps[:1]
+        value, deviation = _mean(ramps, variance[counted])
 
     ignored = np.zeros(len(variance))
-    ignored[chosen] = np.nan
+    ignored[counted] = np.nan
 
     def z(c: float) -> float:
         known = np.full(len(variance), np.nan)
-        known[chosen] = c
-        less = fit.frame.table(evidence, axis, fit.power, known)
-        held = solve(less, fit.power, signed=fit.frame.signed, misfit=fit.frame.misfit)
-        noise = fit.frame.noise(with_floor(less, held))
-        free, effects = evidence.ramps(axis, noise, ignored)
-        r, sd = _mean(free[chosen], (variances(effects) @ noise)[chosen])
+        known[counted] = c
+        less = fit.options.table(pooled, axis, fit.power, known)
+        held = solve(less, fit.power, signed=fit.options.signed, misfit=fit.options.misfit)
+        noise = fit.options.noise(with_floor(less, held))
+        free, effects = pooled.ramps(axis, noise, ignored)
+        r, sd = _mean(free[counted], (variances(effects) @ noise)[counted])
         return (r - c) / sd
 
     bound = np.inf
     if np.isfinite(walk):
         most = fit.power.copy()
         most[K] = max(walk, most[K])
-        bound = _mean(ramps, replace(fit, power=most).ramp_variance[chosen])[1]
+        bound = _mean(ramps, replace(fit, power=most).ramp_variance[counted])[1]
     reach = Z_TWO_SIDED * bound
     low = cross(z, Z_TWO_SIDED, value, value - 2.0 * deviation, value - reach)
     high = cross(z, -Z_TWO_SIDED, value, value + 2.0 * deviation, value + reach)

@@ -11,7 +11,7 @@ leaves both moments exact (module `ramp`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,9 +26,9 @@ from ..allan.sums import (
     counts,
     ols_ramp_weights,
 )
-from ..noise import gauss_markov_avar, sinusoid_avar
 from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, pair_sums
 from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
+from .process_covariance import process_pairs, process_squares
 from .ramp import RampEffect, RampGeometry, ramp_geometry, ramp_shift
 
 Ints = NDArray[np.int64]
@@ -41,6 +41,10 @@ ROUNDING = 1e-12
 EMPTY_ROW = 1e-6
 """A factor whose differences keep less than this part of their variance without the ramp is left
 out: a record of two differences is mostly its own ramp."""
+
+
+KEPT_PROCESS_SQUARES = 4
+"""Sets of correlation times whose covariance is kept while an axis is fitted."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,15 @@ class Table:
         The ramp taken out of each kept segment, per sample; 0 where none could be estimated.
     ramp_variance : (segments, 4) float64 array
         Its variance per unit power.
-    exponents : tuple of float
-        For each added term, the power of its relative share that the covariance grows with.
+    ramp_squares : (10, pairs) float64 array
+        The part of ``squares`` that removing the ramps has added.
+    noises : int
+        Columns that scatter: the four terms and Gauss-Markov processes. ``squares`` has their
+        products.
+    line_scatter : (lines, noises) float64 array
+        For each sinusoid, whose columns follow, the variance of its squared amplitude over the
+        squared amplitude, per unit power of each noise. Further columns only shift the
+        expectation.
     """
 
     m: Ints
@@ -72,18 +83,27 @@ class Table:
     squares: Floats
     ramps: Floats
     ramp_variance: Floats
-    exponents: tuple[float, ...] = ()
+    ramp_squares: Floats
+    noises: int = len(RANDOM_TERMS)
+    line_scatter: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
+
+    @property
+    def lines(self) -> int:
+        """How many sinusoids there are."""
+        return len(self.line_scatter)
 
     def covariance(self, power: Floats) -> Floats:
-        """Return the covariance of ``avar`` under the powers, (factors, factors)."""
+        """Return the covariance of ``avar`` under the powers, (factors, factors).
+
+        A sinusoid multiplies with the noise at its frequency, which changes its amplitude alone.
+        """
         p = np.maximum(power, 0.0)
-        packed = np.array([p[a] * p[b] for a, b in TERM_PAIRS]) @ self.squares
+        pairs = (*TERM_PAIRS, *process_pairs(self.noises - len(RANDOM_TERMS)))
+        packed = np.array([p[a] * p[b] for a, b in pairs]) @ self.squares
         covariance = packed[_packing(len(self.m))]
-        shares = self.terms * p
-        noise = shares[:, : len(RANDOM_TERMS)].sum(axis=1)
-        for exponent, share in zip(self.exponents, shares.T[len(RANDOM_TERMS) :]):
-            growth = (1.0 + share / noise) ** (exponent / 2.0)
-            covariance *= np.outer(growth, growth)
+        for k, scatter in enumerate(self.line_scatter, start=self.noises):
+            column = self.terms[:, k]
+            covariance += p[k] * (scatter @ p[: self.noises]) * np.outer(column, column)
         return covariance
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
@@ -96,6 +116,7 @@ class Table:
             avar=self.avar[keep],
             terms=self.terms[keep],
             squares=self.squares[:, keep[i] & keep[j]],
+            ramp_squares=self.ramp_squares[:, keep[i] & keep[j]],
         )
 
 
@@ -139,15 +160,15 @@ class _Part:
         """Add its pair sums to the pooled ones, (10, pairs), its ramps left in."""
         squares[:, self.at] += self.number * self.pairs.squares
 
-    def take_out(self, effect: RampEffect, terms: Floats, squares: Floats) -> None:
-        """Change the pooled expectation, (factors, 4), and pair sums to those less its ramps."""
+    def add_ramp(self, effect: RampEffect, terms: Floats, ramp_squares: Floats) -> None:
+        """Add what removing its ramps does to the expectation, (factors, 4), and pair sums."""
         m = self.pairs.m
         shift = ramp_shift(m, effect)
         terms[: len(m)] += (self.number * self.pairs.count)[:, None] * shift
-        self.take_out_of_squares(effect, squares)
+        self.add_ramp_squares(effect, ramp_squares)
 
-    def take_out_of_squares(self, effect: RampEffect, squares: Floats) -> None:
-        """Change the pooled pair sums, (10, pairs), to those less its ramps."""
+    def add_ramp_squares(self, effect: RampEffect, ramp_squares: Floats) -> None:
+        """Add what removing its ramps does to the pooled pair sums, (10, pairs)."""
         m = self.pairs.m.astype(float)
         # d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is
         # the same for all starts when r is the best estimate, and near it for any good one.
@@ -159,11 +180,11 @@ class _Part:
         for n, (a, b) in enumerate(TERM_PAIRS):
             twice = 2.0 if a == b else 4.0
             change = pairs * less[a] * less[b] - less[a] * single[b] - less[b] * single[a]
-            squares[n, self.at] += self.number * twice * change
+            ramp_squares[n, self.at] += self.number * twice * change
 
 
 class PooledTable:
-    """All that the sums say, ready to be fitted axis by axis."""
+    """The sums of all segments and the covariances of their record lengths, for all axes."""
 
     def __init__(self, sums: AllanSums) -> None:
         self.sums = sums
@@ -173,6 +194,8 @@ class PooledTable:
         self._kept = [_Part.of(s.samples, 1, factors, s.phase_step) for s in sums.segments]
         self._pooled_sums = sums.sum_sq.copy()
         self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
+        self._pooled_ramp_squares = np.zeros_like(self._pooled_squares)
+        self._process_squares: dict[tuple[float, ...], Floats] = {}
         pooled = sums.count.copy()
         for part in self._kept:
             part.add(self._pooled_squares)
@@ -186,7 +209,7 @@ class PooledTable:
         effect = fixed_effect(part.pairs.samples)
         part.add(self._pooled_squares)
         if effect is not None:
-            part.take_out_of_squares(effect, self._pooled_squares)
+            part.add_ramp_squares(effect, self._pooled_ramp_squares)
         self._pooled_sums[: len(pool.ramp_correction)] += pool.ramp_correction
 
     @property
@@ -237,28 +260,59 @@ class PooledTable:
             Known ramps per sample, NaN where the ramp is to be estimated.
         """
         sum_sq = self._pooled_sums[:, axis].copy()
-        terms, squares = self._pooled_terms.copy(), self._pooled_squares.copy()
+        terms, ramp_squares = self._pooled_terms.copy(), self._pooled_ramp_squares.copy()
         known = np.full(len(self._kept), np.nan) if ramps is None else ramps
         found, effects = self.ramps(axis, power, known)
         for part, record, r, effect in zip(self._kept, self.segments, found, effects):
             if effect is not None:
-                part.take_out(effect, terms, squares)
+                part.add_ramp(effect, terms, ramp_squares)
             m2 = part.pairs.m.astype(float) ** 2
             sum_sq[: len(m2)] += (
                 -2.0 * r * m2 * record.signed[:, axis] + part.pairs.count * (m2 * r) ** 2
             )
-        count = self.sums.count.astype(float)
-        i, j = np.triu_indices(len(count))
+        count, number = self.sums.count.astype(float), self._pair_counts
         table = Table(
             self.m,
             self.sums.count,
             allan_variance(sum_sq[:, None], self.m, self.sums.count)[:, 0],
             self.terms + terms / count[:, None],
-            squares / (count[i] * count[j]),
+            (self._pooled_squares + ramp_squares) / number,
             found,
             variances(effects),
+            ramp_squares / number,
         )
         return table.rows(_informative(table, self.terms, power))
+
+    @property
+    def _pair_counts(self) -> Floats:
+        """Products of the numbers of differences at the pairs of factors i <= j."""
+        count = self.sums.count.astype(float)
+        i, j = np.triu_indices(len(count))
+        return np.asarray(count[i] * count[j])
+
+    def process_squares(self, times: tuple[float, ...], keep: NDArray[np.bool_]) -> Floats:
+        """Return the covariance of some factors for products with Gauss-Markov processes.
+
+        Parameters
+        ----------
+        times : tuple of float
+            Correlation times in samples. The sums for the last few are kept.
+        keep : (factors,) bool array
+            Which factors of the grid.
+
+        Returns
+        -------
+        (products, pairs) float64 array
+            For the `process_pairs`, the ramps left in.
+        """
+        if times not in self._process_squares:
+            while len(self._process_squares) >= KEPT_PROCESS_SQUARES:
+                del self._process_squares[next(iter(self._process_squares))]
+            lengths = [(float(n), count) for n, count in self.sums.length_histogram]
+            squares = process_squares(self.m, self.sums.stride, lengths, times)
+            self._process_squares[times] = squares / self._pair_counts
+        i, j = np.triu_indices(len(self.m))
+        return self._process_squares[times][:, keep[i] & keep[j]]
 
 
 def clear_cache() -> None:
@@ -343,69 +397,3 @@ def _shift(samples: int) -> Floats:
     if effect is None:
         return np.zeros((len(m), len(RANDOM_TERMS)))
     return ramp_shift(m, effect)
-
-
-N = RANDOM_TERMS.index('N')
-
-
-LINE_PEAK = 0.371
-"""f m where sin^4(pi f m)/(pi f m)^2 is largest."""
-
-
-@dataclass(frozen=True)
-class GaussMarkovTerm:
-    """First-order Gauss-Markov noise; its shape is the correlation time in samples."""
-
-    shape: float
-
-    exponent = 2.0
-    """It scatters like the noise it joins: the covariance grows as V^2."""
-
-    @property
-    def scale(self) -> float:
-        """Averaging factor at which it stands out."""
-        return self.shape
-
-    def column(self, table: Table) -> Floats:
-        """Return its Allan variance at unit power, (factors,).
-
-        What removing the ramps took from it is what they took from its white noise.
-        """
-        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
-        return gauss_markov_avar(table.m, self.shape) - self.white() * taken
-
-    def white(self) -> float:
-        """Return the w of white noise that it looks like over long times, at unit power."""
-        return 2.0 * self.shape
-
-
-@dataclass(frozen=True)
-class SinusoidTerm:
-    """A line in the spectrum; its shape is the frequency in cycles per sample."""
-
-    shape: float
-
-    exponent = 1.0
-    """It does not scatter, but multiplies with the noise: the covariance grows as V."""
-
-    @property
-    def scale(self) -> float:
-        """Averaging factor at which it stands out."""
-        return LINE_PEAK / self.shape
-
-    def column(self, table: Table) -> Floats:
-        """Return its Allan variance at unit power, (factors,)."""
-        return sinusoid_avar(table.m, self.shape)
-
-    def white(self) -> float:
-        """Return the w of white noise that it looks like over long times: none."""
-        return 0.0
-
-
-Extra = GaussMarkovTerm | SinusoidTerm
-
-
-def with_extras(table: Table, extras: tuple[Extra, ...]) -> Table:
-    """Return the table with a column for each extra term."""
-    columns = np.column_stack([table.terms, *(e.column(table) for e in extras)])
-    return replace(table, terms=columns, exponents=tuple(e.exponent for e in extras))

@@ -91,14 +91,43 @@ def test_gauss_markov_noise_is_found_with_its_time(noise):
     assert low < 0.1 * WHITE < high
 
 
-def test_what_cannot_be_named_is_a_misfit(noise):
-    """Three lines where one can be told: the intervals are widened until they allow for two."""
+def test_three_lines_are_found(noise):
     t = np.arange(SAMPLES) / RATE
-    lines = sum(0.1 * WHITE * np.sin(2.0 * np.pi * f * t + f) for f in (0.05, 0.7, 9.0))
-    axis, findings = fit_of(noise + lines)
+    hertz = (0.05, 0.7, 9.0)
+    axis, _ = fit_of(noise + sum(0.1 * WHITE * np.sin(2.0 * np.pi * f * t + f) for f in hertz))
+    found = [line.frequency for line in axis.processes.sinusoid]
+    assert found == pytest.approx(hertz, rel=0.1)
+    assert axis.misfit == 0.0
+    assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
+
+
+def test_what_cannot_be_named_is_a_misfit(noise):
+    """A sinusoid of changing frequency: a broad hump, which no process describes."""
+    t = np.arange(SAMPLES) / RATE
+    phase = 2.0 * np.pi * np.cumsum(0.5 + 0.4 * np.sin(2.0 * np.pi * t / 50.0)) / RATE
+    axis, findings = fit_of(noise + 0.3 * WHITE * np.sin(phase))
     assert axis.misfit > 0.0
     assert 'misfit' in findings
+    assert axis.deviation is not None
     assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.1)
+
+
+@pytest.mark.parametrize('time', [0.1, 10.0])
+def test_a_gauss_markov_process_leaves_n_alone(noise, time):
+    """It dominates the curve where it is largest."""
+    rng = np.random.default_rng(8)
+    keep = np.exp(-1.0 / (time * RATE))
+    drift = lfilter([1.0], [1.0, -keep], rng.standard_normal(SAMPLES)) * np.sqrt(1.0 - keep**2)
+    sigma = 3.0 * TRUTH.N / np.sqrt(time)
+    axis, findings = fit_of(noise + sigma * drift)
+    (found,) = axis.processes.gauss_markov
+    low, high = found.correlation_time_ci95
+    assert 0.8 * low < time < 1.25 * high  # the interval holds it in 95 % of records
+    assert found.sigma == pytest.approx(sigma, rel=0.2)
+    assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
+    assert axis.m_min == 1
+    assert 'gauss_markov' in findings
+    assert not {'low_pass', 'short_averages', 'vibration', 'misfit'} & set(findings)
 
 
 def test_rounding_is_told_from_quantization(noise):

@@ -1,0 +1,251 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Covariance of an Allan table under Gauss-Markov processes, beside the terms of `covariance`.
+
+The covariance of two Allan variances is a sum of squared covariances of differences over all lags
+(module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum, g
+and h being processes and k one of the four terms. A correlation time breaks the scaling between
+octaves that `covariance` relies on, so these sums are computed for the table at hand. Three facts
+keep that at some 50 ms:
+
+- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) with E a sum of nine exponentials.
+- C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so
+  half of the lags is enough, and the number of pairs depends on max(2 m_j, m_i + m_j + u) only:
+  the segments of any number of records are counted by one look-up.
+- Between its corners at u = 0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
+  Gauss-Legendre quadrature. The Euler-Maclaurin formula turns the integral into the sum over the
+  lattice of lags: every corner adds a twelfth of its change of slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..noise import gauss_markov_sums
+from .model import RANDOM_TERMS, Floats, walk_from_cubic
+
+Ints = NDArray[np.int64]
+
+NODES = 14
+"""Quadrature points between two corners."""
+
+TAIL = (1.5, 9.0)
+"""Ends of the quadrature beyond the last corner, in the longest correlation time."""
+
+PAIRS_AT_ONCE = 512
+"""Pairs of factors summed in one go: a few megabytes of work space."""
+
+CORNER_WEIGHTS = np.array([4.0, -4.0, -4.0, 2.0, 2.0])
+"""Of C at the corners, both signs of u together: products of (1, -2, 1) and (1, -2, 1)."""
+
+Q, N, B, K = range(len(RANDOM_TERMS))
+
+_GAUSS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+_EVEN = (1.0 + _GAUSS) / 2.0
+_EVEN_WEIGHTS = _GAUSS_WEIGHTS / 2.0
+_DENSITY = _EVEN**2 + (1.0 - _EVEN) ** 2
+_GRADED = _EVEN**2 / _DENSITY
+"""Quadrature points on 0..1 that are denser at both ends, where C bends within a correlation
+time."""
+_GRADED_WEIGHTS = _EVEN_WEIGHTS * 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
+
+
+def process_pairs(processes: int) -> list[tuple[int, int]]:
+    """Return the products (a, b) that processes add to those of the four terms.
+
+    Index 4 is the first process: (0, 4), (1, 4) .. (4, 4), (0, 5) .. (5, 5) and so on.
+    """
+    four = len(RANDOM_TERMS)
+    return [(a, b) for b in range(four, four + processes) for a in range(b + 1)]
+
+
+def process_squares(
+    m: Ints,
+    stride: Ints,
+    lengths: Sequence[tuple[float, int]],
+    times: Sequence[float],
+) -> Floats:
+    """Return the sums over all pairs of differences of the products with processes.
+
+    Parameters
+    ----------
+    m, stride : (factors,) int64 arrays
+        Averaging factors and samples between two starts.
+    lengths : sequence of (samples, number)
+        Segments by length.
+    times : sequence of float
+        Correlation times in samples.
+
+    Returns
+    -------
+    (products, pairs) float64 array
+        For the `process_pairs`, at the pairs i <= j of `numpy.triu_indices`, in the convention of
+        `covariance.PairSums.squares`: products of two different processes count twice.
+    """
+    i, j = np.triu_indices(len(m))
+    segments = _Segments(lengths)
+    products = process_pairs(len(times))
+    out = np.empty((len(products), len(i)))
+    for first in range(0, len(i), PAIRS_AT_ONCE):
+        part = slice(first, first + PAIRS_AT_ONCE)
+        lags = _Lags(m[i[part]], m[j[part]], stride[i[part]], stride[j[part]], segments)
+        out[:, part] = lags.sums(times, products)
+    return out
+
+
+class _Segments:
+    """Counts pairs of differences over all segments."""
+
+    def __init__(self, lengths: Sequence[tuple[float, int]]) -> None:
+        by_length = sorted(lengths)
+        self.samples = np.array([n for n, _ in by_length], float)
+        number = np.array([count for _, count in by_length], float)
+        self.number = np.append(np.cumsum(number[::-1])[::-1], 0.0)
+        self.total = np.append(np.cumsum((number * self.samples)[::-1])[::-1], 0.0)
+        self.single = len(by_length) == 1
+
+    def pairs(self, reach: Floats, stride: Floats, lost: Floats) -> Floats:
+        """Return how many differences that reach so far start every ``stride`` samples.
+
+        ``lost`` is what the mean over all lags has less than at lags where both start.
+        """
+        if self.single:
+            here = (self.samples[0] - reach) / stride + 1.0 - lost
+            return np.asarray(self.number[0] * np.maximum(here, 0.0))
+        at = np.searchsorted(self.samples, reach)
+        number = self.number[at]
+        return (self.total[at] - number * reach) / stride + number * (1.0 - lost)
+
+    def whole_pairs(self, reach: Floats, stride: Floats) -> Floats:
+        """Return how many differences that reach so far there are: whole numbers per segment."""
+        if self.single or len(self.samples) < 64:
+            each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
+            number = -np.diff(self.number)
+            return np.asarray(np.maximum(each, 0.0) @ number)
+        return self.pairs(reach, stride, (1.0 - 1.0 / stride) / 2.0)
+
+
+class _Lags:
+    """Quadrature over the lags of some pairs of factors."""
+
+    def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
+        self.mi, self.mj = mi.astype(float), mj.astype(float)
+        self.stride = si.astype(float)
+        stride_j = sj.astype(float)
+        self.norm = 1.0 / (2.0 * self.mi * self.mj)
+        self.near, self.far = self.mj - self.mi, self.mj + self.mi
+        self.ratio = stride_j / self.stride
+        self.lost = (1.0 - 1.0 / self.ratio) / 2.0
+        self.segments, self.stride_j = segments, stride_j
+        self.plateau = segments.whole_pairs(2.0 * self.mj, stride_j)
+        self.dense = self.mj < NODES * self.stride
+        self.end = segments.samples[-1] + stride_j * (1.0 - self.lost) - self.far
+
+    def pairs_at(self, u: Floats) -> Floats:
+        """Return the number of pairs of differences at lags u, (pairs, lags)."""
+        reach = np.maximum(2.0 * self.mj[:, None], self.far[:, None] + u)
+        falling = self.segments.pairs(reach, self.stride_j[:, None], self.lost[:, None])
+        return np.where(u <= self.near[:, None], self.plateau[:, None], falling)
+
+    def covariances(self, u: Floats, times: Sequence[float]) -> Floats:
+        """Return C of unit w, b, k and of the processes at lags u, (3 + processes, pairs, lags)."""
+        norm, scale = self.norm[:, None], self.mj[:, None]
+        absolute = 4.0 * u
+        flicker = _square_log(u, scale) * 4.0
+        cubic = 4.0 * u**3
+        decays = [np.exp(-u / time) for time in times]
+        exponentials = [4.0 * decay for decay in decays]
+        for weight, offset in zip((-2.0, -2.0, 1.0, 1.0), (self.mi, self.mj, self.near, self.far)):
+            shift = offset[:, None]
+            for t in (u + shift, np.abs(u - shift)):
+                absolute += weight * t
+                flicker += weight * _square_log(t, scale)
+                cubic += weight * t**3
+            for e, decay, time in zip(exponentials, decays, times):
+                e += weight * (decay * np.exp(-shift / time) + np.exp(-t / time))
+        white = -0.5 * norm * absolute
+        out = [
+            white,
+            flicker * norm / (2.0 * np.pi),
+            walk_from_cubic(white, cubic * norm / 12.0),
+        ]
+        for e, time in zip(exponentials, times):
+            slope, step = gauss_markov_sums(time)
+            out.append(slope * white - 0.5 * step * norm * e)
+        return np.stack(out)
+
+    def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
+        """Return twice (or four times) the sums over lags of the products, (products, pairs)."""
+        u, weight = self._nodes(max(times))
+        c = self.covariances(u, times)
+        weight = weight * self.pairs_at(u) * (2.0 / self.stride)[:, None]
+        corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)
+        ends = np.stack([self.near, np.maximum(self.end, 0.0)], axis=1)
+        at_corners = self.pairs_at(corners) * CORNER_WEIGHTS * self.norm[:, None]
+        c_corners, c_ends = self.covariances(corners, times), self.covariances(ends, times)
+        at_ends = self._end_weights()
+        kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: of w, b, k
+        for time in times:
+            slope, step = gauss_markov_sums(time)
+            kink.append(slope - step / time)
+        twelfth = np.where(self.dense, 0.0, self.stride / 12.0)[:, None]
+        at_ends[self.dense] = 0.0
+        out = np.empty((len(products), len(self.mi)))
+        for row, (a, b) in enumerate(products):
+            if a == Q:  # white phase: C is not 0 at the corners only
+                out[row] = 4.0 * (at_corners * c_corners[b - 1]).sum(axis=1)
+                continue
+            first, second = c[a - 1], c[b - 1]
+            total = np.einsum('pu,pu,pu->p', weight, first, second)
+            total += (at_ends * c_ends[a - 1] * c_ends[b - 1]).sum(axis=1)
+            bent = kink[a - 1] * c_corners[b - 1] + kink[b - 1] * c_corners[a - 1]
+            total += (at_corners * bent * twelfth).sum(axis=1)
+            out[row] = (2.0 if a == b else 4.0) * total
+        return out
+
+    def _nodes(self, longest: float) -> tuple[Floats, Floats]:
+        """Return lags and quadrature weights, (pairs, nodes) each."""
+        corners = np.sort(
+            np.stack([np.zeros_like(self.mi), self.mi, self.near, self.mj, self.far]), axis=0
+        )
+        corners = np.minimum(corners, np.maximum(self.end, 0.0))
+        lags, weights = [], []
+        for low, high in pairwise(corners):
+            width = (high - low)[:, None]
+            lags.append(low[:, None] + width * _GRADED)
+            weights.append(width * _GRADED_WEIGHTS)
+        start = np.zeros_like(self.mi)
+        for end in TAIL:
+            stop = np.minimum(end * longest, np.maximum(self.end - self.far, 0.0))
+            width = (stop - start)[:, None]
+            lags.append((self.far + start)[:, None] + width * _EVEN)
+            weights.append(width * _EVEN_WEIGHTS)
+            start = stop
+        u, weight = np.concatenate(lags, axis=1), np.concatenate(weights, axis=1)
+        # Corners a few samples apart: all lags one by one, 0 counting half.
+        each = np.arange(u.shape[1])
+        u[self.dense] = each * self.stride[self.dense, None]
+        weight[self.dense] = np.where(each == 0, 0.5, 1.0) * self.stride[self.dense, None]
+        return u, weight
+
+    def _end_weights(self) -> Floats:
+        """Return what the sum has beyond the integral where the number of pairs bends.
+
+        The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
+        """
+        ratio, lost = self.ratio, self.lost
+        bend = np.where(ratio <= self.mi / self.stride, (ratio - 1.0 / ratio) / 12.0, lost / 2.0)
+        inner = lost / 2.0 - bend + 1.0 / (12.0 * ratio)
+        outer = (1.0 - lost) / 2.0 + bend - (1.0 - lost) ** 2 * ratio / 2.0 - 1.0 / (12.0 * ratio)
+        several = 1.0 if self.segments.single else 0.0
+        number = self.segments.number[0]
+        return np.asarray(2.0 * number * np.stack([inner, several * outer], axis=1))
+
+
+def _square_log(t: Floats, scale: Floats) -> Floats:
+    """Return t^2 ln(t/scale); the scale adds a multiple of t^2, which has no second difference."""
+    return np.asarray(t * t * np.log(np.maximum(t, 1e-9) / scale))

@@ -1,0 +1,156 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Gauss-Markov processes and sinusoids as columns of an Allan table.
+
+Both are linear in their variance and have a shape besides it: a correlation time or a frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..noise import gauss_markov_avar, gauss_markov_sums, sinusoid_avar
+from .covariance import TERM_PAIRS
+from .model import RANDOM_TERMS, Floats, avar_terms
+from .process_covariance import process_pairs
+from .table import PooledTable, Table
+
+Q, N, B, K = range(len(RANDOM_TERMS))
+
+LINE_PEAK = 0.371
+"""f m where sin^4(pi f m)/(pi f m)^2 is largest."""
+
+SHAPE_STEP = 1.02
+"""Ratio of the two shapes whose difference is the derivative of a column."""
+
+
+@dataclass(frozen=True)
+class GaussMarkovTerm:
+    """First-order Gauss-Markov process; its shape is the correlation time in samples."""
+
+    shape: float
+
+    @property
+    def scale(self) -> float:
+        """Averaging factor at which it is largest relative to white noise."""
+        return 1.89 * self.shape
+
+    def column(self, table: Table) -> Floats:
+        """Return its Allan variance at unit variance, (factors,).
+
+        Removing the ramps takes from it what it takes from white noise of the same long-term
+        level.
+        """
+        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
+        return gauss_markov_avar(table.m, self.shape) - self.white() * taken
+
+    def white(self) -> float:
+        """Return the variance per sample of white noise of the same long-term level."""
+        return gauss_markov_sums(self.shape)[0]
+
+
+@dataclass(frozen=True)
+class SinusoidTerm:
+    """A sinusoid of random phase; its shape is the frequency in cycles per sample."""
+
+    shape: float
+
+    @property
+    def scale(self) -> float:
+        """Averaging factor at which it is largest."""
+        return LINE_PEAK / self.shape
+
+    def column(self, table: Table) -> Floats:
+        """Return its Allan variance at unit squared amplitude, (factors,)."""
+        return sinusoid_avar(table.m, self.shape)
+
+    def white(self) -> float:
+        """Return 0: it has no long-term level."""
+        return 0.0
+
+
+Extra = GaussMarkovTerm | SinusoidTerm
+
+
+def with_extras(
+    table: Table, pooled: PooledTable, extras: tuple[Extra, ...], tangents: bool = False
+) -> Table:
+    """Return the table with a column for each process.
+
+    Parameters
+    ----------
+    table : Table
+        Of the four terms.
+    pooled : PooledTable
+        What it is made of.
+    extras : tuple of Extra
+        Gauss-Markov processes before sinusoids.
+    tangents : bool
+        Whether to add the derivatives of these columns by the logarithm of their shapes. Free
+        multiples of them make intervals of the other columns account for uncertain shapes.
+    """
+    if not extras:
+        return table
+    drifts = [e for e in extras if isinstance(e, GaussMarkovTerm)]
+    columns = [table.terms, *(e.column(table) for e in extras)]
+    if tangents:
+        columns += [_tangent(table, e) for e in extras]
+    squares = table.squares
+    if drifts:
+        raw = pooled.process_squares(tuple(e.shape for e in drifts), np.isin(pooled.m, table.m))
+        ramp = _ramp_squares(table, [e.white() for e in drifts])
+        squares = np.concatenate([squares, raw + ramp])
+    return replace(
+        table,
+        terms=np.column_stack(columns),
+        squares=squares,
+        noises=len(RANDOM_TERMS) + len(drifts),
+        line_scatter=_line_scatter(pooled, drifts, extras[len(drifts) :]),
+    )
+
+
+def _tangent(table: Table, extra: Extra) -> Floats:
+    """Return the derivative of a column by the logarithm of its shape."""
+    half = SHAPE_STEP**0.5
+    above, below = (replace(extra, shape=extra.shape * f).column(table) for f in (half, 1 / half))
+    return np.asarray((above - below) / np.log(SHAPE_STEP))
+
+
+def _line_scatter(
+    pooled: PooledTable, drifts: Sequence[GaussMarkovTerm], lines: Sequence[Extra]
+) -> Floats:
+    """Return the variances of squared amplitudes for `Table.line_scatter`.
+
+    Noise of the two-sided density S adds 8 A^2 S / n to the variance of the squared amplitude of a
+    sinusoid of n samples.
+    """
+    samples = float(pooled.sums.samples)
+    rows = []
+    for line in lines:
+        omega = 2.0 * np.pi * line.shape
+        step = (2.0 * np.sin(omega / 2.0)) ** 2
+        density = [step, 1.0, 1.0 / omega, 1.0 / step]
+        for drift in drifts:
+            keep = np.exp(-1.0 / drift.shape)
+            density.append((1.0 - keep**2) / (1.0 - 2.0 * keep * np.cos(omega) + keep**2))
+        rows.append(8.0 / samples * np.array(density))
+    return np.array(rows).reshape(len(lines), len(RANDOM_TERMS) + len(drifts))
+
+
+def _ramp_squares(table: Table, white: Sequence[float]) -> Floats:
+    """Return what removing the ramps does to products with processes of those white levels."""
+    four = len(RANDOM_TERMS)
+    of_white = {b if a == N else a: n for n, (a, b) in enumerate(TERM_PAIRS) if N in (a, b)}
+    rows = []
+    for a, b in process_pairs(len(white)):
+        # `squares` counts products of two different noises twice, but w w once.
+        factor = white[b - four]
+        if a == N:
+            factor *= 2.0
+        elif a >= four:
+            factor *= white[a - four] * (1.0 if a == b else 2.0)
+        rows.append(factor * table.ramp_squares[of_white[N if a >= four else a]])
+    return np.array(rows)

@@ -1,0 +1,251 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The search for the fewest Gauss-Markov processes and sinusoids that describe an Allan table.
+
+With the covariance of the table held, the best variances for any set of correlation times and
+frequencies are a nonnegative least-squares problem, which is convex. The search adds the process
+that lowers chi^2 most, adjusts all shapes in turn, and stops where one more no longer pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .goodness import Z_FAIL
+from .model import RANDOM_TERMS, Floats
+from .processes import Extra, GaussMarkovTerm, SinusoidTerm
+from .solve import B, K, Q, Whitening, nonnegative_least_squares
+from .table import Table
+
+SHAPES_PER_OCTAVE = 6
+"""Shapes tried in the first search."""
+
+SHORTEST_CORRELATION = 0.3
+"""Samples. White noise behind a first-order filter is such a process: found, it unmasks it."""
+
+LONGEST_CORRELATION = 8
+"""A correlation time over this part of the longest segment cannot be told from a random walk."""
+
+FASTEST_LINE = 0.45
+"""Of the sample rate."""
+
+LINE_CYCLES = 10
+"""Periods of a sinusoid in the longest segment, at least."""
+
+MOST_DRIFTS = 3
+"""Gauss-Markov processes that are fitted at most."""
+
+MOST_LINES = 3
+"""Sinusoids that are fitted at most."""
+
+NEEDED_GAIN = 12.0
+"""Fall of chi^2 for one more process while the model is rejected: chance brings it about with
+none of some hundred shapes (3.5 standard deviations)."""
+
+SURE_GAIN = 21.0
+"""The same for one more process in a model that passes: one in 2000 records."""
+
+SWEEPS = 4
+"""Bound on the rounds in which all shapes are adjusted in turn."""
+
+FINE = 8
+"""Shapes tried between two neighbours of the first search when a shape is refined."""
+
+LITTLE_GAIN = 0.05
+"""Change of chi^2 below which shapes are no longer adjusted."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best fit of some processes under a given covariance.
+
+    Attributes
+    ----------
+    extras : tuple of Extra
+        Gauss-Markov processes before sinusoids.
+    power : (4 + extras,) float64 array
+    chi_squared : float
+    """
+
+    extras: tuple[Extra, ...]
+    power: Floats
+    chi_squared: float
+
+
+class ProcessSearch:
+    """Searches processes that describe a table, its covariance held.
+
+    Parameters
+    ----------
+    table : Table
+        Of the four terms.
+    whitening : Whitening
+        Of its covariance.
+    freedom : float
+        Degrees of freedom of the table.
+    samples : int
+        Length of the longest segment.
+    signed : bool
+        Whether q may be negative.
+    """
+
+    def __init__(
+        self, table: Table, whitening: Whitening, freedom: float, samples: int, signed: bool
+    ) -> None:
+        self.table, self.freedom, self.signed = table, freedom, signed
+        self._whitening = whitening
+        white = whitening.apply(np.column_stack([table.terms, table.avar]))
+        self._terms, self._target = white[:, :-1], white[:, -1]
+        least = SHORTEST_CORRELATION * float(table.m[0])
+        drifts = _spaced(least, samples / LONGEST_CORRELATION)
+        lines = _spaced(LINE_CYCLES / samples, FASTEST_LINE / float(table.m[0]))
+        self._grid: list[Extra] = [GaussMarkovTerm(float(t)) for t in drifts]
+        self._grid += [SinusoidTerm(float(f)) for f in lines]
+        self._columns = self._white(self._grid)
+        self._of_kind = {
+            kind: np.array([isinstance(e, kind) for e in self._grid], bool)
+            for kind in (GaussMarkovTerm, SinusoidTerm)
+        }
+
+    def _white(self, extras: Sequence[Extra]) -> Floats:
+        """Return the whitened columns of some processes, (rows, processes)."""
+        if not extras:
+            return np.zeros((len(self._target), 0))
+        return self._whitening.apply(np.column_stack([e.column(self.table) for e in extras]))
+
+    def fitted(self, extras: Sequence[Extra]) -> Found:
+        """Return the fit of some processes beside the four terms."""
+        design = np.column_stack([self._terms, self._white(extras)])
+        power = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
+        rest = self._target - design @ power
+        return Found(tuple(extras), power, float(rest @ rest))
+
+    def search(self, start: Sequence[Extra] = ()) -> Found:
+        """Return the fewest processes that describe the table.
+
+        Parameters
+        ----------
+        start : sequence of Extra
+            Processes to begin with; those that no longer pay are left out.
+        """
+        found = self._adjusted(self.fitted(start))
+        while found.extras:  # leave out what does not pay
+            without = [
+                self.fitted([e for k, e in enumerate(found.extras) if k != out])
+                for out in range(len(found.extras))
+            ]
+            best = min(without, key=lambda f: f.chi_squared)
+            if best.chi_squared - found.chi_squared > self._needed(best):
+                break
+            found = self._adjusted(best)
+        while True:
+            more = self._with_one_more(found)
+            if more is None or found.chi_squared - more.chi_squared < self._needed(found):
+                return found
+            found = more
+
+    def z(self, found: Found) -> float:
+        """Return the goodness of fit as a normal deviate."""
+        freedom = max(self.freedom - np.count_nonzero(found.power) - len(found.extras), 1.0)
+        return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
+
+    def _needed(self, found: Found) -> float:
+        return NEEDED_GAIN if self.z(found) >= Z_FAIL else SURE_GAIN
+
+    def _with_one_more(self, found: Found) -> Found | None:
+        """Return the best fit with one more process, all shapes adjusted, if any lowers chi^2."""
+        drifts = sum(isinstance(e, GaussMarkovTerm) for e in found.extras)
+        lines = len(found.extras) - drifts
+        allowed = np.zeros(len(self._grid), bool)
+        if drifts < MOST_DRIFTS:
+            allowed |= self._of_kind[GaussMarkovTerm]
+        if lines < MOST_LINES:
+            allowed |= self._of_kind[SinusoidTerm]
+        at = np.flatnonzero(allowed)
+        if not len(at):
+            return None
+        chi_squared = self._tried(found.extras, found.power, self._columns[:, at])
+        best = int(np.argmin(chi_squared))
+        if not np.isfinite(chi_squared[best]):
+            return None
+        return self._adjusted(self.fitted(_sorted([*found.extras, self._grid[at[best]]])))
+
+    def _adjusted(self, found: Found) -> Found:
+        """Return the fit with the shapes of all processes adjusted in turn."""
+        for _ in range(SWEEPS):
+            before = found.chi_squared
+            for k in range(len(found.extras)):
+                found = self._with_best_shape(found, k)
+            if before - found.chi_squared < LITTLE_GAIN:
+                break
+        return found
+
+    def _with_best_shape(self, found: Found, k: int) -> Found:
+        """Return the fit with the best shape of one process: on the grid, then between."""
+        extra = found.extras[k]
+        others = [e for n, e in enumerate(found.extras) if n != k]
+        power = np.delete(found.power, len(RANDOM_TERMS) + k)
+        kind = self._of_kind[type(extra)]
+        grid = [e for e, here in zip(self._grid, kind) if here]
+        coarse = self._tried(others, power, self._columns[:, kind])
+        best: Extra = extra
+        if np.isfinite(coarse).any() and coarse.min() < found.chi_squared - LITTLE_GAIN:
+            best = grid[int(np.argmin(coarse))]
+        step = 2.0 ** (1.0 / SHAPES_PER_OCTAVE)
+        low, high = grid[0].shape, grid[-1].shape
+        for reach in (step, step ** (2.0 / FINE)):
+            shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * FINE + 1)
+            shapes = np.clip(shapes, low, high)
+            fine = [replace(best, shape=float(s)) for s in shapes]
+            chi_squared = self._tried(others, power, self._white(fine))
+            if np.isfinite(chi_squared).any():
+                best = fine[int(np.argmin(chi_squared))]
+        changed = self.fitted(_sorted([*others, best]))
+        return changed if changed.chi_squared < found.chi_squared else found
+
+    def _tried(self, extras: Sequence[Extra], power: Floats, candidates: Floats) -> Floats:
+        """Return chi^2 of the fit with each candidate column added; infinite where it is negative.
+
+        Terms at 0 and the flicker and walk terms are tried with and without, so that no other
+        coefficient comes out negative.
+        """
+        known = np.column_stack([self._terms, self._white(extras)])
+        least = np.full(candidates.shape[1], np.inf)
+        certain = [c for c in range(known.shape[1]) if c not in (Q, B, K)]
+        if self.signed or power[Q] != 0.0:
+            certain.append(Q)
+        for some in ((), (B,), (K,), (B, K)):
+            active = sorted((*certain, *some))
+            basis, upper = np.linalg.qr(known[:, active] / self._scale(known[:, active]))
+            rest = self._target - basis @ (basis.T @ self._target)
+            shared = basis.T @ candidates
+            alone = np.sum(candidates**2, axis=0) - np.sum(shared**2, axis=0)
+            along = candidates.T @ rest
+            share = along / np.maximum(alone, 1e-12 * np.sum(candidates**2, axis=0))
+            free = [n for n, c in enumerate(active) if c == Q]
+            other = np.linalg.solve(upper, (basis.T @ self._target)[:, None] - shared * share)
+            other[free] = 0.0
+            possible = (share > 0.0) & (other >= 0.0).all(axis=0)
+            chi_squared = rest @ rest - along * share
+            least = np.where(possible, np.minimum(least, chi_squared), least)
+        return least
+
+    @staticmethod
+    def _scale(columns: Floats) -> Floats:
+        size = np.sqrt(np.sum(columns**2, axis=0))
+        return np.where(size > 0.0, size, 1.0)
+
+
+def _spaced(low: float, high: float) -> Floats:
+    """Return shapes evenly spaced in their logarithm; none if low > high."""
+    if low >= high:
+        return np.zeros(0)
+    return np.geomspace(low, high, int(np.log2(high / low) * SHAPES_PER_OCTAVE) + 2)
+
+
+def _sorted(extras: Sequence[Extra]) -> list[Extra]:
+    """Return Gauss-Markov processes before sinusoids, each by shape."""
+    return sorted(extras, key=lambda e: (isinstance(e, SinusoidTerm), e.shape))

@@ -1,0 +1,101 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The covariance with Gauss-Markov processes, held against sums over all lags one by one."""
+
+import numpy as np
+import pytest
+
+from allan_ros.core.allan.sums import counts, grid_for
+from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
+from allan_ros.core.fit.model import DIFFERENCE, phase_covariance
+from allan_ros.core.fit.process_covariance import process_pairs, process_squares
+from allan_ros.core.noise import gauss_markov_avar, gauss_markov_sums
+
+SAMPLES = 2048
+
+
+def direct(power, times):
+    """Return m and the covariance of the table, lag by lag."""
+    m, stride = grid_for(SAMPLES)
+    count = counts(SAMPLES, m, stride)
+
+    def phase(t):
+        out = power[:4] @ phase_covariance(t.astype(float))
+        for p, time in zip(power[4:], times):
+            slope, step = gauss_markov_sums(time)
+            out -= 0.5 * p * (slope * np.abs(t) + step * np.expm1(-np.abs(t) / time))
+        return out
+
+    out = np.zeros((len(m), len(m)))
+    for i in range(len(m)):
+        for j in range(i, len(m)):
+            first = -(SAMPLES // stride[i] + 1) * stride[i]
+            lag = np.arange(first, SAMPLES - 2 * m[i] + 1, stride[i])
+            low = np.maximum(0, -lag)
+            high = np.minimum((count[j] - 1) * stride[j], (count[i] - 1) * stride[i] - lag)
+            number = high // stride[j] + (-low) // stride[j] + 1
+            number = np.where(high >= low, np.maximum(number, 0), 0)
+            c = sum(
+                ca * cb * phase(lag + a * m[i] - b * m[j])
+                for a, ca in enumerate(DIFFERENCE)
+                for b, cb in enumerate(DIFFERENCE)
+            ) / (2.0 * m[i] * m[j])
+            out[i, j] = out[j, i] = 2.0 * np.sum(number * c**2) / (count[i] * count[j])
+    return m, out
+
+
+@pytest.mark.parametrize(
+    ('power', 'times'),
+    [
+        ((0.0, 1.0, 0.0, 0.0, 0.5), (10.0,)),
+        ((0.3, 1.0, 0.01, 1e-5, 0.2), (3.0,)),
+        ((0.0, 1.0, 0.0, 1e-5, 0.1, 0.3), (100.0, 7.0)),
+    ],
+)
+def test_it_is_the_sum_over_all_lags(power, times):
+    power = np.array(power)
+    m, expected = direct(power, times)
+    stride = grid_for(SAMPLES)[1]
+    count = counts(SAMPLES, m, stride).astype(float)
+    squares = np.concatenate(
+        [pair_sums(SAMPLES).squares, process_squares(m, stride, [(SAMPLES, 1)], times)]
+    )
+    pairs = (*TERM_PAIRS, *process_pairs(len(times)))
+    found = np.array([power[a] * power[b] for a, b in pairs]) @ squares
+    i, j = np.triu_indices(len(m))
+    deviation = np.sqrt(np.diag(expected))
+    error = (found / (count[i] * count[j]) - expected[i, j]) / (deviation[i] * deviation[j])
+    inner = m[j] <= SAMPLES / 8
+    assert np.abs(error[inner]).max() < 2e-3
+    assert np.abs(error).max() < 2e-2  # one or two differences
+
+
+def test_segments_of_several_lengths_add_up():
+    m, stride = grid_for(1000)
+    times = (20.0,)
+    apart = [process_squares(m, stride, [(n, 1)], times) for n in (1000, 1000, 700, 300)]
+    together = process_squares(m, stride, [(1000, 2), (700, 1), (300, 1)], times)
+    j = np.triu_indices(len(m))[1]
+    short = m[j] <= 300 / 8
+    np.testing.assert_allclose(together[:, short], sum(apart)[:, short], rtol=0.02)
+
+
+@pytest.mark.parametrize('time', [0.5, 3.0, 40.0])
+def test_allan_variance_of_a_sampled_process(time):
+    keep = np.exp(-1.0 / time)
+
+    def variance(n):
+        lag = np.arange(1, n)
+        return n + 2.0 * np.sum((n - lag) * keep**lag)
+
+    m = np.array([1, 2, 7, 50])
+    expected = [(4.0 * variance(k) - variance(2 * k)) / (2.0 * k * k) for k in m]
+    np.testing.assert_allclose(gauss_markov_avar(m, time), expected, rtol=1e-10)
+
+
+def test_allan_variance_of_a_slow_process_does_not_depend_on_how_it_is_computed():
+    """The two ways of computing its sums meet at 5000 samples."""
+    m = np.array([1, 100, 10_000])
+    np.testing.assert_allclose(
+        gauss_markov_avar(m, 4999.9), gauss_markov_avar(m, 5000.1), rtol=1e-4
+    )
