@@ -102,12 +102,31 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
 
 
 def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
+    """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
+
+    (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
+    (exponentially correlated noise), of averages in continuous time.
+
+    Parameters
+    ----------
+    m : (factors,) array
+        Averaging times in any unit.
+    correlation : float
+        Correlation time T in the same unit.
+
+    Returns
+    -------
+    (factors,) float64 array
+    """
+    x = np.asarray(m, float) / correlation
+    return np.asarray(_gauss_markov_growth(x) / x**2)
+
+
+def sampled_gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
     """Return the Allan variance of sampled first-order Gauss-Markov noise of unit variance.
 
     (4 D(m) - D(2m)) / (2 m^2) with D(n) the variance of the sum of n samples
-    (`gauss_markov_sums`). For many samples per correlation time it becomes
-    (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
-    (exponentially correlated noise).
+    (`gauss_markov_sums`). It becomes `gauss_markov_avar` at many samples.
 
     Parameters
     ----------
@@ -121,11 +140,15 @@ def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
     (factors,) float64 array
     """
     x = np.asarray(m, float) / correlation
-    # 2x - 3 + 4 exp(-x) - exp(-2x) without the loss of digits at small x
-    growth = 2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)
     slope, step = gauss_markov_sums(correlation)
-    excess = slope / (2.0 * correlation) - step / (2.0 * correlation**2)
-    return np.asarray((step / (2.0 * correlation**2) * growth + 2.0 * excess * x) / x**2)
+    step /= 2.0 * correlation**2
+    excess = slope / (2.0 * correlation) - step
+    return np.asarray((step * _gauss_markov_growth(x) + 2.0 * excess * x) / x**2)
+
+
+def _gauss_markov_growth(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x) without the loss of digits at small x."""
+    return np.asarray(2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x))
 
 
 def gauss_markov_sums(correlation: float) -> tuple[float, float]:
@@ -215,7 +238,7 @@ class ProcessModel:
         m = tau / step
         total = np.asarray(term_avar(m, step, self.terms).sum(axis=-1))
         for sigma, correlation_time in self.gauss_markov:
-            total += sigma**2 * gauss_markov_avar(m, correlation_time / step)
+            total += sigma**2 * sampled_gauss_markov_avar(m, correlation_time / step)
         for amplitude, frequency in self.sinusoids:
             total += amplitude**2 * sinusoid_avar(m, frequency * step)
         return total

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.noise import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
+from allan_ros.core.noise import (
+    NoiseTerms,
+    gauss_markov_avar,
+    sampled_gauss_markov_avar,
+    sinusoid_avar,
+    term_avar,
+)
 
 
 def test_long_tau_is_the_polynomial_of_the_standard():
@@ -39,15 +45,19 @@ def two_mean_variance(covariance, points: int) -> float:
 
 @pytest.mark.parametrize('m', [1, 7, 50, 400])
 def test_gauss_markov_has_the_variance_of_its_autocovariance(m):
+    fine = 400  # points an interval: the means become integrals to 1e-5
+    expected = two_mean_variance(lambda lag: np.exp(-lag * (m / fine) / 30.0), fine)
+    assert gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-3)
     expected = two_mean_variance(lambda lag: np.exp(-lag / 30.0), m)
-    assert gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-9)
+    assert sampled_gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_gauss_markov_is_a_walk_at_first_and_white_at_last():
-    # steps of variance 2/T at m << T, N^2 = 2 T at m >> T
-    walk = term_avar([1, 50], 1.0, NoiseTerms(K=(2e-4) ** 0.5))[:, 3]
-    assert gauss_markov_avar([1, 50], 1e4) == pytest.approx(walk, rel=1e-2)
+    # K^2 = 2/T per sample at m << T, N^2 = 2 T at m >> T
+    assert gauss_markov_avar([1], 1e4)[0] == pytest.approx(2e-4 / 3.0, rel=1e-3)
     assert gauss_markov_avar([10**6], 10.0)[0] == pytest.approx(20.0 / 1e6, rel=1e-4)
+    walk = term_avar([1, 50], 1.0, NoiseTerms(K=(2e-4) ** 0.5))[:, 3]
+    assert sampled_gauss_markov_avar([1, 50], 1e4) == pytest.approx(walk, rel=1e-2)
 
 
 @pytest.mark.parametrize('m', [1, 3, 20, 64])

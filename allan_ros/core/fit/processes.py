@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..noise import gauss_markov_avar, gauss_markov_sums, sinusoid_avar
+from ..noise import gauss_markov_sums, sampled_gauss_markov_avar, sinusoid_avar
 from .covariance import TERM_PAIRS
 from .model import RANDOM_TERMS, Floats, avar_terms
 from .process_covariance import process_pairs
@@ -45,7 +45,7 @@ class GaussMarkovTerm:
         level.
         """
         taken = avar_terms(table.m)[:, N] - table.terms[:, N]
-        return gauss_markov_avar(table.m, self.shape) - self.white() * taken
+        return sampled_gauss_markov_avar(table.m, self.shape) - self.white() * taken
 
     def white(self) -> float:
         """Return the variance per sample of white noise of the same long-term level."""

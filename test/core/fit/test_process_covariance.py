@@ -9,7 +9,7 @@ from allan_ros.core.allan.sums import counts, grid_for
 from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
 from allan_ros.core.fit.model import DIFFERENCE, phase_covariance
 from allan_ros.core.fit.process_covariance import process_pairs, process_squares
-from allan_ros.core.noise import gauss_markov_avar, gauss_markov_sums
+from allan_ros.core.noise import gauss_markov_sums, sampled_gauss_markov_avar
 
 SAMPLES = 2048
 
@@ -90,12 +90,12 @@ def test_allan_variance_of_a_sampled_process(time):
 
     m = np.array([1, 2, 7, 50])
     expected = [(4.0 * variance(k) - variance(2 * k)) / (2.0 * k * k) for k in m]
-    np.testing.assert_allclose(gauss_markov_avar(m, time), expected, rtol=1e-10)
+    np.testing.assert_allclose(sampled_gauss_markov_avar(m, time), expected, rtol=1e-10)
 
 
 def test_allan_variance_of_a_slow_process_does_not_depend_on_how_it_is_computed():
     """The two ways of computing its sums meet at 5000 samples."""
     m = np.array([1, 100, 10_000])
     np.testing.assert_allclose(
-        gauss_markov_avar(m, 4999.9), gauss_markov_avar(m, 5000.1), rtol=1e-4
+        sampled_gauss_markov_avar(m, 4999.9), sampled_gauss_markov_avar(m, 5000.1), rtol=1e-4
     )
