@@ -7,27 +7,39 @@ The command line, the scripts and notebooks call these functions.
 
 from __future__ import annotations
 
-import contextlib
+import difflib
 import os
-import signal
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from operator import add
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .core.allan.curve import allan_curve
+from .core.allan.engine import RunningAllan
 from .core.compare import MARGIN
 from .core.errors import AllanError
+from .core.faults import Faults
 from .core.fit import METHODS
-from .core.settings import check, parameter
-from .io.comparison import DOCUMENTS, labels_of
+from .core.imu import ImuBatch
+from .core.settings import SegmenterSettings, check, describe, parameter
+from .core.simulate import simulate_imu
+from .core.stream.pipeline import joined
+from .io.comparison import DOCUMENTS, RunComparison, Subject, compare_runs, labels_of
 from .io.datasheets import load_sensor
 from .io.documents import SUMS_SCHEMA, results_from_document, sums_file_from_document
+from .io.readers.memory import recording_in_memory, without_absent
+from .io.readers.recording import ReadOptions
+from .io.reading import Observer, Silent, add_recordings, read_in_processes, read_in_turn
 from .io.recorded import ReadJob, RecordingSums, read_recording
-from .io.results import Results, analyse_recorded
+from .io.results import AxisCurve, Results, analyse_recorded
 from .io.text import read_json
+from .io.truth import stated_noise
+
+T = TypeVar('T')
 
 RESULTS, SUMS = 'results.json', 'sums.json'
 """Files in the folder of an analysis: the results, and the sums they were computed from."""
@@ -71,101 +83,7 @@ class ResultSettings:
         check(self)
 
 
-class Observer(Protocol):
-    """Is told how the reading of recordings proceeds."""
-
-    def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
-        """Return a context whose value has ``advance(samples)``."""
-
-    def timed(self, what: str) -> AbstractContextManager[None]:
-        """Return a context around one step."""
-
-
-class Silent:
-    """An `Observer` that does nothing."""
-
-    def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
-        return contextlib.nullcontext(self)
-
-    def timed(self, what: str) -> AbstractContextManager[None]:
-        return contextlib.nullcontext()
-
-    def advance(self, samples: int) -> None: ...
-
-
-# --- from recordings to sums ----------------------------------------------------------------------
-
-
-def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
-    """Read the recordings one after the other, in this process."""
-    # All are opened before the first is read: a wrong name is reported now, not after an hour.
-    recordings = [job.open() for job in jobs]
-    for job, recording in zip(jobs, recordings):
-        bar = observer.progress(job.path, recording.messages)
-        with observer.timed(f'read {job.path}'), bar as progress:
-            recorded = read_recording(job, recording, progress.advance)
-        yield recorded
-
-
-def read_in_processes(
-    jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
-) -> Iterator[RecordingSums]:
-    """Read the recordings in several processes at a time; the result is the same, bit for bit.
-
-    Raises
-    ------
-    AllanError
-        What a job raised, or that a process died.
-    """
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import active_children, get_context
-
-    # a fork would copy the locks of numpy's threads, but not the threads
-    workers = min(processes, len(jobs))
-    pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
-    try:
-        with _interrupts_blocked():
-            futures = [pool.submit(read_recording, job) for job in jobs]
-        with observer.progress(f'{len(jobs)} recordings in {workers} processes', None) as progress:
-            for future in futures:
-                recorded = future.result()
-                progress.advance(recorded.provenance.counts.received)
-                yield recorded
-    except KeyboardInterrupt:
-        for child in active_children():  # none of them writes anything
-            child.terminate()
-        raise
-    except BrokenProcessPool as error:
-        raise AllanError(
-            f'one of {workers} processes died, perhaps for lack of memory: use fewer --jobs'
-        ) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT: processes started meanwhile never receive it and leave it to this one."""
-    if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
-    """Return the sums of all recordings of one IMU.
-
-    Raises
-    ------
-    AllanError
-        When one is of another IMU than the first, or was given twice.
-    """
-    return reduce(add, recordings)
+# --- from documents to sums and results ----------------------------------------------------------
 
 
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
@@ -240,6 +158,16 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     ------
     AllanError
         When the file is missing, or is no such document.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import allan_ros as ar
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = results.save(folder)
+    ...     ar.load(folder).samples == results.samples
+    True
     """
     place = Path(path)
     if place.is_dir():
@@ -263,3 +191,283 @@ def results_of(
         return load(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path))], observer)
     return analyse_recorded(recorded, method)
+
+
+# --- the public functions -------------------------------------------------------------------------
+
+
+def analyze(
+    source: Any,
+    *,
+    rate: float = 0.0,
+    axes: str | Sequence[str] | None = None,
+    gyro_unit: str = 'rad/s',
+    accel_unit: str = 'm/s^2',
+    method: str = 'gls',
+    sensor: str = '',
+    margin: float = MARGIN,
+    hardware_id: str = '',
+    processes: int = 1,
+    **options: Any,
+) -> Results:
+    """Return the noise of an IMU from its recordings or samples.
+
+    Parameters
+    ----------
+    source : path, sequence of paths, array, DataFrame, mapping of columns, or ImuBatch
+        Several paths are recordings of one IMU; their sums are added. Arrays are (n,) or
+        (n, axes), one row per sample.
+    rate : float
+        Sample rate in Hz: needed by arrays, checked against the stamps of recordings.
+    axes : str or sequence of str, optional
+        The axis of each column of an array, such as ``'gyro_z'``, ``'accel'`` or a list. By
+        default one column is ``gyro_x``, three are the gyro, six are gyro and accelerometer.
+    gyro_unit, accel_unit : str
+        Units of the samples where they do not name theirs: 'deg/s', 'g' ...
+    method : str
+        'gls', 'relative' or 'paper'.
+    sensor : str
+        Datasheet to compare with: a name of `allan sensors`, or the path of a .yaml file.
+    margin : float
+        Fraction by which a whole interval must exceed the limit of the datasheet.
+    hardware_id : str
+        Serial number; only sums with equal ones can be merged.
+    processes : int
+        How many recordings are read at a time.
+    **options
+        Further fields of `SegmenterSettings` and `ReadOptions`: ``skip``, ``motion_gate``,
+        ``topic``, ``columns`` ...
+
+    Raises
+    ------
+    AllanError
+        When the source cannot be read, or has no static data.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> white = np.random.default_rng(0).normal(scale=0.01, size=20_000)
+    >>> results = ar.analyze(white, rate=100, axes='gyro_z')
+    >>> round(results['gyro_z'].N.value, 4)  # rad/s/sqrt(Hz)
+    0.001
+    >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
+    3.4
+    """
+    reading, segmenter = _options_of(options)
+    reading = replace(reading, rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit)
+    segmenter = replace(segmenter, declared_rate=rate)
+    settings = ResultSettings(method=method, sensor=sensor, margin=margin)
+    if paths := _paths(source):
+        jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in paths]
+        several = min(processes, len(jobs)) > 1
+        read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
+        return fit_recorded(add_recordings(read), settings)
+    recording = recording_in_memory(source, rate, axes, gyro_unit, accel_unit)
+    job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
+    recorded = read_recording(job, recording)
+    findings = without_absent(recorded.provenance.findings)
+    recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
+    return fit_recorded(recorded, settings)
+
+
+def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
+    """Return the overlapping Allan deviation with 68.3 % limits.
+
+    Parameters
+    ----------
+    samples : (n,) or (n, columns) array
+        Of any quantity, evenly spaced.
+    rate : float
+        Samples per second.
+
+    Raises
+    ------
+    AllanError
+        When there are fewer than two samples, or some are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> curve = ar.adev(np.random.default_rng(0).normal(size=1000), rate=10.0)
+    >>> [f'{tau:g} s: {value:.2f}' for tau, value in zip(curve.tau[:3], curve.adev)]
+    ['0.1 s: 0.97', '0.2 s: 0.69', '0.3 s: 0.57']
+    """
+    values = np.asarray(samples, float)
+    table = values[:, None] if values.ndim == 1 else values
+    if table.ndim != 2 or not (np.isfinite(rate) and rate > 0.0):
+        raise AllanError(
+            f'samples of shape {values.shape} at {rate} Hz: give (n,) or (n, columns) and a '
+            'positive rate'
+        )
+    if not np.isfinite(table).all():
+        bad = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
+        raise AllanError(f'{bad} of {len(table)} samples are NaN or infinite: remove them')
+    engine = RunningAllan(axes=tuple(f'column {i}' for i in range(table.shape[1])))
+    if len(table):
+        engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
+    engine.end_segment()
+    curve = allan_curve(engine.sums)
+    columns = (curve.adev, curve.ci_low, curve.ci_high)
+    deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in columns)
+    return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
+
+
+def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:
+    """Return the results of several recordings of one IMU together, by adding their sums.
+
+    Parameters
+    ----------
+    *sources : Results or path
+        Results of `analyze`, or paths of a sums.json, a checkpoint or the folder of an analysis.
+    method : str
+        'gls', 'relative' or 'paper'.
+
+    Raises
+    ------
+    AllanError
+        When they are of different IMUs, overlap, or have no sums.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> a, b = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
+    >>> ar.merge(a, b).samples == a.samples + b.samples
+    True
+    """
+    if not sources:
+        raise AllanError('nothing to merge: give results or paths')
+    recorded = add_recordings(map(_recorded, sources))
+    return fit_recorded(recorded, ResultSettings(method=method))
+
+
+def compare(
+    *sources: Results | str | os.PathLike[str],
+    labels: Sequence[str] = (),
+    sensor: str | Sequence[str] = (),
+    margin: float = MARGIN,
+) -> RunComparison:
+    """Return which differences between runs are significant; the first run is the reference.
+
+    Parameters
+    ----------
+    *sources : Results or path
+        Results of `analyze` or `load`, documents, folders of an analysis, or recordings.
+    labels : sequence of str
+        Names of the runs; by default their paths, or A, B, C ...
+    sensor : str or sequence of str
+        Datasheets to compare each run with.
+    margin : float
+        Fraction by which a whole interval must exceed the limit of a datasheet.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> quiet = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1))
+    >>> noisy = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+    >>> ar.compare(quiet, noisy).differs
+    True
+    """
+    names = [f'{chr(ord("A") + i)}' for i in range(len(sources))]
+    runs = [s if isinstance(s, Results) else results_of(s) for s in sources]
+    paths = [name if isinstance(s, Results) else str(s) for s, name in zip(sources, names)]
+    names = [*labels, *labels_of(paths)[len(labels) :]]
+    sheets = [load_sensor(name) for name in ([sensor] if isinstance(sensor, str) else sensor)]
+    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
+
+
+def simulate(
+    hours: float = 1.0,
+    rate: float = 100.0,
+    preset: str = 'paper',
+    *,
+    sensor: str = '',
+    gyro: Mapping[str, float] | None = None,
+    accel: Mapping[str, float] | None = None,
+    seed: int = 0,
+    frame_id: str = 'imu_link',
+    **faults: Any,
+) -> ImuBatch:
+    """Return the samples of a simulated IMU with known noise.
+
+    Parameters
+    ----------
+    hours, rate : float
+        Length, and sample rate in Hz.
+    preset : str
+        A name of `core.faults.PRESETS`; '' for none.
+    sensor : str
+        A datasheet, whose limits are taken instead of the preset.
+    gyro, accel : mapping of term to value, optional
+        Terms to replace, in datasheet units, for all three axes: ``{'N': 0.3, 'B': 7}``.
+    seed : int
+    frame_id : str
+    **faults
+        Fields of `core.faults.Faults`: ``motion``, ``gaps``, ``low_pass`` ...
+
+    Returns
+    -------
+    ImuBatch
+        With ``stamps_ns`` (n,) and ``samples`` (n, 6) in SI.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
+    (7200, 6)
+    """
+    given = {'gyro': gyro, 'accel': accel}
+    changes = {name: terms for name, terms in given.items() if terms}
+    terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
+    batches = simulate_imu(
+        hours * 3600.0,
+        rate,
+        terms[:3],
+        terms[3:],
+        seed=seed,
+        faults=_settings(Faults, faults),
+        frame_id=frame_id,
+    )
+    return reduce(joined, batches)
+
+
+def _paths(source: Any) -> list[str]:
+    """Return the paths of a source; none where it is samples."""
+    if isinstance(source, (str, os.PathLike)):
+        return [str(source)]
+    if not isinstance(source, (list, tuple)):
+        return []
+    paths = [str(each) for each in source if isinstance(each, (str, os.PathLike))]
+    return paths if len(paths) == len(source) else []
+
+
+def _recorded(source: Results | str | os.PathLike[str]) -> RecordingSums:
+    if not isinstance(source, Results):
+        return load_sums(source)
+    if source.recorded is None:
+        raise AllanError('these results were read without their sums: give the folder or sums.json')
+    return source.recorded
+
+
+def _options_of(options: Mapping[str, Any]) -> tuple[ReadOptions, SegmenterSettings]:
+    """Return the reading options and settings of the stream from keyword arguments."""
+    reading = {name: options[name] for name in describe(ReadOptions) if name in options}
+    rest = {name: value for name, value in options.items() if name not in reading}
+    return ReadOptions(**reading), _settings(SegmenterSettings, rest)
+
+
+def _settings(kind: type[T], given: Mapping[str, Any]) -> T:
+    """Return settings from keyword arguments.
+
+    Raises
+    ------
+    AllanError
+        Naming the argument that is unknown, and the known ones.
+    """
+    known = describe(kind)
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            raise AllanError(f'option {name!r} is unknown: use {near[0] if near else list(known)}')
+    return kind(**given)

@@ -18,19 +18,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ..api import (
-    ResultSettings,
-    add_recordings,
-    fit_recorded,
-    load_baseline,
-    read_in_processes,
-    read_in_turn,
-)
+from ..api import ResultSettings, fit_recorded, load_baseline
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.settings import SegmenterSettings
 from ..io.plot_style import PictureSettings, load_style
 from ..io.readers.recording import ReadOptions
+from ..io.reading import add_recordings, read_in_processes, read_in_turn
 from ..io.recorded import ReadJob, RecordingSums
 from .console import Console
 from .options import add_settings, settings_of

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import argparse
 
-from ..api import ResultSettings, add_recordings, load_sums
+from ..api import ResultSettings, load_sums
 from ..io.plot_style import PictureSettings
+from ..io.reading import add_recordings
 from .analyze import check_result_arguments, show_results
 from .options import add_settings
 

@@ -27,7 +27,6 @@ from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
     from ..core.imu import ImuBatch
-    from ..core.noise import NoiseTerms
 
 HOUR = 3600.0
 
@@ -90,15 +89,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, write the recording and then its truth."""
-    noise = noise_of(args)
+    # Imported here, so that --help needs no numpy.
+    from ..core.simulate import simulate_imu
+    from ..io.truth import stated_noise, write_truth
+    from ..io.writing import write_recording
+
+    changes = {name: getattr(args, name) for name in NOISE_OPTIONS if getattr(args, name)}
+    noise = stated_noise(args.preset or '', args.sensor or '', args.spec or '', changes)
     faults = settings_of(Faults, args, motion=tuple(args.motion), gaps=tuple(args.gaps))
     if args.seed < 0:
         raise AllanError(f'--seed is {args.seed}: give 0 or more')
-    # Imported here, so that --help needs no numpy.
-    from ..core.simulate import simulate_imu
-    from ..io.truth import write_truth
-    from ..io.writing import write_recording
-
     console = Console.of(args)
     seconds = args.hours * HOUR
     terms = list(noise.values())
@@ -137,41 +137,6 @@ def run(args: argparse.Namespace) -> int:
         length = f'{written} samples, {seconds:g} s at {args.rate:g} Hz'
         print(f'{args.output}: {length}; truth in {truth}')
     return 0
-
-
-def noise_of(args: argparse.Namespace) -> dict[str, NoiseTerms]:
-    """Return axis -> terms in SI, from the base and the options that change single terms.
-
-    Raises
-    ------
-    AllanError
-        When nothing is said of the noise, or what is said is impossible.
-    """
-    from ..core.fields import Fields
-    from ..core.imu import AXES, SI_UNITS, sensor_of
-    from ..core.noise import NoiseTerms
-    from ..io.datasheets import load_sensor
-    from ..io.truth import read_noise, with_noise
-
-    changes = {name: getattr(args, name) for name in NOISE_OPTIONS if getattr(args, name)}
-    noise = {axis: NoiseTerms() for axis in AXES}
-    if args.spec:
-        noise = read_noise(args.spec)
-    elif args.preset:
-        noise = with_noise(noise, Fields({**PRESETS[args.preset]}, f'--preset {args.preset}'))
-    elif args.sensor:
-        limits = load_sensor(args.sensor).limits
-        stated = {
-            axis: {
-                term: {'value': limit.value, 'unit': SI_UNITS[sensor_of(axis)][term]}
-                for term, limit in of_axis.items()
-            }
-            for axis, of_axis in limits.items()
-        }
-        noise = with_noise(noise, Fields(stated, f'--sensor {args.sensor}'))
-    elif not changes:
-        raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
-    return with_noise(noise, Fields(changes, 'noise'))
 
 
 def _watched(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:

@@ -13,7 +13,6 @@ from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheet_comparison import VERDICT_TEXT, DatasheetComparison, LimitCheck
 from ..io.format import (
-    duration_text,
     interval_text,
     region_text,
     shown_unit,
@@ -21,6 +20,7 @@ from ..io.format import (
     value_text,
 )
 from ..io.results import Results
+from ..io.summary import headline
 from .console import coloured, finding_lines, width, wrapped
 
 HEADLINES: dict[Verdict | None, str] = {
@@ -100,17 +100,6 @@ def results_lines(
     for finding in results.findings:
         yield ''
         yield from finding_lines(finding, columns, colours)
-
-
-def headline(results: Results) -> str:
-    """Return one line that says what was analysed."""
-    segments = len(results.provenance.spans)
-    name = results.identity.hardware_id or results.identity.frame_id or 'IMU'
-    return (
-        f'{name}: {results.samples:,} samples at {results.rate_hz:.5g} Hz, '
-        f'{duration_text(results.duration_s)} of evidence in '
-        f'{segments} segment{"" if segments == 1 else "s"}, fitted by {results.method}'
-    )
 
 
 def _legend(results: Results) -> str:

@@ -20,10 +20,19 @@ def one_line(text: str) -> str:
 
 
 class AllanError(Exception):
-    """Something a user can mend.
+    """An error that a user can fix: the only exception that the package raises on purpose.
 
-    The message is one line that carries the numbers and the next step. It is caught once, at the
-    shell (command line or node), and shown without a traceback.
+    The message is one line with the cause, the numbers and the next step. The command line and
+    the nodes catch it in one place and show it without a traceback.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> try:
+    ...     ar.analyze('missing.mcap')
+    ... except ar.AllanError as error:
+    ...     print(error)
+    missing.mcap: no such file or folder: check the path
     """
 
     def __init__(self, message: str) -> None:

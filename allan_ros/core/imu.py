@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import AllanError
+from .errors import AllanError, one_line
 
 AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """The axes, in the order of the last dimension of every six-axis array."""
@@ -196,7 +196,20 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 class ImuIdentity(NamedTuple):
-    """Which IMU the samples came from."""
+    """Which IMU the samples came from.
+
+    Attributes
+    ----------
+    frame_id : str
+        ``header.frame_id``.
+    hardware_id : str
+        Serial number, if the user gave one.
+    """
 
     frame_id: str = ''
     hardware_id: str = ''
+
+    @property
+    def label(self) -> str:
+        """What to call it: the serial number or the frame, safe to show in a terminal."""
+        return one_line(self.hardware_id or self.frame_id)

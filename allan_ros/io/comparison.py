@@ -89,6 +89,9 @@ class RunComparison:
     beside: tuple[tuple[str, DatasheetComparison], ...]
     family_error: float = FAMILY_ERROR
 
+    def __repr__(self) -> str:
+        return '\n'.join(comparison_headline(self))
+
     @property
     def differs(self) -> bool:
         """Whether anything differs by more than chance, or is beyond a datasheet."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..core.compare import Verdict, compare
+from ..core.compare import Comparison, Verdict, compare
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.findings import Finding, finding
@@ -60,6 +60,12 @@ class DatasheetComparison:
         """The worst verdict of all; None where nothing could be held."""
         verdicts = {held.verdict for held in self.held}
         return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """The coefficients that the datasheet has a limit for, as those of an earlier run."""
+        name = self.datasheet.name
+        return tuple(Comparison(name, h.axis, h.term, h.limit.value, h.verdict) for h in self.held)
 
     def of(self, axis: str, term: str) -> LimitCheck | None:
         """Return what a coefficient was held against, if it was."""

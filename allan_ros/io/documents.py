@@ -86,7 +86,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         fields.integer('samples', least=0),
         fields.number('duration_s', least=0.0),
         fields.integer('segment_count', least=0),
-        {name: _axis_from_document(axes.fields(name)) for name in _axes_of(axes)},
+        {name: _axis_from_document(name, axes.fields(name)) for name in _axes_of(axes)},
         provenance,
         provenance.findings,
         None if datasheet is None else comparison_from_document(datasheet),
@@ -230,7 +230,7 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
     return document
 
 
-def _axis_from_document(fields: Fields) -> AxisResult:
+def _axis_from_document(name: str, fields: Fields) -> AxisResult:
     noise = fields.fields('noise')
     misfit = fields.optional_number('misfit', least=0.0)
     return AxisResult(
@@ -254,6 +254,7 @@ def _axis_from_document(fields: Fields) -> AxisResult:
             for r in fields.each('reading')
         ),
         fields.optional_number('sample_std', least=0.0),
+        name,
     )
 
 

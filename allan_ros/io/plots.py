@@ -159,6 +159,35 @@ def sensor_figure(
     return figure
 
 
+def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
+    """Draw the curves of one or more axes of a sensor and their fits into one panel.
+
+    Parameters
+    ----------
+    panel : matplotlib Axes
+    axes : mapping of axis name to AxisResult
+        One axis is drawn with the parts of its fit, several without.
+    units : 'datasheet' or 'si'
+    """
+    for name, result in axes.items():
+        if result.curve is None:
+            continue
+        if len(axes) == 1:
+            _draw_curve(panel, name, result, units, wide=False)
+            continue
+        curve, unit = result.curve, shown_unit(name, 'B', units)
+        (points,) = panel.loglog(curve.tau, unit.factor * curve.adev, 'o', ms=3, label=name)
+        colour = points.get_color()
+        low, high = (unit.factor * limit for limit in (curve.ci_low, curve.ci_high))
+        panel.fill_between(curve.tau, low, high, color=colour, alpha=0.2, lw=0)
+        total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
+        panel.loglog(curve.tau, unit.factor * total, color=colour, lw=1.0)
+        panel.set_ylabel(f'Allan deviation  [{pretty_unit(unit.name)}]')
+    panel.set_xlabel('averaging time τ [s]')
+    if len(axes) > 1:
+        panel.legend()
+
+
 def to_png(figure: Figure) -> bytes:
     """Return the figure as a PNG file."""
     return to_form(figure, 'png')
@@ -219,7 +248,7 @@ def _head(
 ) -> None:
     """Write what is shown, and the legend that all panels share."""
     width, height = figure.get_size_inches()
-    of = results.identity.hardware_id or results.identity.frame_id
+    of = results.identity.label
     facts = (
         f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
         f'{results.duration_s / 3600.0:.3g} h'

@@ -13,7 +13,6 @@ from ..core.allan.spectrum import SpectrumSums
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.findings import Finding
-from ..core.imu import ImuBatch
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Segment
 from ..core.stream.pipeline import ImuStream
@@ -195,21 +194,6 @@ def read_recording(
         return RecordingSums(job.path, known.sums, provenance)
     temperature = recording.temperature(known.sums[0].identity.frame_id)
     return RecordingSums(job.path, known.sums, provenance, (signal,), known.spectra, (temperature,))
-
-
-def batches_in_memory(name: str, batches: Iterable[ImuBatch], samples: int) -> Recording:
-    """Return samples in memory as a recording.
-
-    Parameters
-    ----------
-    name : str
-        For messages and the list of sources.
-    batches : iterable of ImuBatch
-        Read once for each pass; give a list where there is more than one.
-    samples : int
-        How many samples there are.
-    """
-    return Recording(SourceInfo(name, '', 'array', 'memory'), samples, lambda _: iter(batches))
 
 
 def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:

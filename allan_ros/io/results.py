@@ -1,34 +1,122 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Results`: all that one analysis says, as the value every writer starts from."""
+"""`Results`: the coefficients, curves and findings of one analysis."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
+from ..core.errors import AllanError
 from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
-from ..core.fit import TERMS, AxisFit, NoiseModel
+from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel
 from ..core.fit.regions import Region, read_curve
 from ..core.fit.settled import fit_settled
-from ..core.imu import AXES, ImuIdentity
+from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
 from ..core.noise import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
 from ..core.settings import AUTO
 from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
 from .datasheets import Datasheet
 from .recorded import Provenance, RecordingSums
 
+if TYPE_CHECKING:
+    from .report.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One coefficient of one axis with its unit.
+
+    Attributes
+    ----------
+    value : float or None
+        The estimate; None where the term is not resolved. The ramp R is given without its sign.
+    ci95 : (low, high) or None
+        95 % confidence interval.
+    upper95 : float or None
+        95 % upper limit of a term that is not resolved.
+    unit : str
+    sign : int
+        Sign of the ramp R, else 0.
+
+    Examples
+    --------
+    >>> Quantity(1e-4, (9e-5, 1.1e-4), None, 'rad/s/sqrt(Hz)').to('deg/sqrt(h)')
+    0.3438 (0.309..0.378) deg/sqrt(h)
+    >>> Quantity(None, None, 2e-5, 'rad/s').to('deg/h')
+    < 4.13 deg/h
+    """
+
+    value: float | None
+    ci95: tuple[float, float] | None
+    upper95: float | None
+    unit: str
+    sign: int = 0
+
+    def to(self, unit: str) -> Quantity:
+        """Return the same in another unit of the same quantity.
+
+        Raises
+        ------
+        AllanError
+            When the unit is unknown, or of another quantity; it lists the units that fit.
+        """
+        factor = to_si(1.0, self.unit, UNITS[self.unit].si) / to_si(1.0, unit, UNITS[self.unit].si)
+        low_high = self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor)
+        return replace(
+            self,
+            value=None if self.value is None else self.value * factor,
+            ci95=low_high,
+            upper95=None if self.upper95 is None else self.upper95 * factor,
+            unit=unit,
+        )
+
+    def __repr__(self) -> str:
+        from .format import ShownUnit, interval_text, value_text
+
+        known = Coefficient(
+            self.value,
+            self.ci95,
+            self.upper95,
+            'not_observable' if self.value is None else 'estimated',
+            self.sign,
+        )
+        unit = ShownUnit(self.unit, 1.0)
+        interval = interval_text(known, unit)
+        return f'{value_text(known, unit)}{f" ({interval})" if interval else ""} {self.unit}'
+
 
 @dataclass(frozen=True)
 class AxisCurve:
-    """The Allan deviation of one axis with its 68.3 % limits; all arrays are (factors,)."""
+    """Overlapping Allan deviation with its 68.3 % confidence limits.
+
+    Attributes
+    ----------
+    m : (factors,) int64 array
+        Averaging factors in samples.
+    tau : (factors,) float64 array
+        Averaging times in s.
+    n : (factors,) int64 array
+        Number of second differences in each point.
+    adev, ci_low, ci_high : (factors,) float64 arrays
+        Deviation and its limits in the unit of the samples; (factors, columns) of several columns.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).tau
+    array([0.5, 1. ])
+    """
 
     m: NDArray[np.int64]
     tau: NDArray[np.float64]
@@ -40,19 +128,28 @@ class AxisCurve:
 
 @dataclass(frozen=True)
 class AxisResult:
-    """What is known of one axis.
+    """The results of one axis; ``axis.N``, ``.Q``, ``.B``, ``.K`` and ``.R`` are its coefficients.
 
     Attributes
     ----------
     tau0 : float
-        Its sample period in s.
+        Sample period in s.
     fit : AxisFit
     curve : AxisCurve or None
-        None where only the coefficients were passed on.
+        None where only the coefficients are known.
     regions : tuple of Region
-        Which noise rules in which range of tau.
+        Which noise dominates in which range of tau.
     sample_std : float or None
         Standard deviation of the samples about their mean of up to a second, as measured.
+    name : str
+        Name of the axis.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
+    >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
+    ('accel_z', 20.0)
     """
 
     tau0: float
@@ -60,27 +157,59 @@ class AxisResult:
     curve: AxisCurve | None = None
     regions: tuple[Region, ...] = ()
     sample_std: float | None = None
+    name: str = ''
+
+    @property
+    def Q(self) -> Quantity:
+        """Quantization noise."""
+        return self.quantity('Q')
+
+    @property
+    def N(self) -> Quantity:
+        """Angle or velocity random walk: the continuous density of the white noise."""
+        return self.quantity('N')
+
+    @property
+    def B(self) -> Quantity:
+        """Bias instability: the coefficient, i.e. the minimum of the curve / 0.664."""
+        return self.quantity('B')
+
+    @property
+    def K(self) -> Quantity:
+        """Rate or acceleration random walk."""
+        return self.quantity('K')
+
+    @property
+    def R(self) -> Quantity:
+        """Rate or acceleration ramp."""
+        return self.quantity('R')
+
+    def quantity(self, term: str) -> Quantity:
+        """Return the coefficient of a term (Q, N, B, K or R) in SI."""
+        c = self.fit.noise[term]
+        value = c.value if c.status == 'estimated' else None
+        return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
 
     def part_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the deviation each of the five terms makes at factors m, (factors, 5), SI."""
+        """Return the deviation of each of the five terms at factors m, (factors, 5), SI."""
         return np.sqrt(self._part_avar(m))
 
     def extra_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of the Gauss-Markov noise and the sinusoid, where there are any."""
-        drift, line = self.fit.gauss_markov, self.fit.sinusoid
+        """Return the deviation of each Gauss-Markov process and sinusoid by a name, SI."""
         extras = {}
-        if drift is not None:
+        processes = self.fit.processes
+        for i, drift in enumerate(processes.gauss_markov):
             unit = gauss_markov_avar(m, drift.correlation_time / self.tau0)
-            extras['Gauss-Markov'] = drift.sigma * np.sqrt(unit)
-        if line is not None:
+            extras[f'Gauss-Markov{f" {i + 1}" if i else ""}'] = drift.sigma * np.sqrt(unit)
+        for i, line in enumerate(processes.sinusoid):
             unit = sinusoid_avar(m, line.frequency * self.tau0)
-            extras['sinusoid'] = line.amplitude * np.sqrt(unit)
+            extras[f'sinusoid{f" {i + 1}" if i else ""}'] = line.amplitude * np.sqrt(unit)
         return extras
 
     def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the deviation of the fit at factors m, (factors,), SI.
 
-        A ramp that is not observable is left out: its square would count its own scatter.
+        A ramp that is not resolved is left out: its square would add its own scatter.
         """
         parts = self._part_avar(m)
         if self.fit.noise['R'].status != 'estimated':
@@ -96,7 +225,7 @@ class AxisResult:
 
 @dataclass(frozen=True)
 class Results:
-    """One analysis of one IMU.
+    """One analysis of one IMU; ``results['gyro_z']`` is the result of an axis.
 
     Attributes
     ----------
@@ -104,17 +233,26 @@ class Results:
     method : str
         How the curve was fitted.
     tau0, samples, duration_s, segments : float, int, float, int
-        Sample period, samples, their time in all, and segments of the sensor with the most
-        samples; an axis that ticks differently has its own tau0.
+        Sample period, samples, their total time, and segments of the sensor with the most
+        samples; a sensor with another rate has its own tau0.
     axes : mapping of axis name to AxisResult
-        In the order of `AXES`; an absent sensor is absent.
+        In the order of `AXES`; only the axes that were measured.
     provenance : Provenance
     findings : tuple of Finding
-        Those of the provenance, then those of the fit and of the comparison.
+        Of the recording, of the fit, and of the comparison with a datasheet.
     datasheet : DatasheetComparison or None
         The comparison with a datasheet, if one was named.
     recorded : RecordingSums or None
         The sums that were fitted; None for results that were read from a file.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> results.samples, round(results.rate_hz), list(results)[:2]
+    (18000, 50, ['gyro_x', 'gyro_y'])
+    >>> results.export('kalibr').splitlines()[-1]
+    'update_rate: 50.0'
     """
 
     identity: ImuIdentity
@@ -133,6 +271,126 @@ class Results:
     def rate_hz(self) -> float:
         """Sample rate in Hz."""
         return 1.0 / self.tau0
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the IMU is fine, whether the record was long enough, and what to do next."""
+        from .report.verdict import verdict_of
+
+        comparisons = self.datasheet.comparisons if self.datasheet else ()
+        return verdict_of(self, comparisons, 'datasheet')
+
+    def __getitem__(self, axis: str) -> AxisResult:
+        try:
+            return self.axes[axis]
+        except KeyError:
+            raise AllanError(
+                f'there is no axis {axis!r}: choose one of {", ".join(self.axes)}'
+            ) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.axes)
+
+    def __contains__(self, axis: object) -> bool:
+        return axis in self.axes
+
+    def __repr__(self) -> str:
+        from .summary import summary_text
+
+        return summary_text(self)
+
+    def _repr_html_(self) -> str:
+        from .summary import summary_html
+
+        return summary_html(self)
+
+    def table(self, units: str = 'datasheet') -> Any:
+        """Return all coefficients, one row each.
+
+        Parameters
+        ----------
+        units : 'datasheet' or 'si'
+
+        Returns
+        -------
+        pandas.DataFrame or list of dict
+            With axis, term, value, ci95_low, ci95_high, upper95, unit. A DataFrame if pandas is
+            installed.
+        """
+        from .summary import table_rows
+
+        rows = table_rows(self, units)
+        try:
+            import pandas
+        except ImportError:
+            return rows
+        return pandas.DataFrame(rows)
+
+    def plot(self, what: str = 'gyro', ax: Any = None, units: str = 'datasheet') -> Any:
+        """Draw the Allan deviation with its limits and the fit.
+
+        Parameters
+        ----------
+        what : str
+            'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
+        ax : matplotlib Axes, optional
+            Where to draw; without it a figure with a panel for each axis is made.
+        units : 'datasheet' or 'si'
+
+        Returns
+        -------
+        matplotlib Axes or Figure
+            The axes that were given, or the figure that was made.
+        """
+        from .plots import draw_axes, sensor_figure
+
+        names = [name for name in self.axes if what in (name, sensor_of(name))]
+        if not names:
+            raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
+        if ax is None:
+            return sensor_figure(
+                replace(self, axes={n: self.axes[n] for n in names}),
+                sensor_of(names[0]),
+                units=units,
+            )
+        draw_axes(ax, {name: self.axes[name] for name in names}, units)
+        return ax
+
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the file of a filter or simulator as text, and write it if a path is given.
+
+        Parameters
+        ----------
+        target : str
+            A name of `io.exporters.TARGETS`, such as 'kalibr'.
+        path : path, optional
+            File to write, or the folder to write it into.
+        **options
+            Fields of `io.exporters.ExportOptions`, such as ``inflate=2``.
+        """
+        from .exporters import ExportOptions, make_export, target_of
+        from .files import write_atomic
+
+        text = make_export(self, target, ExportOptions(**options)).text
+        if path is not None:
+            place = Path(path)
+            write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
+        return text
+
+    def save(self, folder: str | os.PathLike[str], **options: Any) -> list[Path]:
+        """Write the files that `allan analyze -o` writes, and return their paths.
+
+        Parameters
+        ----------
+        folder : path
+        **options
+            As of `io.result_files.write_result_files`: ``units``, ``targets``, ``pictures`` ...
+        """
+        from .result_files import write_result_files
+
+        return write_result_files(folder, self, **options)[1]
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
         """Return the same with the comparison with a datasheet, and a finding for each excess."""
@@ -208,5 +466,6 @@ def _axis_results(
                     ),
                     tuple(read_curve(curve, name, fit.axes[name])),
                     None if variance is None else math.sqrt(variance),
+                    name,
                 ),
             )

@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import AllanError
-from ..core.faults import Faults
+from ..core.faults import PRESETS, Faults
 from ..core.fields import Fields
 from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of, to_si
 from ..core.noise import NoiseTerms
 from .config_files import read_yaml
+from .datasheets import load_sensor
 from .files import write_atomic
 
 SCHEMA = 'allan_ros/truth/1'
@@ -84,6 +85,51 @@ def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
         )
         for axis in AXES
     }
+
+
+def stated_noise(
+    preset: str = '',
+    sensor: str = '',
+    spec: str = '',
+    changes: Mapping[str, Mapping[str, float]] | None = None,
+) -> AxesNoise:
+    """Return the noise of an IMU from a preset, a datasheet or a file, with single changes.
+
+    Parameters
+    ----------
+    preset : str
+        A name of `core.faults.PRESETS`.
+    sensor : str
+        A datasheet, whose limits are N and B.
+    spec : str
+        Path of a specification; it goes before ``preset`` and ``sensor``.
+    changes : mapping of axis or sensor to term to value
+        Terms that replace those above, in datasheet units.
+
+    Raises
+    ------
+    AllanError
+        When nothing is stated, or what is stated is impossible.
+    """
+    noise = {axis: NoiseTerms() for axis in AXES}
+    if spec:
+        noise = read_noise(spec)
+    elif preset:
+        if preset not in PRESETS:
+            raise AllanError(f'preset {preset!r} is unknown: choose one of {", ".join(PRESETS)}')
+        noise = with_noise(noise, Fields({**PRESETS[preset]}, f'preset {preset}'))
+    elif sensor:
+        stated = {
+            axis: {
+                term: {'value': limit.value, 'unit': SI_UNITS[sensor_of(axis)][term]}
+                for term, limit in of_axis.items()
+            }
+            for axis, of_axis in load_sensor(sensor).limits.items()
+        }
+        noise = with_noise(noise, Fields(stated, f'sensor {sensor}'))
+    elif not changes:
+        raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
+    return with_noise(noise, Fields({**(changes or {})}, 'noise'))
 
 
 def _terms(stated: Fields, sensor: str) -> dict[str, float]:

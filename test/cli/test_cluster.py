@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from allan_ros.api import read_in_processes, read_in_turn
 from allan_ros.cli.cluster import on_cluster
 from allan_ros.cli.console import Console
 from allan_ros.cli.main import main
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
+from allan_ros.io.reading import read_in_processes, read_in_turn
 from allan_ros.io.recorded import ReadJob, RecordingSums, read_recording
 
 

@@ -9,11 +9,12 @@ from dataclasses import replace
 import pytest
 
 from allan_ros.cli.console import finding_lines
-from allan_ros.cli.tables import headline, results_lines
+from allan_ros.cli.tables import results_lines
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import TERMS, Coefficient
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
+from allan_ros.io.summary import headline
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
 
@@ -39,7 +40,7 @@ def test_every_coefficient_is_there_whatever_the_width(small_results: Results, w
 
 def test_headline(small_results: Results) -> None:
     assert headline(small_results) == (
-        'unit 7: 60,000 samples at 50 Hz, 20.0 min of evidence in 1 segment, fitted by gls'
+        'unit 7: 60,000 samples at 50 Hz, 20.0 min of static data in 1 segment, fitted by gls'
     )
 
 

@@ -149,12 +149,14 @@ def plan_sensors(
     plans: list[SensorPlan] = []
     findings: list[Finding] = []
     for sensor, place in SENSORS.items():
-        axes, own = AXES[place], rows[place]
+        present = np.arange(place.start, place.stop)
+        present = present[np.isfinite(rows[place]).any(axis=1)]
+        if not len(present):
+            findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
+            continue
+        axes, own = tuple(AXES[i] for i in present), rows[present]
         zeros = own == 0.0
         sieve: Sieve = 'all'
-        if not np.isfinite(own).any():
-            findings.append(finding('sensor_absent', axes, sensor=sensor))
-            continue
         if zeros.all():
             findings.append(finding('sensor_all_zero', axes, sensor=sensor))
             continue
@@ -162,13 +164,13 @@ def plan_sensors(
             sieve = 'zero'
             share = float(zeros.all(axis=0).mean())
             findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
-        elif _together(repeats[place]):
+        elif _together(repeats[present]):
             sieve = 'held'
-            share = float(repeats[place].all(axis=0).mean())
+            share = float(repeats[present].all(axis=0).mean())
             findings.append(finding('held', axes, sensor=sensor, share=share))
         plans.append(SensorPlan(axes, sieve))
     if len(plans) == len(SENSORS) and _tick_together(plans, repeats):
-        plans = [SensorPlan(AXES, plans[0].sieve)]
+        plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].sieve)]
     return tuple(plans), tuple(findings)
 
 
@@ -176,15 +178,16 @@ def _tick_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
     """Return whether both sensors are new in the same messages."""
     sieves = {plan.sieve for plan in plans}
     if sieves == {'held'}:
-        apart = repeats[SENSORS['gyro']].all(axis=0) != repeats[SENSORS['accel']].all(axis=0)
+        gyro, accel = (repeats[[AXES.index(axis) for axis in plan.axes]] for plan in plans)
+        apart = gyro.all(axis=0) != accel.all(axis=0)
         return bool(apart.mean() < SHARE)
     return sieves == {'all'}
 
 
 def _together(flags: NDArray[np.bool_]) -> bool:
-    """Return whether three axes do something together more often than by chance.
+    """Return whether the axes do something together more often than by chance.
 
-    flags : (3, n). All of the time is no sign of it: a constant is a fault of another kind.
+    flags : (axes, n). All of the time is no sign of it: a constant is a fault of another kind.
     """
     joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not SHARE < joint < 1.0:

@@ -363,7 +363,7 @@ class RunSplitter:
         """Yield (begins a new run, samples) in order; joined, they are the stream."""
         if self._held is not None:
             if self._held.frame_id == batch.frame_id:
-                batch = _joined(self._held, batch)
+                batch = joined(self._held, batch)
             else:
                 yield False, self._held
             self._held = None
@@ -399,7 +399,8 @@ class RunSplitter:
         return int(edges[-2]) + 1, False
 
 
-def _joined(a: ImuBatch, b: ImuBatch) -> ImuBatch:
+def joined(a: ImuBatch, b: ImuBatch) -> ImuBatch:
+    """Return the samples of both in one batch, with the frame_id of the second."""
     record = None
     if a.record_ns is not None and b.record_ns is not None:
         record = np.concatenate([a.record_ns, b.record_ns])

@@ -216,6 +216,28 @@ def _roles(
     return axes, stamp, record
 
 
+def axis_of_column(name: str) -> tuple[str, str] | None:
+    """Return the axis that a column is named after and the unit in its name ('' for none).
+
+    Examples
+    --------
+    >>> axis_of_column('gyro_x [deg/s]'), axis_of_column('az'), axis_of_column('label')
+    (('gyro_x', 'deg/s'), ('accel_z', ''), None)
+    """
+    base, unit = _base_and_unit(name)
+    for sensor, pattern in (('gyro', _GYRO), ('accel', _ACCEL)):
+        if match := pattern.search(base):
+            return f'{sensor}_{match[1]}', unit
+    return None
+
+
+def time_of_column(name: str) -> int | None:
+    """Return the nanoseconds in the unit of a time column, or None for another column."""
+    base, unit = _base_and_unit(name)
+    match = _TIME.search(base)
+    return STAMP_UNITS[unit if unit in STAMP_UNITS else match[2] or 's'] if match else None
+
+
 def _size(path: Path, name: str, unit: str, units: dict[str, float]) -> float:
     try:
         return units[unit]

@@ -182,7 +182,7 @@ def render_report(results: Results, beside: Beside, units: str) -> str:
     units : 'datasheet' or 'si'
         Those shown first.
     """
-    name = results.identity.hardware_id or results.identity.frame_id or 'IMU'
+    name = results.identity.label or 'IMU'
     comparisons = {run: _with_run(results, run, beside) for run in beside.former}
     held = [*_with_datasheet(results), *(c for of_run in comparisons.values() for c in of_run)]
     sensors = {

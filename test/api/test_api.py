@@ -1,0 +1,245 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The public functions: every kind of source, units, tables, pictures and files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import allan_ros as ar
+from allan_ros.core.imu import AXES, DEGREE, STANDARD_GRAVITY
+
+RATE = 100.0
+
+
+@pytest.fixture(scope='module')
+def noise() -> np.ndarray:
+    return np.random.default_rng(7).normal(scale=1e-3, size=(8000, 6))
+
+
+@pytest.fixture(scope='module')
+def results() -> ar.Results:
+    return ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1))
+
+
+def test_importing_loads_no_library() -> None:
+    program = (
+        'import sys, allan_ros\n'
+        'heavy = {n.partition(".")[0] for n in sys.modules} & '
+        '{"numpy", "scipy", "matplotlib", "yaml", "rosbags", "rclpy", "pandas"}\n'
+        'assert not heavy, heavy\n'
+        'assert "analyze" in dir(allan_ros)\n'
+        'try:\n    allan_ros.nothing\nexcept AttributeError:\n    pass\n'
+        'else:\n    raise SystemExit(1)\n'
+    )
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_analyzing_an_array_draws_nothing() -> None:
+    program = (
+        'import sys, allan_ros as ar, numpy as np\n'
+        'ar.analyze(np.random.default_rng(0).normal(size=4000), rate=100)\n'
+        'assert "matplotlib" not in sys.modules\n'
+    )
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ('columns', 'axes', 'found'),
+    [
+        (1, None, AXES[:1]),
+        (1, 'accel_z', ('accel_z',)),
+        (2, ['accel_y', 'gyro_z'], ('gyro_z', 'accel_y')),
+        (3, None, AXES[:3]),
+        (3, 'accel', AXES[3:]),
+        (4, ['gyro_x', 'accel_x', 'accel_y', 'accel_z'], (AXES[0], *AXES[3:])),
+        (6, None, AXES),
+    ],
+)
+def test_one_to_six_axes(
+    noise: np.ndarray, columns: int, axes: str | list[str] | None, found: tuple[str, ...]
+) -> None:
+    samples = noise[:, :columns]
+    r = ar.analyze(samples[:, 0] if columns == 1 else samples, rate=RATE, axes=axes)
+    assert tuple(r) == found
+    assert not r.findings or all(f.id != 'sensor_absent' for f in r.findings)
+
+
+def test_an_axis_alone_gives_what_it_gives_among_six(noise: np.ndarray) -> None:
+    alone = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', motion_gate=False)
+    among = ar.analyze(noise, rate=RATE, motion_gate=False)
+    assert np.array_equal(alone['gyro_z'].curve.adev, among['gyro_z'].curve.adev)
+
+
+def test_units_of_samples(noise: np.ndarray) -> None:
+    si = ar.analyze(noise, rate=RATE)
+    scaled = noise.copy()
+    scaled[:, :3] /= DEGREE
+    scaled[:, 3:] /= STANDARD_GRAVITY
+    other = ar.analyze(scaled, rate=RATE, gyro_unit='deg/s', accel_unit='g')
+    for axis in AXES:
+        assert other[axis].N.value == pytest.approx(si[axis].N.value, rel=1e-9)
+
+
+def test_a_mapping_names_its_columns_and_times(noise: np.ndarray) -> None:
+    times = np.arange(len(noise)) / RATE
+    columns = {'time': times, 'wz [deg/s]': noise[:, 2], 'temperature': times}
+    r = ar.analyze(columns)
+    assert tuple(r) == ('gyro_z',)
+    assert r.rate_hz == pytest.approx(RATE)
+    plain = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', gyro_unit='deg/s')
+    assert r['gyro_z'].N.value == pytest.approx(plain['gyro_z'].N.value, rel=1e-6)
+
+
+def test_a_data_frame_by_name_and_date(noise: np.ndarray) -> None:
+    pandas = pytest.importorskip('pandas')
+    index = pandas.date_range('2026-01-01', periods=len(noise), freq='10ms')
+    frame = pandas.DataFrame(noise[:, 3:], columns=['ax', 'ay', 'az'], index=index)
+    r = ar.analyze(frame)
+    assert tuple(r) == AXES[3:]
+    assert r.rate_hz == pytest.approx(RATE)
+    assert len(r.table()) == 15
+
+
+@pytest.mark.parametrize(
+    ('source', 'options', 'said'),
+    [
+        (np.zeros((100, 4)), {'rate': 10}, 'name them'),
+        (np.zeros((100, 2)), {'rate': 10, 'axes': ['gyro_x', 'gyro_x']}, 'name each column once'),
+        (np.zeros(100), {'rate': 10, 'axes': 'gyro'}, '1 columns and 3 axes'),
+        (np.zeros(100), {'rate': 10, 'axes': 'yaw'}, "axis 'yaw' is unknown"),
+        (np.zeros((10, 3, 2)), {'rate': 10}, 'shape'),
+        (np.zeros(100), {}, 'rate=200'),
+        (np.zeros(100), {'rate': -5.0}, 'rate'),
+        (np.zeros(0), {'rate': 10}, 'no samples'),
+        (np.zeros(100), {'rate': 10, 'gyro_unit': 'furlong'}, 'gyro_unit is'),
+        ({'time': np.arange(5.0), 'x': np.zeros(5)}, {}, 'none of the columns'),
+        ({'time': np.array([0, np.nan]), 'gx': np.zeros(2)}, {}, 'times are NaN'),
+        ({'gx': np.zeros(5), 'gy': np.zeros(6)}, {'rate': 5}, 'different lengths'),
+        (object(), {'rate': 10}, 'not numbers'),
+        (np.zeros(100), {'rate': 10, 'motion_gat': False}, 'use motion_gate'),
+        (np.zeros(100), {'rate': 10, 'method': 'wls'}, 'method is'),
+        ('nowhere.mcap', {}, 'no such file'),
+        (np.full(100, np.nan), {'rate': 10}, 'no static data'),
+    ],
+)
+def test_wrong_sources_are_refused_in_one_line(source: object, options: dict, said: str) -> None:
+    with pytest.raises(ar.AllanError, match=said):
+        ar.analyze(source, **options)
+
+
+def test_adev_of_one_and_several_columns(noise: np.ndarray) -> None:
+    one, several = ar.adev(noise[:, 0], rate=RATE), ar.adev(noise, rate=RATE)
+    assert one.adev.shape == one.tau.shape
+    assert np.array_equal(several.adev[:, 0], one.adev)
+    assert one.tau[0] == pytest.approx(1.0 / RATE)
+    assert (one.ci_low < one.adev).all() and (one.adev < one.ci_high).all()
+    # overlapping differences of m = 1, by definition
+    y = noise[:, 0]
+    assert one.adev[0] == pytest.approx(np.sqrt(np.mean(np.diff(y) ** 2) / 2.0), rel=1e-12)
+    for wrong in (np.array([1.0, np.nan]), np.zeros((2, 2, 2)), np.zeros(1)):
+        with pytest.raises(ar.AllanError):
+            ar.adev(wrong)
+
+
+def test_adev_agrees_with_allantools(noise: np.ndarray) -> None:
+    allantools = pytest.importorskip('allantools')
+    curve = ar.adev(noise[:, 1], rate=RATE)
+    tau, theirs, *_ = allantools.oadev(noise[:, 1], rate=RATE, data_type='freq', taus=curve.tau[:9])
+    assert curve.adev[: len(tau)] == pytest.approx(theirs, rel=1e-9)
+
+
+def test_quantities_change_units(results: ar.Results) -> None:
+    n = results['gyro_x'].N
+    shown = n.to('deg/sqrt(h)')
+    assert shown.value == pytest.approx(n.value * 60.0 / DEGREE)
+    assert shown.to(n.unit).ci95 == pytest.approx(n.ci95)
+    assert shown.unit in repr(shown)
+    with pytest.raises(ar.AllanError, match='deg/sqrt'):
+        n.to('ug')
+    limits = [results[a].quantity(t) for a in results for t in 'QBKR']
+    assert any(q.value is None and repr(q).startswith('< ') for q in limits)
+
+
+def test_axes_are_found_by_name(results: ar.Results) -> None:
+    assert 'gyro_z' in results and 'gyro' not in results
+    with pytest.raises(ar.AllanError, match='choose one of gyro_x'):
+        results['yaw']
+
+
+def test_summaries(results: ar.Results) -> None:
+    text, html = repr(results), results._repr_html_()
+    assert text.startswith('imu_link: 18,000 samples at 50 Hz, 6.00 min')
+    assert all(axis in text and axis in html for axis in AXES)
+    assert '<table>' in html
+    assert results.verdict.word in html
+
+
+def test_foreign_names_are_escaped_in_html() -> None:
+    r = ar.analyze(ar.simulate(hours=0.05, rate=50, frame_id='<script>\x1b[31m'))
+    assert '<script>' not in r._repr_html_()
+    assert '\x1b' not in repr(r) + r._repr_html_()
+
+
+def test_pictures(results: ar.Results) -> None:
+    figure = pytest.importorskip('matplotlib.figure').Figure()
+    panels = figure.subplots(1, 2)
+    assert results.plot('gyro', ax=panels[0]) is panels[0]
+    assert len(panels[0].lines) == 6  # points and fit of three axes
+    results.plot('accel_z', ax=panels[1], units='si')
+    assert len(results.plot('accel_z').axes) == 1
+    assert len(results.plot('accel').axes) == 3
+    with pytest.raises(ar.AllanError, match='choose one of'):
+        results.plot('mag')
+
+
+def test_files(results: ar.Results, tmp_path: Path) -> None:
+    written = {path.name for path in results.save(tmp_path / 'out', targets=('openvins',))}
+    assert {'results.json', 'sums.json', 'imu.yaml', 'report.html'} <= written
+    text = results.export('kalibr', tmp_path, inflate=2.0)
+    assert (tmp_path / 'imu.yaml').read_text() == text
+    again = ar.load(tmp_path / 'out')
+    assert repr(again).splitlines()[:4] == repr(results).splitlines()[:4]
+    assert ar.merge(again).samples == results.samples
+    lonely = ar.load(tmp_path / 'out' / 'results.json')
+    for fails in (lambda: lonely.save(tmp_path / 'x'), lambda: ar.merge(lonely)):
+        with pytest.raises(ar.AllanError, match='without their sums'):
+            fails()
+
+
+def test_merge_is_the_analysis_of_all() -> None:
+    parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
+    merged = ar.merge(*(ar.analyze(part) for part in parts))
+    assert merged.samples == sum(len(part) for part in parts)
+    with pytest.raises(ar.AllanError, match='give each recording once'):
+        ar.merge(ar.analyze(parts[0]), ar.analyze(parts[0]))
+    with pytest.raises(ar.AllanError, match='nothing to merge'):
+        ar.merge()
+
+
+def test_compare_tells_a_noisy_run(results: ar.Results) -> None:
+    noisy = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+    comparison = ar.compare(results, noisy, labels=['before', 'after'], sensor='adis16475-3')
+    assert comparison.differs
+    assert comparison.runs[1].label == 'after'
+    assert 'after' in repr(comparison) and 'before' in repr(comparison)
+
+
+def test_simulated_noise_is_stated() -> None:
+    batch = ar.simulate(hours=0.01, rate=100, preset='', accel={'N': 0.02})
+    assert batch.samples.shape == (3600, 6)
+    assert not batch.samples[:, :3].any() and batch.samples[:, 3:].std() > 0
+    for options, said in (
+        ({'preset': 'nope'}, 'preset'),
+        ({'low_pas': 3.0}, 'use low_pass'),
+        ({'hours': -1}, 'positive'),
+    ):
+        with pytest.raises(ar.AllanError, match=said):
+            ar.simulate(**options)
