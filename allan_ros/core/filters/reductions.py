@@ -165,8 +165,9 @@ def _reduced(whole: ProcessModel, quick: int, states: States, horizons: Horizons
         processes = _closest_process(needed, horizons)
     else:
         if states == 'processes':  # only the ramp has no state of its own
-            processes = state_space(replace(drift, terms=replace(terms, N=white))).gauss_markov
-            steady = ProcessModel(NoiseTerms(K=terms.K, R=terms.R))
+            space = state_space(replace(drift, terms=replace(terms, N=white)))
+            processes = space.gauss_markov
+            steady = ProcessModel(NoiseTerms(K=space.walk, R=terms.R))
             needed = predicted_growth(steady, times, horizons.high) ** 2
         unit = _growth_of(NoiseTerms(K=1.0), horizons)
         walk = math.sqrt(float(np.max(needed / unit)))

@@ -119,14 +119,18 @@ class StateSpace:
 
 
 def state_space(model: ProcessModel) -> StateSpace:
-    """Return the states of a process model; bias instability becomes `flicker_processes`.
+    """Return the states of a process model.
+
+    Bias instability becomes `flicker_processes`. Its part slower than three times their longest
+    correlation time T adds the random walk of these processes, K^2 = B^2/(3 pi T).
 
     Sinusoids are not noise states, quantization is not a process and a ramp is not random: they
     are left out. `reductions.reduce_model` covers the ramp by the walk.
     """
     terms = model.terms
     flicker = flicker_processes(terms.B, terms.N) if terms.B else ()
-    return StateSpace(terms.N, terms.K, (*flicker, *model.gauss_markov))
+    slow = terms.B / math.sqrt(3.0 * math.pi * LONGEST_FLICKER_S)
+    return StateSpace(terms.N, math.hypot(terms.K, slow), (*flicker, *model.gauss_markov))
 
 
 def with_slope(space: StateSpace) -> StateSpace:
