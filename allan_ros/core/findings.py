@@ -427,8 +427,15 @@ CATALOGUE = {
     ),
     'export_no_gauss_markov': Wording(
         'info',
-        '{key} is B, because no correlation time was found; corrtime is not measured for it.',
-        'Tune corrtime, or record until the curve falls again after its flat part.',
+        'No Gauss-Markov process was fitted; sigma and correlation time are those whose error '
+        'growth matches the model over {horizons}.',
+        'Choose the range with --horizon, or use state_space for all processes.',
+    ),
+    'export_two_numbers': Wording(
+        'warning',
+        'N and K cannot describe this sensor: they overestimate the error growth by a factor of up '
+        'to {ratio:.1f} over {horizons}.',
+        'Use a filter with Gauss-Markov states (state_space), or adjust --horizon.',
     ),
 }
 """id -> its text."""

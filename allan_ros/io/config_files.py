@@ -135,6 +135,7 @@ def load_filter(name: str) -> FilterMapping:
         fields.text('name'),
         tuple(_parameter(key, parameters.fields(key)) for key in parameters),
         {} if constants is None else {key: constants.number(key) for key in constants},
+        fields.number('horizon') if 'horizon' in fields else FilterMapping.horizon,
     )
     try:
         check_mapping(mapping)

@@ -141,7 +141,9 @@ class ParameterPush:
         made = []
         for parameter in mapping.parameters:
             try:
-                made.append(propose(parameter, fits, results.rate_hz, mapping.constants))
+                made.append(
+                    propose(parameter, fits, results.rate_hz, mapping.constants, mapping.horizon)
+                )
             except AllanError as error:
                 self._note(parameter.name, str(error))
         ready, waiting = narrow_enough(made, settings.ratio)

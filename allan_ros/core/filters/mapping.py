@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a running filter out of the five terms: which values, how sure, when to set them.
+"""Parameters of a running filter computed from the noise of its sensor.
 
-A value is worth setting when it is known: its interval is that of its expression over the 95 %
-intervals of the terms it uses, so a term that cannot be seen yet holds a value back only as far as
-it matters to it.
+A parameter is an expression of the noise terms. It is set when it is known well enough: its
+interval is that of the expression over the 95 % intervals of its terms, so a term that is not
+resolved yet delays a parameter only as far as it matters to it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import Any
 from ..errors import AllanError
 from ..fit.model import TERMS, AxisFit, Coefficient
 from ..imu import AXES, SENSORS
-from .noise_parameters import RULES
+from .noise_parameters import RULES, reduced_ends
+from .reductions import Horizons
 
 MAX_LENGTH = 200
-"""Characters of an expression: no formula of a filter needs more."""
-
+"""Longest expression accepted, in characters."""
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -139,7 +139,7 @@ class Expression:
 
 
 RATE = 'f'
-"""The name of the rate in expressions, in Hz."""
+"""Name of the rate in Hz in expressions."""
 
 
 @dataclass(frozen=True)
@@ -152,11 +152,12 @@ class FilterParameter:
         As the node declares it.
     sensor : 'gyro' or 'accel'
     expression : Expression
-        In the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants.
+        In the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants. Beside
+        K, N and K are those of the reduction of the selected model.
     rule : str
         One of `RULES`; 'each' makes an array of three.
     limits : (low, high)
-        What the filter can use; a value beyond is moved to the limit.
+        Range that the filter accepts; a value outside is moved to the limit.
     """
 
     name: str
@@ -168,22 +169,34 @@ class FilterParameter:
 
 @dataclass(frozen=True)
 class FilterMapping:
-    """The parameters of one kind of filter, and the constants of their expressions."""
+    """The parameters of one kind of filter.
+
+    Attributes
+    ----------
+    name : str
+    parameters : tuple of FilterParameter
+    constants : mapping of name to float
+        Constants of the expressions.
+    horizon : float
+        Longest time in s that the filter integrates without correction: upper end of the horizons
+        of the reduction.
+    """
 
     name: str
     parameters: tuple[FilterParameter, ...]
     constants: Mapping[str, float] = field(default_factory=dict)
+    horizon: float = 30.0
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """What a parameter should be.
+    """A value for a parameter.
 
     Attributes
     ----------
     name : str
     values : tuple of float
-        One, or three where each axis speaks for itself.
+        One, or three with the rule 'each'.
     low, high : float
         95 % interval; of the axis whose interval is widest, where there are three.
     limited : bool
@@ -213,10 +226,21 @@ def propose(
     axes: Mapping[str, AxisFit],
     rate: float,
     constants: Mapping[str, float],
+    horizon: float = 30.0,
 ) -> Proposal:
-    """Return what a parameter should be.
+    """Return the value of a parameter.
 
-    A term that is not observable counts with its 95 % upper limit, and from 0 in the interval.
+    A term that is not resolved counts with its 95 % upper limit, and from 0 in the interval.
+
+    Parameters
+    ----------
+    parameter : FilterParameter
+    axes : mapping of axis name to AxisFit
+    rate : float
+        f in Hz.
+    constants : mapping of name to float
+    horizon : float
+        Upper end of the horizons of the reduction, in s.
 
     Raises
     ------
@@ -226,12 +250,9 @@ def propose(
     names = AXES[SENSORS[parameter.sensor]]
     if any(name not in axes for name in names):
         raise AllanError(f'{parameter.name}: the noise model has no {parameter.sensor}')
-    spoken = {
-        term: _by_rule(
-            [_ends(name, term, axes[name].noise[term]) for name in names], parameter.rule
-        )
-        for term in sorted(parameter.expression.names & set(TERMS))
-    }
+    used = sorted(parameter.expression.names & set(TERMS))
+    ends = [_axis_ends(name, axes[name], used, Horizons.up_to(horizon)) for name in names]
+    spoken = {term: _by_rule([one[term] for one in ends], parameter.rule) for term in used}
     known = {RATE: rate, **constants}
     count = len(names) if parameter.rule == 'each' else 1
     triples = [
@@ -248,15 +269,23 @@ def propose(
 def narrow_enough(
     proposals: Sequence[Proposal], ratio: float
 ) -> tuple[list[Proposal], dict[str, str]]:
-    """Return the proposals whose interval is narrower than the ratio, and why others are not."""
+    """Return the proposals whose interval is narrower than the ratio, and why others wait."""
     ready = [p for p in proposals if p.ratio <= ratio]
     waiting = {
-        p.name: f'between {p.low:.3g} and {p.high:.3g}: it waits until that is within a factor of '
+        p.name: f'between {p.low:.3g} and {p.high:.3g}: set once this is within a factor of '
         f'{ratio:g}'
         for p in proposals
         if p.ratio > ratio
     }
     return ready, waiting
+
+
+def _axis_ends(
+    axis: str, fit: AxisFit, terms: Sequence[str], horizons: Horizons
+) -> dict[str, tuple[float, float, float]]:
+    """Return lower end, value and upper end of these terms on one axis."""
+    ends = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
+    return {term: ends.get(term) or _ends(axis, term, fit.noise[term]) for term in terms}
 
 
 def _ends(axis: str, term: str, coefficient: Coefficient) -> tuple[float, float, float]:
@@ -266,14 +295,14 @@ def _ends(axis: str, term: str, coefficient: Coefficient) -> tuple[float, float,
         low, high = coefficient.ci95 or (0.0, math.inf)
         return max(low, 0.0), value, high
     if limit is None or not 0.0 < limit < math.inf:
-        raise AllanError(f'{term} of {axis} has neither a value nor a limit: rest for longer')
+        raise AllanError(f'{term} of {axis} has neither a value nor a limit: record longer')
     return 0.0, limit, limit
 
 
 def _by_rule(
     ends: Sequence[tuple[float, float, float]], rule: str
 ) -> list[tuple[float, float, float]]:
-    """Return what three axes say together, as `noise_model.sensor_level` does."""
+    """Return the level of a sensor with three axes, as `noise_parameters.sensor_level` does."""
     if rule == 'each':
         return list(ends)
     if rule == 'mean':
@@ -305,13 +334,14 @@ def _evaluate(
 
 
 def check_mapping(mapping: FilterMapping) -> None:
-    """Refuse a mapping whose rules, limits or names make no sense.
+    """Check the sensors, rules, limits and names of a mapping.
 
     Raises
     ------
     AllanError
-        Naming the parameter and what is wrong with it.
+        When one is invalid; it names the parameter.
     """
+    Horizons.up_to(mapping.horizon)
     for p in mapping.parameters:
         if p.sensor not in SENSORS:
             raise AllanError(f'{p.name}: sensor {p.sensor!r}: choose one of {", ".join(SENSORS)}')

@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From coefficients to the numbers a filter takes: which axis, value or limit, per which rate.
+"""Noise of the axes of a sensor as the numbers that a filter takes.
 
 N and K are continuous-time densities: the roots of two-sided power spectral densities. A filter
 that steps at f Hz sees them as discrete noise. Over one step of 1/f seconds white noise must add
 N^2/f to the variance of its integral, and a random walk K^2/f to the variance of the bias
 (N. Trawny, S. I. Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of
-Minnesota, 2005, eqs. 129, 130). Which number does that depends on what the filter multiplies it by:
+Minnesota, 2005, eqs. 129, 130). Which number does that depends on how the filter scales it:
 
 =====================  ==============  =======================================================
 the filter multiplies  write           by
@@ -16,13 +16,16 @@ a std by 1/f           N sqrt(f)       `white_std`
 a bias std by 1/f      K sqrt(f)       `walk_rate_std`
 a variance by 1/f^2    N^2 f, K^2 f    the squares of these
 =====================  ==============  =======================================================
+
+N and K are either the bare coefficients (`axis_level`) or a reduction of the selected model
+(`reduce_axis`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +33,11 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
-from ..noise import FLICKER_FLOOR
+from ..noise import NoiseTerms, ProcessModel
+from .reductions import Horizons, Reduction, States, drift_model, has_drift, reduce_model
 
 RULES = ('worst', 'mean', 'each')
-"""Which axis speaks for a sensor: the largest of three, their root mean square, or each itself."""
-
+"""Value of a sensor with three axes: the largest, the root mean square, or three values."""
 
 MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
 """Gain over gyro error (S. O. H. Madgwick, An efficient orientation filter for inertial and
@@ -43,7 +46,7 @@ inertial/magnetic sensor arrays, 2010, on the filter gains)."""
 
 @dataclass(frozen=True)
 class Level:
-    """How much of one term one axis has, in SI.
+    """Level of one noise term on one axis, in SI.
 
     Attributes
     ----------
@@ -56,6 +59,9 @@ class Level:
         95 % interval of an estimate, where the method gives one.
     is_limit : bool
         Whether the value is only an upper limit.
+    raised_from : float or None
+        The coefficient (0 where it is not resolved), if the value was raised to bound the growth of
+        the error.
     """
 
     axis: str
@@ -63,29 +69,55 @@ class Level:
     value: float
     ci95: tuple[float, float] | None = None
     is_limit: bool = False
+    raised_from: float | None = None
 
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """What a file says of one term of one sensor.
+    """Level of one noise term of a sensor.
 
     Attributes
     ----------
     values : (x, y, z)
-        In SI, inflation included; three times the same unless each axis speaks for itself.
+        In SI, including the inflation; three times the same unless each axis has its own.
     levels : tuple of Level
-        The axes that the values come from.
+        The axes that determine the values.
     """
 
     values: tuple[float, float, float]
     levels: tuple[Level, ...]
 
 
+@dataclass(frozen=True)
+class AxisReduction:
+    """The reduction of one axis, and the levels that its N and K have.
+
+    Attributes
+    ----------
+    reduction : Reduction
+    white, walk : Level
+        N and K of the reduction. K is present even where the states have no walk.
+    """
+
+    reduction: Reduction
+    white: Level
+    walk: Level | None
+
+
 def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
     """Return the level of a term on one axis: its estimate, else its 95 % upper limit.
 
-    The limit errs on the safe side: a filter that believes in more noise than there is trusts its
-    other sensors more.
+    With the limit a filter overestimates the noise and relies more on its other sensors.
+
+    Parameters
+    ----------
+    axis : str
+        Its name, for messages.
+    fit : AxisFit
+    term : str
+        One of Q, N, B, K, R.
+    strict : bool
+        Refuse an upper limit.
 
     Raises
     ------
@@ -109,24 +141,129 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
     return Level(axis, term, limit, is_limit=True)
 
 
-def bias_level(axis: str, fit: AxisFit, strict: bool = False) -> Level:
-    """Return the standard deviation of the bias of one axis.
+def reduce_axis(
+    axis: str,
+    fit: AxisFit,
+    states: States = 'walk',
+    horizons: Horizons = Horizons(1.0, 30.0),
+    strict: bool = False,
+) -> AxisReduction:
+    """Return the reduction of the selected model of one axis for the states of a filter.
 
-    It is sigma of the Gauss-Markov process where the fit found one, else B.
+    Terms that are not resolved count as 0, with two exceptions: N is replaced by its upper limit,
+    and if nothing drifts, K is.
+
+    Parameters
+    ----------
+    axis : str
+        Its name, for messages.
+    fit : AxisFit
+    states : str
+        The states of the filter, one of `STATES`.
+    horizons : Horizons
+        Range of times over which the filter integrates.
+    strict : bool
+        Refuse upper limits and reductions that are off by more than `POOR_RATIO`.
 
     Raises
     ------
     AllanError
-        As `axis_level`.
+        When a needed term has neither a value nor a limit, or ``strict`` refuses.
     """
-    process = fit.gauss_markov
-    if process is None:
-        return axis_level(axis, fit, 'B', strict)
-    return Level(axis, 'sigma', process.sigma, process.sigma_ci95)
+    white = axis_level(axis, fit, 'N', strict)
+    model = drift_model(fit.selected)
+    model = replace(model, terms=replace(model.terms, N=white.value))
+    walk = None
+    if not has_drift(model):
+        walk = axis_level(axis, fit, 'K', strict)
+        model = _with_walk(model, walk.value)
+    reduction = reduce_model(model, states, horizons)
+    if states == 'walk' and not reduction.walk:  # all that drifts is quick, and counts as white
+        walk = axis_level(axis, fit, 'K', strict)
+        reduction = reduce_model(_with_walk(model, walk.value), states, horizons)
+    if strict and reduction.poor:
+        raise AllanError(
+            f'{axis}: {_NAMES[states]} misstates the growth of the error by a factor of '
+            f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over {horizons}: choose '
+            'another --horizon, write state_space, or leave out --strict'
+        )
+    if walk is None and reduction.walk > 0.0:
+        measured = model.terms.K
+        raised = reduction.walk > 1.001 * measured
+        walk = Level(
+            axis,
+            'K',
+            reduction.walk,
+            None if raised else fit.noise['K'].ci95,
+            raised_from=measured if raised else None,
+        )
+    if reduction.white > 1.001 * white.value:
+        white = Level(axis, 'N', reduction.white, raised_from=white.value)
+    return AxisReduction(reduction, white, walk)
+
+
+def reduced_ends(
+    axis: str, fit: AxisFit, horizons: Horizons
+) -> dict[str, tuple[float, float, float]]:
+    """Return lower end, value and upper end of N and K of the reduction to a random walk.
+
+    The ends are the reductions of the models at the ends of the 95 % intervals; (0, limit, limit)
+    for an upper limit, (0, value, inf) where a term has no interval.
+
+    Raises
+    ------
+    AllanError
+        When a needed term has neither a value nor a limit.
+    """
+    reduced = reduce_axis(axis, fit, 'walk', horizons)
+    low, high = (reduce_model(one, 'walk', horizons) for one in _interval_models(fit))
+    known = all(
+        fit.noise[term].ci95 is not None for term in 'NBKR' if getattr(fit.selected.terms, term)
+    )
+    assert reduced.walk is not None
+    ends = {}
+    for level, bottom, top in (
+        (reduced.white, low.white, high.white),
+        (reduced.walk, low.walk, high.walk),
+    ):
+        if level.is_limit:
+            ends[level.term] = (0.0, level.value, level.value)
+        elif not known:
+            ends[level.term] = (0.0, level.value, math.inf)
+        else:
+            ends[level.term] = (min(bottom, level.value), level.value, max(top, level.value))
+    return ends
+
+
+def _interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
+    """Return the selected model with every level at the lower, and at the upper end."""
+    ends: list[ProcessModel] = []
+    for end in (0, 1):
+        levels = {}
+        for term in 'NBKR':
+            value, ci95 = getattr(fit.selected.terms, term), fit.noise[term].ci95
+            levels[term] = max(ci95[end], 0.0) if value and ci95 is not None else abs(value)
+        processes = tuple(
+            (max(p.sigma_ci95[end], 0.0), p.correlation_time) for p in fit.processes.gauss_markov
+        )
+        ends.append(ProcessModel(NoiseTerms(**levels), processes))
+    return ends[0], ends[1]
+
+
+_NAMES = {
+    'none': 'white noise alone',
+    'walk': 'a random walk',
+    'gauss_markov': 'one Gauss-Markov process',
+    'processes': 'the process model',
+}
+
+
+def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
+    return replace(model, terms=replace(model.terms, K=walk))
 
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
-    """Return what the three axes of a sensor say together.
+    """Return the level of a sensor with three axes.
 
     Parameters
     ----------
@@ -175,17 +312,17 @@ def walk_rate_std(density: float, rate: float) -> float:
     return density * math.sqrt(rate)
 
 
-def madgwick_gain(n: float, b: float, horizon: float) -> float:
-    """Return Madgwick's gain beta (rad/s) for a gyro with N and B, corrected over ``horizon`` s.
+def madgwick_gain(model: ProcessModel, horizon: float) -> float:
+    """Return Madgwick's gain beta (rad/s) of a gyro that is corrected over ``horizon`` s.
 
-    beta = sqrt(3/4) times the gyro's zero error; over a horizon h its standard deviation is
-    sqrt(N^2/h + (2 ln2/pi) B^2), the Allan deviation at h.
+    beta = sqrt(3/4) times the gyro's zero error; over a horizon h its standard deviation is the
+    Allan deviation at h, here without quantization and vibration.
     """
-    return MADGWICK_FACTOR * math.sqrt(n * n / horizon + FLICKER_FLOOR * b * b)
+    return MADGWICK_FACTOR * math.sqrt(float(drift_model(model).avar([horizon])[0]))
 
 
 def madgwick_drift_gain(k: float, horizon: float) -> float:
-    """Return Madgwick's drift gain zeta (rad/s^2) for a gyro with rate random walk K.
+    """Return Madgwick's drift gain zeta (rad/s^2) of a gyro with rate random walk K.
 
     zeta = sqrt(3/4) times the drift of the gyro; over a horizon h a random walk drifts by
     K sqrt(h), at a rate of K / sqrt(h).
@@ -194,13 +331,12 @@ def madgwick_drift_gain(k: float, horizon: float) -> float:
 
 
 def madgwick_ramp_gain(r: float) -> float:
-    """Return Madgwick's drift gain zeta (rad/s^2) for a gyro with rate ramp R: sqrt(3/4) |R|."""
+    """Return Madgwick's drift gain zeta (rad/s^2) of a gyro with rate ramp R: sqrt(3/4) |R|."""
     return MADGWICK_FACTOR * abs(r)
 
 
 SAMPLE_WINDOW_S = 1.0
-"""The scatter of samples is that about the mean of at most so long: slower noise is bias."""
-
+"""`sample_variance` is about the mean of at most so long: slower noise counts as bias."""
 
 Variances = tuple[float, float, float]
 """Of x, y and z, in the squared unit of the samples."""
@@ -237,23 +373,38 @@ def sample_variance(
 
 
 def white_variances(
-    axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0
+    axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0, horizon: float = 0.0
 ) -> dict[str, Variances]:
     """Return (inflation N)^2 f of each sensor that has three axes with a value or a limit of N.
 
-    ``rate`` is f in Hz. Where N is not observable its 95 % upper limit stands for it.
+    Parameters
+    ----------
+    axes : mapping of axis name to AxisFit
+    rate : float
+        f in Hz.
+    inflation : float
+        Factor on N.
+    horizon : float
+        0: N is the white noise alone. Else N is raised until white noise bounds the growth of the
+        error up to this time in s: for a filter without a state for the bias.
     """
     variances = {}
     for sensor, names in _sensors(axes):
         try:
             x, y, z = (
-                white_std(inflation * axis_level(name, axes[name], 'N').value, rate) ** 2
+                white_std(inflation * _white(name, axes[name], horizon), rate) ** 2
                 for name in names
             )
         except AllanError:
             continue
         variances[sensor] = (x, y, z)
     return variances
+
+
+def _white(axis: str, fit: AxisFit, horizon: float) -> float:
+    if not horizon:
+        return axis_level(axis, fit, 'N').value
+    return reduce_axis(axis, fit, 'none', Horizons.up_to(horizon)).reduction.white
 
 
 def measured_variances(

@@ -12,7 +12,9 @@ from the longest of these horizons (see `growth`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -159,17 +161,17 @@ def _reduced(whole: ProcessModel, quick: int, states: States, horizons: Horizons
     walk = 0.0
     processes: tuple[tuple[float, float], ...] = ()
     if states == 'none':
-        unit = _growth_of(NoiseTerms(N=1.0), horizons)
+        unit = _unit_variance('N', 0.0, horizons)
         white = math.sqrt(white**2 + float(np.max(needed / unit)))
     elif states == 'gauss_markov':
-        processes = _closest_process(needed, horizons)
+        processes = closest_process(replace(drift, terms=replace(terms, N=white)), horizons)
     else:
         if states == 'processes':  # only the ramp has no state of its own
             space = state_space(replace(drift, terms=replace(terms, N=white)))
             processes = space.gauss_markov
             steady = ProcessModel(NoiseTerms(K=space.walk, R=terms.R))
             needed = predicted_growth(steady, times, horizons.high) ** 2
-        unit = _growth_of(NoiseTerms(K=1.0), horizons)
+        unit = _unit_variance('K', 0.0, horizons)
         walk = math.sqrt(float(np.max(needed / unit)))
     made = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
     return replace(made, ratio=growth_ratio(made.model(), whole, horizons))
@@ -210,20 +212,61 @@ def _split(model: ProcessModel, quick: int) -> tuple[float, ProcessModel]:
     return math.sqrt(model.terms.N**2 + added), rest
 
 
-def _growth_of(terms: NoiseTerms, horizons: Horizons) -> Floats:
-    return predicted_growth(ProcessModel(terms), horizons.times(), horizons.high) ** 2
+@lru_cache(maxsize=512)
+def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
+    """Return the variance of the error for N = 1, K = 1, or a Gauss-Markov process of sigma 1."""
+    one = (
+        ProcessModel(NoiseTerms(**{term: 1.0}))
+        if term
+        else ProcessModel(gauss_markov=((1.0, tau),))
+    )
+    variance = predicted_growth(one, horizons.times(), horizons.high) ** 2
+    variance.setflags(write=False)
+    return variance
 
 
-def _closest_process(needed: Floats, horizons: Horizons) -> tuple[tuple[float, float], ...]:
-    """Return the Gauss-Markov process that bounds a drift variance with the least excess."""
-    if not np.any(needed > 0.0):
+def closest_process(
+    model: ProcessModel,
+    horizons: Horizons,
+    tau: float | None = None,
+    bound: bool = True,
+) -> tuple[tuple[float, float], ...]:
+    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model; () for none.
+
+    Parameters
+    ----------
+    model : ProcessModel
+        Its white noise hides drift at short horizons.
+    horizons : Horizons
+        Range over which the growth of the error is compared.
+    tau : float or None
+        Correlation time in s; None to choose it.
+    bound : bool
+        Whether the growth is nowhere below that of the model, as a filter needs it; else it is as
+        far above as below, as a simulation needs it.
+    """
+    whole = drift_model(model)
+    times = horizons.times()
+    white = whole.terms.N**2 * _unit_variance('N', 0.0, horizons)
+    needed = predicted_growth(whole, times, horizons.high) ** 2 - white
+    if not has_drift(whole):
         return ()
+    grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
+    own = [pair[1] for pair in whole.gauss_markov]
     best, least = (0.0, 1.0), math.inf
-    for tau in np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60):
-        process = ProcessModel(gauss_markov=((1.0, float(tau)),))
-        unit = predicted_growth(process, horizons.times(), horizons.high) ** 2
-        variance = float(np.max(needed / unit))
-        excess = float(np.max(variance * unit / np.maximum(needed, 1e-300)))
-        if excess < least:
-            best, least = (math.sqrt(variance), float(tau)), excess
+    for one in [*own, *grid] if tau is None else [tau]:
+        unit = _unit_variance('', one, horizons)
+        ratio = needed / unit
+        variances = [float(ratio.max())] if bound else np.geomspace(ratio.min(), ratio.max(), 9)
+        for variance in variances:
+            off = np.log((white + variance * unit) / (white + needed))
+            error = float(np.abs(off).max())
+            if error < least - 1e-9:
+                best, least = (math.sqrt(variance), one), error
     return (best,)
+
+
+def common_correlation_time(models: Sequence[ProcessModel], horizons: Horizons) -> float | None:
+    """Return the correlation time in s that suits several axes; None where nothing drifts."""
+    taus = [process[1] for one in models for process in closest_process(one, horizons)]
+    return math.exp(sum(math.log(tau) for tau in taus) / len(taus)) if taus else None

@@ -1,16 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that filters and calibration tools read, each written by the module of its name.
+"""Files that filters, calibration tools and simulators read.
 
-A new target is a module beside this file with a ``TARGET``, and a line in `TARGETS`. What they
-share: `model` gives numbers with their words, `header` the comment on top, the ``..._form``
-modules the text. The arithmetic is in `allan_ros.core.noise_model`.
+The tables of targets are in `targets`, `simulators` and `state_space`; `model` gives their numbers,
+`header` the comment, and the ``..._form`` modules the text. A new target is a row of a table and a
+line in `TARGETS`.
 """
 
 from __future__ import annotations
 
 import difflib
-import importlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,17 +35,29 @@ TARGETS = {
     'gtsam': 'GTSAM PreintegrationCombinedParams in Python: continuous covariances N^2 and K^2',
     'basalt': 'Basalt calibration JSON: continuous densities N and K of each axis',
     'msckf_vio': 'MSCKF_VIO parameters: continuous densities N and K',
+    'fusioncore': 'FusionCore ROS 2 parameters: std per sample, bias variance per step',
     'px4': 'PX4 EKF2 parameters: std per EKF step, within their ranges',
     'ardupilot': 'ArduPilot EK3 parameters: std per EKF step, within their ranges',
     'kf_gins': 'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
+    'ob_gins': 'OB_GINS imumodel: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias',
+    'ic_gvins': 'IC-GVINS imumodel: the same keys as OB_GINS',
+    'navego': 'NaveGo structure for ins_gnss.m: SI densities and a Gauss-Markov bias, of each axis',
     'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
+    'state_space': 'JSON allan_ros/state_space/1: all processes, discrete matrices, reductions',
+    'state_space_python': 'Python module: all processes, discrete matrices, a noise generator',
+    'gazebo': 'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
+    'px4_sitl': 'PX4 SITL and RotorS IMU plugin: densities and a Gauss-Markov bias',
+    'airsim': 'AirSim settings.json: deg/sqrt(h), mg/sqrt(Hz) and a random walk of the bias',
+    'gnss_ins_sim': 'gnss-ins-sim error dictionary: random walks and a Gauss-Markov bias',
+    'isaac_sim': 'Isaac Sim: Python module that adds the noise to the readings of the IMU sensor',
+    'webots': 'Webots: Python module that adds the noise in the controller',
 }
 """Target -> what its file is."""
 
 
 @dataclass(frozen=True)
 class Export:
-    """A file for a filter as text, and what the user should know of it."""
+    """A file for a filter as text, and what the user should know about it."""
 
     text: str
     findings: tuple[Finding, ...]
@@ -64,7 +75,11 @@ def target_of(name: str) -> Target:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
         meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
         raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
-    target: Target = importlib.import_module(f'.{name}', __package__).TARGET
+    from .simulators import SIMULATORS
+    from .state_space import STATE_SPACES
+    from .targets import ESTIMATORS
+
+    target: Target = {**ESTIMATORS, **SIMULATORS, **STATE_SPACES}[name]
     return target
 
 
@@ -76,6 +91,15 @@ def make_export(
 ) -> Export:
     """Return the file of a target, or the user's existing text with its numbers merged in.
 
+    Parameters
+    ----------
+    results : Results
+    name : str
+        One of `TARGETS`.
+    options : ExportOptions
+    existing : str or None
+        Text of the user's own file to merge into.
+
     Raises
     ------
     AllanError
@@ -86,18 +110,19 @@ def make_export(
     from .model import FilterNoise
 
     target = target_of(name)
-    model = FilterNoise(results, options, target)
-    entries = list(target.entries(model))
-    header = header_lines(name, target, model, entries)
+    noise = FilterNoise(results, options, target.convention)
+    entries = list(target.entries(noise))
+    header = header_lines(name, target, noise, entries)
     text = (
         target.form.render(entries, header)
         if existing is None
         else target.form.merge(existing, entries, header)
     )
     findings = [said for entry in entries for said in entry.findings]
+    findings += noise.reduction_findings()
     limits = [entry.key for entry in entries if entry.is_limit]
     if limits:
-        findings.append(finding('export_limits', keys=', '.join(limits)))
+        findings.append(finding('export_limits', keys=', '.join(dict.fromkeys(limits))))
     return Export(text, tuple(dict.fromkeys(findings)))
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The comment every file starts with: source, date, convention, units, rate, axes, intervals."""
+"""Header comment of every file: source, date, convention, units, rate, axes, intervals."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from datetime import datetime, timedelta, timezone
 from ... import __version__
 from ..format import duration_text, significant
 from ..results import Results
+from .convention import Entry
 from .model import FilterNoise
-from .target import Entry, Target
+from .target import Target
 
-SHOWN_SOURCES = 3
-"""How many recordings are named; the rest are counted."""
+NAMED_SOURCES = 3
+"""Number of recordings that are named; the rest are counted."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
-"""Stamps before it count from a start of the machine or the simulation: they are no date."""
+"""Earlier stamps count from the start of a machine or a simulation and are no dates."""
 
 RULE_WORDS = {
     'worst': 'worst (the largest of x, y, z)',
@@ -28,23 +29,25 @@ RULE_WORDS = {
 
 
 def header_lines(
-    name: str, target: Target, model: FilterNoise, entries: Sequence[Entry]
+    name: str, target: Target, noise: FilterNoise, entries: Sequence[Entry]
 ) -> list[str]:
     """Return the lines, without the mark of a comment; each holds printable characters only."""
-    results, inflate = model.results, model.options.inflate
+    results, inflate = noise.results, noise.options.inflate
     limits = [entry.key for entry in entries if entry.is_limit]
     lines = [
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
-        f'date: {model.options.date or _recorded(results)}',
-        f'convention: {target.convention}',
-        f'rate: f = {model.rate:g} Hz, {model.rate_words}',
-        f'axis rule: {RULE_WORDS[model.rule]}; inflation: {_inflation(inflate)}',
+        f'date: {noise.options.date or _recorded(results)}',
+        f'convention: {target.convention.text}',
+        f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
+        f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {_inflation(inflate)}',
+        *noise.reduction_lines(),
         *(f'{entry.key} {entry.words}' for entry in entries if entry.words),
         f'upper limits instead of measurements: {", ".join(limits) or "none"}',
         *(f'note: {note}' for note in target.notes),
         *dict.fromkeys(f'note: {said}' for entry in entries for said in entry.findings),
+        *(f'warning: {said}' for said in noise.reduction_findings()),
     ]
     return [''.join(c if c.isprintable() else '?' for c in line) for line in lines]
 
@@ -52,13 +55,13 @@ def header_lines(
 def _inflation(factor: float) -> str:
     if factor == 1.0:
         return 'none'
-    return f'x{factor:g} on every N, K and bias, which stand below as measured'
+    return f'x{factor:g} on every N, K and bias; the levels below are without it'
 
 
 def _sources(results: Results) -> str:
     sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
-    more = len(sources) - SHOWN_SOURCES
-    named = ', '.join(sources[:SHOWN_SOURCES]) + (f' and {more} more' if more > 0 else '')
+    more = len(sources) - NAMED_SOURCES
+    named = ', '.join(sources[:NAMED_SOURCES]) + (f' and {more} more' if more > 0 else '')
     return named or 'sums without a recording'
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...core.errors import AllanError
-from .target import Entry
+from .convention import Entry
 
 HEADER_KEY = 'allan_ros'
 

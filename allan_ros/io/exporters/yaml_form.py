@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from ...core.errors import AllanError
-from .target import Entry, Value
+from .convention import Entry, Value
 
 BLOCK_BEGIN = '>>> allan_ros: this block is replaced by the next merge'
 BLOCK_END = '<<< allan_ros'
@@ -113,7 +113,7 @@ def _tree(entries: Sequence[Entry]) -> dict[str, Any]:
 def _rows(value: Value) -> Any:
     if isinstance(value, list):
         nested = any(isinstance(item, list) for item in value)
-        return [_rows(item) for item in value] if nested else _Row(value)  # type: ignore[arg-type]
+        return [_rows(item) for item in value] if nested else _Row(value)
     return value
 
 
@@ -246,7 +246,7 @@ def _added(body: str, root: yaml.Node | None, entry: Entry) -> str:
         )
     below = Entry(entry.path[depth:], entry.value)
     if home.flow_style or not home.value:
-        tree = _inline(_tree([below]))  # type: ignore[arg-type]
+        tree = _inline(_tree([below]))
         return _inserted(body, home, tree.strip()[1:-1])
     return _inserted(body, home, _dumped(_tree([below])))
 

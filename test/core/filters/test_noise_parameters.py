@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,17 +17,20 @@ from allan_ros.core.filters.noise_parameters import (
     RULES,
     Level,
     axis_level,
-    bias_level,
     madgwick_drift_gain,
     madgwick_gain,
     madgwick_ramp_gain,
     midpoint_white_std,
+    reduce_axis,
+    reduced_ends,
     sensor_level,
     walk_rate_std,
     white_std,
+    white_variances,
 )
+from allan_ros.core.filters.reductions import Horizons
 from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov, Processes
-from allan_ros.core.noise import NoiseTerms, term_avar
+from allan_ros.core.noise import NoiseTerms, ProcessModel, term_avar
 from allan_ros.core.simulate import simulate_axis
 
 levels = st.floats(1e-9, 1e3)
@@ -66,7 +70,8 @@ def test_a_simulated_walk_has_the_rate_that_is_written() -> None:
 def test_madgwicks_gain_is_the_allan_deviation_at_the_horizon() -> None:
     n, b, tau0, m = 1e-3, 2e-4, 0.01, 1000
     avar = term_avar(np.array([m]), tau0, NoiseTerms(N=n, B=b)).sum()
-    assert madgwick_gain(n, b, m * tau0) == pytest.approx(math.sqrt(0.75 * avar), rel=1e-9)
+    gain = madgwick_gain(ProcessModel(NoiseTerms(N=n, B=b)), m * tau0)
+    assert gain == pytest.approx(math.sqrt(0.75 * avar), rel=1e-9)
 
 
 def test_madgwicks_drift_gain_by_hand() -> None:
@@ -127,9 +132,56 @@ def test_no_level_is_ever_zero_negative_or_infinite(
         axis_level('accel_y', fit, 'N')
 
 
-def test_the_bias_is_the_gauss_markov_process_before_it_is_b() -> None:
-    b = fit_with(B=Coefficient(1e-4, (9e-5, 1.1e-4)))
-    assert bias_level('gyro_z', b) == Level('gyro_z', 'B', 1e-4, (9e-5, 1.1e-4))
-    process = GaussMarkov(3e-4, (2e-4, 4e-4), 100.0, (80.0, 130.0))
-    both = AxisFit(b.noise, processes=Processes((process,)))
-    assert bias_level('gyro_z', both) == Level('gyro_z', 'sigma', 3e-4, (2e-4, 4e-4))
+def resolved(value: float) -> Coefficient:
+    return Coefficient(value, (0.9 * value, 1.2 * value), 1.1 * value)
+
+
+def hidden(limit: float) -> Coefficient:
+    return Coefficient(None, None, limit, 'not_observable')
+
+
+def test_one_limit_of_k_stands_for_all_drift_that_is_not_resolved() -> None:
+    fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
+    reduced = reduce_axis('gyro_x', fit)
+    assert reduced.walk == Level('gyro_x', 'K', 1e-5, is_limit=True)
+    assert reduced.reduction.walk == pytest.approx(1e-5)
+    with pytest.raises(AllanError, match='K of gyro_x is not observable'):
+        reduce_axis('gyro_x', fit, strict=True)
+
+
+def test_limits_do_not_count_beside_what_is_resolved() -> None:
+    alone = fit_with(N=resolved(1e-3), B=resolved(1e-4))
+    beside = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-3), R=hidden(1e-3))
+    one, other = (reduce_axis('gyro_x', fit) for fit in (alone, beside))
+    assert one == other
+    assert one.walk is not None and one.walk.raised_from == 0.0
+    assert not one.walk.is_limit
+
+
+def test_drift_that_is_quick_counts_as_white_and_k_as_its_limit() -> None:
+    process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
+    fit = replace(fit_with(N=resolved(1e-3), K=hidden(1e-5)), processes=Processes((process,)))
+    reduced = reduce_axis('gyro_x', fit)
+    assert reduced.white.value == pytest.approx(math.hypot(1e-3, 3e-3 * math.sqrt(0.04)))
+    assert reduced.white.raised_from == 1e-3
+    assert reduced.walk == Level('gyro_x', 'K', 1e-5, is_limit=True)
+
+
+def test_the_ends_of_the_reduction_contain_it() -> None:
+    fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-6))
+    ends = reduced_ends('gyro_x', fit, Horizons.up_to(30.0))
+    assert ends['N'] == pytest.approx((0.9e-3, 1e-3, 1.2e-3))
+    low, value, high = ends['K']
+    assert (low / value, high / value) == pytest.approx((0.9, 1.2))
+    blind = fit_with(N=resolved(1e-3), B=Coefficient(1e-4))
+    assert reduced_ends('gyro_x', blind, Horizons.up_to(30.0))['K'][2] == math.inf
+
+
+def test_white_noise_alone_can_cover_a_horizon() -> None:
+    axes = {f'gyro_{a}': fit_with(N=resolved(1e-3), B=resolved(1e-4)) for a in 'xyz'}
+    (bare,) = white_variances(axes, 100.0).values()
+    (wide,) = white_variances(axes, 100.0, horizon=60.0).values()
+    assert bare == pytest.approx([1e-4] * 3)
+    # h = W = 60 s: the growth of flicker alone is h B sqrt(4 ln2/pi), that of N is N sqrt(2 h)
+    drift = 2.0 * math.log(2.0) / math.pi * 1e-8 * 60.0
+    assert wide[0] == pytest.approx(100.0 * (1e-6 + drift), rel=0.02)

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from allan_ros.core.fit import Coefficient
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
-from allan_ros.io.exporters import make_export
+from allan_ros.io.exporters import ExportOptions, make_export
 from allan_ros.io.results import Results
 
 RATE = 200.0
 N, K = 1e-3, 3e-3
 """Of every axis in the test of GTSAM: such that K rules as much as N within five seconds."""
+
+BARE = ExportOptions(fidelity='coefficients')
 
 OPENCV = {
     'vins_fusion': {
@@ -72,7 +74,7 @@ def opencv_node() -> Callable[[str, str], Any]:
 def test_opencv_reads_every_number_as_real(
     known_results: Results, name: str, opencv_node: Callable[[str, str], Any]
 ) -> None:
-    node = opencv_node(make_export(known_results, name).text, name)
+    node = opencv_node(make_export(known_results, name, BARE).text, name)
     for key, value in OPENCV[name].items():
         assert node.getNode(key).isReal(), key
         assert node.getNode(key).real() == pytest.approx(value, rel=2e-6)
@@ -96,7 +98,8 @@ def test_opencv_reads_a_merged_file_with_its_matrices(
         '%YAML:1.0\n---\n# mine\ngyr_n: 7.\nbody_T_cam0: !!opencv-matrix\n   rows: 1\n   cols: 2\n'
         '   dt: d\n   data: [1., 2.]\n'
     )
-    node = opencv_node(make_export(known_results, 'vins_fusion', existing=mine).text, 'vins_fusion')
+    text = make_export(known_results, 'vins_fusion', BARE, existing=mine).text
+    node = opencv_node(text, 'vins_fusion')
     assert node.getNode('gyr_n').real() == pytest.approx(0.0141421)
     assert node.getNode('acc_w').real() == pytest.approx(4.24264e-4)
     assert node.getNode('body_T_cam0').mat().tolist() == [[1.0, 2.0]]
@@ -137,7 +140,7 @@ def test_gtsam_expects_the_growth_that_a_simulated_imu_shows(known_results: Resu
     # 6000 runs give a variance to 1.8 %; that any of the five is off by 5 % has a chance of 3 %.
     gtsam = pytest.importorskip('gtsam', reason='needs the extra "consumers"')
     runs, steps, dt = 6000, 1000, 1.0 / RATE
-    text = make_export(of_levels(known_results, N, K), 'gtsam').text
+    text = make_export(of_levels(known_results, N, K), 'gtsam', BARE).text
     expected = gtsam_covariance(gtsam, text, steps, dt)
 
     bias = runs_of(NoiseTerms(K=K), runs, steps, seed=11)

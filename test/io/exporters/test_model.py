@@ -16,6 +16,8 @@ from allan_ros.core.fit import Coefficient
 from allan_ros.io.exporters import TARGETS, ExportOptions, export
 from allan_ros.io.results import Results
 
+BARE = ExportOptions(fidelity='coefficients')
+
 
 def with_coefficient(results: Results, axis: str, term: str, coefficient: Coefficient) -> Results:
     had = results.axes[axis]
@@ -34,7 +36,7 @@ def results(small_results: Results) -> Results:
     return known
 
 
-def kalibr(results: Results, folder: Path, options: ExportOptions = ExportOptions()) -> dict:
+def kalibr(results: Results, folder: Path, options: ExportOptions = BARE) -> dict:
     return yaml.safe_load(export(results, 'kalibr', folder, options).read_text())
 
 
@@ -52,7 +54,9 @@ def test_kalibr_reads_continuous_levels_of_the_worst_axis(results: Results, tmp_
 def test_the_mean_is_of_the_variances_and_inflation_multiplies(
     results: Results, tmp_path: Path
 ) -> None:
-    read = kalibr(results, tmp_path, ExportOptions('mean', 10.0, topic='/imu7'))
+    read = kalibr(
+        results, tmp_path, ExportOptions('mean', 10.0, topic='/imu7', fidelity='coefficients')
+    )
     assert read['gyroscope_noise_density'] == pytest.approx(
         10.0 * 1e-4 * math.sqrt((1 + 4 + 9) / 3.0), rel=1e-5
     )
@@ -82,12 +86,12 @@ def test_a_walk_that_is_not_observable_is_written_as_its_limit(
     hidden = with_coefficient(
         results, 'gyro_y', 'K', Coefficient(None, None, 7e-6, 'not_observable')
     )
-    path = export(hidden, 'kalibr', tmp_path)
+    path = export(hidden, 'kalibr', tmp_path, BARE)
     assert yaml.safe_load(path.read_text())['gyroscope_random_walk'] == pytest.approx(7e-6)
     assert 'K of gyro_y not observable, 95 % upper limit 7.00e-06' in path.read_text()
     assert 'upper limits instead of measurements: gyroscope_random_walk\n' in path.read_text()
     with pytest.raises(AllanError, match='K of gyro_y is not observable'):
-        export(hidden, 'kalibr', tmp_path, ExportOptions(strict=True))
+        export(hidden, 'kalibr', tmp_path, ExportOptions(strict=True, fidelity='coefficients'))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +107,7 @@ def test_nothing_is_written_that_is_not_positive_and_finite(
     results: Results, tmp_path: Path, coefficient: Coefficient
 ) -> None:
     with pytest.raises(AllanError, match='neither a value nor a limit'):
-        export(with_coefficient(results, 'accel_x', 'K', coefficient), 'kalibr', tmp_path)
+        export(with_coefficient(results, 'accel_x', 'K', coefficient), 'kalibr', tmp_path, BARE)
     assert not list(tmp_path.iterdir())
 
 

@@ -1,26 +1,33 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every target: its numbers reckoned by hand, its file word for word, and read as its reader does.
+"""Every target: its numbers computed by hand, its file word for word, and read as its reader does.
 
-The golden files under ``golden`` are what the command writes of the fixed results; the version of
-the package stands as VERSION in them.
+The numbers by hand are those of the bare coefficients. The golden files under ``golden`` are what
+the command writes for the fixed results by default; VERSION stands for the version of the package.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
 
 import allan_ros
+from allan_ros.core.allan.engine import allan_table
 from allan_ros.core.errors import AllanError
+from allan_ros.core.filters.growth import predicted_growth
+from allan_ros.core.filters.reductions import STATES
 from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
+from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export, target_of
 from allan_ros.io.results import Results
 
@@ -42,6 +49,12 @@ def read_lines(text: str) -> dict[str, float]:
     return {
         row[-3] if len(row) > 2 else row[0]: float(row[-2 if len(row) > 2 else 1]) for row in rows
     }
+
+
+def read_matlab(text: str) -> dict[str, Any]:
+    """Return field -> numbers of the assignments to the structure ``imu``."""
+    rows = re.findall(r'^imu\.(\w+) = \[(.*)\];$', text, re.MULTILINE)
+    return {key: [float(word) for word in values.split()] for key, values in rows}
 
 
 def run_python(text: str) -> dict[str, Any]:
@@ -129,6 +142,17 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
         ('noise',),
         {'gyro': 1e-3, 'acc': 2e-3, 'gyro_bias': 1e-5, 'acc_bias': 3e-5},
     ),
+    # times sqrt(200), and squares over 200
+    'fusioncore': (
+        read_yaml,
+        ('/**', 'ros__parameters'),
+        {
+            'imu.gyro_noise': 0.0141421,
+            'imu.accel_noise': 0.0282843,
+            'ukf.q_gyro_bias': 5e-13,
+            'ukf.q_accel_bias': 4.5e-12,
+        },
+    ),
     # times sqrt(100), the step of EKF2
     'px4': (
         read_lines,
@@ -151,30 +175,75 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
             'EK3_ABIAS_P_NSE': 2.73861e-4,
         },
     ),
-    # 1e-3 rad/sqrt(s) is 180/pi 60 times that in deg/sqrt(h), 3.43775; 1e-4 rad/s is 20.6265 deg/h;
-    # 2e-3 m/s/sqrt(s) is 0.12 m/s/sqrt(h); 3e-4 m/s^2 is 30 mGal
+    # 1e-3 rad/sqrt(s) is 180/pi 60 times that in deg/sqrt(h), 3.43775; 2e-3 m/s/sqrt(s) is 0.12
+    # m/s/sqrt(h). The bias is tested below.
     'kf_gins': (
         read_yaml,
         ('imunoise',),
-        {
-            'arw': [2.06265, 2.75020, 3.43775],
-            'vrw': [0.072, 0.096, 0.12],
-            'gbstd': [12.3759, 16.5012, 20.6265],
-            'abstd': [18.0, 24.0, 30.0],
-            'corrtime': 4.0,
-        },
+        {'arw': [2.06265, 2.75020, 3.43775], 'vrw': [0.072, 0.096, 0.12]},
     ),
-    # sqrt(3/4 (1e-6/10 + 0.441271 1e-8)) and sqrt(3/4) 1e-5 / sqrt(10)
+    'ob_gins': (read_yaml, ('imumodel',), {'arw': 3.43775, 'vrw': 0.12}),
+    'ic_gvins': (read_yaml, ('imumodel',), {'arw': 3.43775, 'vrw': 0.12}),
+    'navego': (
+        read_matlab,
+        (),
+        {'arw': [6e-4, 8e-4, 1e-3], 'vrw': [1.2e-3, 1.6e-3, 2e-3]},
+    ),
+    # sqrt(3/4 (1e-6/10 + 0.441271 1e-8 + 1e-10 10/3)) and sqrt(3/4) 1e-5 / sqrt(10)
     'imu_filter_madgwick': (
         read_yaml,
-        ('imu_filter', 'ros__parameters'),
-        {'gain': 2.79838e-4, 'zeta': 2.73861e-6},
+        ('/**', 'ros__parameters'),
+        {'gain': 2.80285e-4, 'zeta': 2.73861e-6},
     ),
+    'state_space': (
+        lambda text: json.loads(text)['axes'],
+        ('accel_z',),
+        {'white': 2e-3},
+    ),
+    'state_space_python': (run_python, ('AXES', 'gyro_y'), {'white': 8e-4}),
+    'gazebo': (
+        lambda text: {
+            noise.tag: float(noise.text)
+            for noise in ElementTree.fromstring(text).find('angular_velocity/z/noise')
+        },
+        (),
+        {'stddev': 0.0141421, 'mean': 0.0},
+    ),
+    'px4_sitl': (
+        lambda text: {e.tag: float(e.text) for e in ElementTree.fromstring(text)},
+        (),
+        {'gyroscopeNoiseDensity': 1e-3, 'accelerometerNoiseDensity': 2e-3},
+    ),
+    # 2e-3 m/s^2 is 0.203943 mg; 1e-5 sqrt(500) rad/s is 46.1222 deg/h; 3e-5 sqrt(800) is 86.5261 ug
+    'airsim': (
+        json.loads,
+        ('DefaultSensors', 'Imu'),
+        {
+            'AngularRandomWalk': 3.43775,
+            'VelocityRandomWalk': 0.203943,
+            'GyroBiasStability': 46.1222,
+            'AccelBiasStability': 86.5257,
+        },
+    ),
+    'gnss_ins_sim': (
+        lambda text: {k: list(v) for k, v in run_python(text)['imu_err'].items()},
+        (),
+        {'gyro_arw': [2.06265, 2.75020, 3.43775], 'accel_vrw': [0.072, 0.096, 0.12]},
+    ),
+    'isaac_sim': (run_python, ('AXES', 'gyro_x'), {'white': 6e-4}),
+    'webots': (run_python, ('AXES', 'gyro_x'), {'white': 6e-4}),
 }
+
+FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency'}
+"""Entries that are no level."""
+
+NO_HEADER = {'mean', 'white'}
+"""Entries without words of their own."""
 
 
 def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
-    """Return the numbers of a file as its reader finds them."""
+    """Return the numbers of a file as its reader finds them, by default the bare coefficients."""
+    options = {'fidelity': 'coefficients', **options}
     read, path, _ = EXPECTED[name]
     found = read(make_export(results, name, ExportOptions(**options)).text)
     for key in path:
@@ -187,7 +256,7 @@ def test_no_target_is_without_numbers_by_hand() -> None:
 
 
 @pytest.mark.parametrize('name', EXPECTED)
-def test_the_numbers_are_those_reckoned_by_hand(known_results: Results, name: str) -> None:
+def test_the_numbers_are_those_computed_by_hand(known_results: Results, name: str) -> None:
     found = numbers(known_results, name)
     expected = EXPECTED[name][2]
     assert {key: found[key] for key in expected} == {key: near(v) for key, v in expected.items()}
@@ -209,14 +278,13 @@ def test_the_header_says_all_that_is_asked_of_it(known_results: Results, name: s
         'convention: ',
         'rate: f = ',
         'axis rule: ',
-        'inflation: x2 on every N, K and bias, which stand below as measured',
-        '95 % interval',
+        'inflation: x2 on every N, K and bias; the levels below are without it',
         'upper limits instead of measurements: ',
     ):
         assert words in text
-    entries = [key for key in EXPECTED[name][2] if key not in ('update_rate', 'imu_update_rate')]
-    for key in entries:
-        assert f'{key} [' in text or key in ('IMU.Frequency', 'corrtime')
+    for key in EXPECTED[name][2]:
+        words = f'{key} of gyro [' if name == 'gazebo' else f'{key} ['
+        assert words in text or key in FIXED or key in NO_HEADER
 
 
 @pytest.mark.parametrize('name', EXPECTED)
@@ -224,10 +292,9 @@ def test_inflation_multiplies_what_is_linear_and_squares_what_is_not(
     known_results: Results, name: str
 ) -> None:
     plain, inflated = (numbers(known_results, name, inflate=factor) for factor in (1.0, 3.0))
-    power = 2.0 if name in ('fast_lio', 'gtsam') else 1.0
-    fixed = {'update_rate', 'imu_update_rate', 'IMU.Frequency', 'corrtime'}
     for key in EXPECTED[name][2]:
-        factor = 1.0 if key in fixed else 3.0**power
+        power = 2.0 if name in ('fast_lio', 'gtsam') or '.q_' in key else 1.0
+        factor = 1.0 if key in FIXED else 3.0**power
         values = plain[key] if isinstance(plain[key], list) else [plain[key]]
         scaled = [factor * value for value in values]
         found = inflated[key] if isinstance(inflated[key], list) else [inflated[key]]
@@ -242,34 +309,81 @@ def test_the_mean_is_the_root_mean_square(known_results: Results, name: str) -> 
             assert mean[key] == pytest.approx(worst[key] * math.sqrt(2.0 / 3.0), rel=1e-5)
 
 
-@pytest.mark.parametrize('name', EXPECTED)
+WITH_WALK = [name for name in EXPECTED if target_of(name).convention.walk or name == 'airsim']
+"""Targets with K of both sensors."""
+
+
+@pytest.mark.parametrize('name', WITH_WALK)
 def test_strict_refuses_a_limit(known_results: Results, name: str) -> None:
-    if name in ('kf_gins', 'imu_filter_madgwick'):  # they take no K of the accelerometer
-        assert make_export(known_results, name, ExportOptions(strict=True)).text
-        return
     with pytest.raises(AllanError, match='K of accel_z is not observable'):
-        make_export(known_results, name, ExportOptions(strict=True))
+        numbers(known_results, name, strict=True)
+    # the reduction needs no K: B of the axis is known
+    assert make_export(known_results, name, ExportOptions(strict=True)).text
 
 
 @pytest.mark.parametrize('name', EXPECTED)
-def test_a_limit_is_said_in_the_file_and_beside_it(known_results: Results, name: str) -> None:
-    made = make_export(known_results, name)
+def test_a_limit_is_stated_in_the_file_and_as_a_finding(known_results: Results, name: str) -> None:
+    made = make_export(known_results, name, ExportOptions(fidelity='coefficients'))
     limits = [said for said in made.findings if said.id == 'export_limits']
     assert ('not observable, 95 % upper limit 3.00e-05' in made.text) == bool(limits)
-    assert bool(limits) == (name not in ('kf_gins', 'imu_filter_madgwick'))
+    assert bool(limits) == (name in WITH_WALK)
+
+
+@pytest.mark.parametrize('name', WITH_WALK)
+def test_k_is_raised_for_what_it_has_to_cover(known_results: Results, name: str) -> None:
+    made = make_export(known_results, name)
+    horizon = target_of(name).convention.horizon_s
+    assert f'error growth of the whole model over 1 to {horizon:g} s' in made.text
+    assert 'raised from 1.000e-05 to cover the other terms' in made.text
+    assert 'raised from none to cover the other terms' in made.text
+    bare = make_export(known_results, name, ExportOptions(fidelity='coefficients'))
+    assert 'fidelity: bare coefficients' in bare.text
+    assert 'raised' not in bare.text
+
+
+def test_k_of_the_reduction_bounds_the_growth(known_results: Results) -> None:
+    for horizon in (0.0, 5.0, 300.0):
+        made = make_export(known_results, 'kalibr', ExportOptions(horizon=horizon))
+        read = read_yaml(made.text)
+        noise = NoiseTerms(N=read['gyroscope_noise_density'], K=read['gyroscope_random_walk'])
+        whole = known_results.axes['gyro_z'].fit.selected
+        times = np.geomspace(1.0, horizon or 30.0, 40)
+        bound = predicted_growth(ProcessModel(noise), times, horizon or 30.0)
+        assert np.all(bound >= 0.999 * predicted_growth(whole, times, horizon or 30.0))
+    assert not made.findings
+
+
+def test_a_sensor_of_gauss_markov_noise_gets_a_warning(known_results: Results) -> None:
+    known = with_process(known_results, 'gyro_y', 5e-4, 10.0 / 3600.0)
+    made = make_export(known, 'kalibr')
+    (said,) = [said for said in made.findings if said.id == 'export_two_numbers']
+    assert said.axes == ('gyro_y',)
+    assert str(said) in made.text
+
+
+def test_strict_refuses_a_poor_reduction(known_results: Results) -> None:
+    known = with_process(known_results, 'gyro_y', 5e-3, 2.0 / 3600.0)
+    options = ExportOptions(strict=True, horizon=300.0)
+    with pytest.raises(AllanError, match=r'gyro_y: a random walk misstates .* factor of'):
+        make_export(known, 'kalibr', options)
+    assert make_export(known, 'state_space', options).text
+
+
+WHOLE = {'state_space', 'state_space_python', 'isaac_sim', 'webots', 'gazebo'}
+"""Targets whose axes are apart in any case."""
 
 
 @pytest.mark.parametrize('name', EXPECTED)
 def test_three_numbers_are_given_where_the_file_takes_them(
     known_results: Results, name: str
 ) -> None:
-    if target_of(name).three:
+    if target_of(name).convention.three and name not in WHOLE:
         found = numbers(known_results, name, axis='each')
         assert any(isinstance(v, list) and len(set(v)) == 3 for v in found.values())
         found = numbers(known_results, name, axis='worst')
         vectors = [found[k] for k, v in EXPECTED[name][2].items() if isinstance(v, list)]
         assert all(len(set(v)) == 1 for v in vectors)
-    else:
+    elif name not in WHOLE:
         with pytest.raises(AllanError, match='one number a sensor'):
             numbers(known_results, name, axis='each')
 
@@ -342,16 +456,74 @@ def with_process(results: Results, axis: str, sigma: float, hours: float) -> Res
     return replace(results, axes={**results.axes, axis: changed})
 
 
-def test_kf_gins_takes_the_gauss_markov_process_where_there_is_one(known_results: Results) -> None:
-    known = with_process(known_results, 'gyro_y', 5e-4, 0.5)
-    known = with_process(known, 'accel_x', 1e-3, 2.0)
+def with_one_process(results: Results) -> Results:
+    """Return results whose only drift is one Gauss-Markov process per axis, of 180 s."""
+    for axis, result in results.axes.items():
+        noise = {**result.fit.noise, 'B': Coefficient(None, None, 1e-5, 'not_observable')}
+        noise['K'] = noise['B']
+        fit = replace(result.fit, noise=noise)
+        results = replace(results, axes={**results.axes, axis: replace(result, fit=fit)})
+        results = with_process(results, axis, 5e-4 if axis < 'b' else 1e-4, 0.05)
+    return results
+
+
+def test_a_fitted_process_is_the_bias_of_an_ins(known_results: Results) -> None:
+    known = with_one_process(known_results)
     found = numbers(known, 'kf_gins')
-    assert found['gbstd'] == near([12.3759, 103.132, 20.6265])  # 5e-4 rad/s is 103.132 deg/h
-    assert found['abstd'] == near([100.0, 24.0, 30.0])
-    assert found['corrtime'] == near(0.5)  # the shorter of the two
-    said = {f.axes for f in make_export(known, 'kf_gins').findings}
-    assert said == {('gyro_x', 'gyro_z'), ('accel_y', 'accel_z')}
-    assert 'sigma of gyro_y 0.0005000 rad/s, 95 % interval' in make_export(known, 'kf_gins').text
+    assert found['gbstd'] == near([20.6265] * 3)  # 1e-4 rad/s is 20.6265 deg/h
+    assert found['abstd'] == near([50.0] * 3)
+    assert found['corrtime'] == near(0.05)
+    assert not make_export(known, 'kf_gins').findings
+    scalar = numbers(known, 'ob_gins')
+    assert (scalar['gbstd'], scalar['corrtime']) == (near(20.6265), near(0.05))
+    driven = numbers(known, 'navego')
+    assert driven['gb_corr'] == near([180.0] * 3)
+    assert driven['gb_psd'] == near([1.05409e-5] * 3)  # 1e-4 sqrt(2 / 180)
+
+
+def test_a_fitted_process_is_the_bias_of_a_simulator(known_results: Results) -> None:
+    known = with_one_process(known_results)
+    gazebo = numbers(known, 'gazebo')
+    assert gazebo['dynamic_bias_correlation_time'] == near(180.0)
+    assert gazebo['dynamic_bias_stddev'] == near(1.05409e-5)  # 1e-4 sqrt(2 / 180)
+    sitl = numbers(known, 'px4_sitl')
+    assert sitl['gyroscopeRandomWalk'] == near(1.05409e-5)
+    assert sitl['accelerometerBiasCorrelationTime'] == near(180.0)
+    assert numbers(known, 'gnss_ins_sim')['gyro_b_stability'] == near([20.6265] * 3)
+
+
+def test_a_bias_without_a_fitted_process_is_explained(known_results: Results) -> None:
+    made = make_export(known_results, 'kf_gins')
+    assert {said.id for said in made.findings} == {'export_no_gauss_markov'}
+    assert numbers(known_results, 'kf_gins')['gbstd'][2] > 20.6265  # more than B alone
+
+
+def test_the_module_has_the_matrices_of_the_document(known_results: Results) -> None:
+    document = json.loads(make_export(known_results, 'state_space').text)
+    module = run_python(make_export(known_results, 'state_space_python').text)
+    for axis, one in document['axes'].items():
+        phi, noise, sample = module['matrices'](axis, 1.0 / 200.0)
+        np.testing.assert_allclose(phi, one['discrete']['Phi'], rtol=1e-11)
+        np.testing.assert_allclose(noise, one['discrete']['Qd'], rtol=1e-9)
+        assert sample == near(one['discrete']['R'])
+        assert {reduction['states'] for reduction in one['reductions']} == set(STATES)
+
+
+def test_the_module_simulates_the_model(known_results: Results) -> None:
+    """40,000 samples at 1 Hz; the Allan variances at 1, 8 and 64 s are within 5, 10 and 25 %.
+
+    Their standard deviations are 1, 3 and 8 %: a false alarm has a probability below 0.3 %.
+    """
+    module = run_python(make_export(known_results, 'webots').text)
+    noise = module['ImuNoise'](np.random.default_rng(2))
+    samples = np.array([noise(1.0)['gyro_z'] for _ in range(40_000)])
+    m = np.array([1, 8, 64])
+    expected = known_results.axes['gyro_z'].fit.selected.avar(m.astype(float))
+    found = allan_table(samples[:, None], m).avar[:, 0]
+    for one, other, tolerance in zip(found, expected, (0.05, 0.1, 0.25)):
+        assert one == pytest.approx(other, rel=tolerance)
+    gyro, accel = noise.add([0.0, 0.0, 1.0], (0.0, 0.0, 9.8), 0.005)
+    assert gyro.shape == accel.shape == (3,)
 
 
 def test_madgwick_takes_the_ramp_where_every_axis_shows_one(known_results: Results) -> None:

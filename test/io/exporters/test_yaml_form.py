@@ -15,6 +15,8 @@ from allan_ros.io.exporters.target import Entry
 from allan_ros.io.exporters.yaml_form import BLOCK_BEGIN, BLOCK_END, YamlForm
 from allan_ros.io.results import Results
 
+BARE = ExportOptions(fidelity='coefficients')
+
 HEADER = ['first', 'second']
 BLOCK = f'# {BLOCK_BEGIN}\n# first\n# second\n# {BLOCK_END}\n'
 
@@ -203,7 +205,7 @@ def test_a_kalibr_file_keeps_its_topic_and_its_comments(known_results: Results) 
         'gyroscope_noise_density: 1.87e-04\ngyroscope_random_walk: 2.66e-05\n\n'
         'rostopic: /imu7      #mine\nupdate_rate: 400.0\n'
     )
-    text = make_export(known_results, 'kalibr', existing=mine).text
+    text = make_export(known_results, 'kalibr', BARE, existing=mine).text
     assert text.partition(f'# {BLOCK_END}\n')[2] == (
         '#Accelerometers\naccelerometer_noise_density: 0.002   #Noise density\n'
         'accelerometer_random_walk: 3.0e-05\n\n#Gyroscopes\n'
