@@ -104,7 +104,10 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
             'cannot be read',
         ),
         (['export', '{results}', '--to', 'px4', '--merge-into', '{results}'], 'needs no merging'),
-        (['export', '{results}', '--to', 'gtsam', '--merge-into', '{results}'], 'leave out --merge-into'),
+        (
+            ['export', '{results}', '--to', 'gtsam', '--merge-into', '{results}'],
+            'leave out --merge-into',
+        ),
         (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
         (['analyze', '{results}', '--export', 'kalibr'], 'folder of -o'),
         (['merge', '{sums}', '--export', 'klibr', '-o', '/tmp'], 'did you mean kalibr'),
