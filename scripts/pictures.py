@@ -132,14 +132,10 @@ def draw_parts(panel: Axes, result: AxisResult, factor: float, lowest: float) ->
     """Draw the fit and the parts it is made of."""
     curve = result.curve
     assert curve is not None
-    for term, part in zip('QNBKR', result.part_adev(curve.m).T):
-        if result.fit.noise[term].status == 'estimated':
-            colour, dashes = TERM_STYLES[term]
-            shown = np.where(factor * part > lowest, factor * part, np.nan)
-            panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.5, label=term)
-    for name, extra in result.extra_adev(curve.m).items():
-        shown = np.where(factor * extra > lowest, factor * extra, np.nan)
-        panel.plot(curve.tau, shown, color=GREY, lw=1.2, label=name)
+    for name, part in result.part_adev(curve.m).items():
+        colour, dashes = TERM_STYLES.get(name, (GREY, '-'))
+        shown = np.where(factor * part > lowest, factor * part, np.nan)
+        panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.5, label=name)
     fitted = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
     panel.plot(curve.tau, factor * fitted, color='black', lw=1.0, label='fit', zorder=1.9)
 

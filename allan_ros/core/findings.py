@@ -390,7 +390,7 @@ CATALOGUE = {
     'drift_not_separable': Wording(
         'info',
         'There is drift, but random walk (K) and ramp (R) cannot be separated.',
-        'Record {how_long} at a steady temperature.',
+        'If either matters, record for longer, warmed up and at a steady temperature.',
     ),
     'ramps_differ': Wording(
         'info',
@@ -399,8 +399,8 @@ CATALOGUE = {
     ),
     'record_longer': Wording(
         'info',
-        'Not resolved: {terms}.',
-        'Record {how_long}.',
+        'Not resolved, and large enough to matter within 100 s: {terms}.',
+        'Record {how_long} at rest in one piece.',
     ),
     # --- the files --------------------------------------------------------------------------------
     'file_left_out': Wording(

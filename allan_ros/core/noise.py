@@ -233,12 +233,44 @@ class ProcessModel:
         array([4., 1.])
         """
         tau = np.asarray(tau, float)
+        return np.asarray(sum(self.parts(tau, tau0).values(), np.zeros_like(tau)))
+
+    def parts(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, NDArray[np.float64]]:
+        """Return the Allan variance of each part that is not 0; their sum is `avar`.
+
+        Parameters
+        ----------
+        tau, tau0
+            As for `avar`.
+
+        Returns
+        -------
+        dict of name to (times,) float64 array
+            Terms by their letter, then processes by kind and time or frequency.
+
+        Examples
+        --------
+        >>> list(ProcessModel(NoiseTerms(N=2.0, K=1e-3), ((0.1, 300.0),)).parts([1.0]))
+        ['N', 'K', 'GM 300 s']
+        """
+        tau = np.asarray(tau, float)
         # an averaging factor counts samples; far below every tau, the period does not matter
         step = tau0 or 1e-6 * float(tau.min(initial=1.0))
         m = tau / step
-        total = np.asarray(term_avar(m, step, self.terms).sum(axis=-1))
-        for sigma, correlation_time in self.gauss_markov:
-            total += sigma**2 * sampled_gauss_markov_avar(m, correlation_time / step)
-        for amplitude, frequency in self.sinusoids:
-            total += amplitude**2 * sinusoid_avar(m, frequency * step)
-        return total
+        columns = term_avar(m, step, self.terms)
+        parts = {
+            name: columns[..., i]
+            for i, (name, value) in enumerate(zip('QNBKR', astuple(self.terms)))
+            if value
+        }
+        for sigma, time in (each for each in self.gauss_markov if each[0]):
+            unit = sampled_gauss_markov_avar(m, time / step)
+            parts[f'GM {_two_digits(time)} s'] = sigma**2 * unit
+        for amplitude, frequency in (each for each in self.sinusoids if each[0]):
+            unit = sinusoid_avar(m, frequency * step)
+            parts[f'sine {_two_digits(frequency)} Hz'] = amplitude**2 * unit
+        return parts
+
+
+def _two_digits(value: float) -> str:
+    return f'{float(f"{value:.2g}"):g}'

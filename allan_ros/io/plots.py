@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context, rcParams
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -112,6 +114,18 @@ LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
 
 TALLER_LEGEND_IN = 0.44
 """Inches of the legend above each panel of a narrow picture."""
+
+
+READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
+"""Term -> averaging time in s at which its Allan deviation equals its coefficient (IEEE Std 952)."""
+
+
+PROCESS_STYLE = ('0.5', (0, (2, 1)))
+"""Colour and dashes of a Gauss-Markov process or a sinusoid."""
+
+
+LIMIT_ALPHA = 0.06
+"""Opacity of the area below the 95 % upper limit of a term that is not resolved."""
 
 
 PNG_DPI = 200
@@ -307,7 +321,7 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
     )  # fmt: skip
     lines = _draw_parts(panel, axis, result, curve, units)
     if not wide:  # room for the values of what is drawn, no more
-        lines = [line for line in lines if line.get_linestyle() != 'None']
+        lines = [line for line in lines if isinstance(line, Line2D) and line.get_color()]
         for line in lines:
             line.set_label(str(line.get_label()).partition('\n')[0])
     total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
@@ -327,36 +341,46 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
 
 def _draw_parts(
     panel: Axes, axis: str, result: AxisResult, curve: AxisCurve, units: str
-) -> list[Line2D]:
-    """Draw the part of each term that is known, and return what stands in the legend."""
+) -> list[Artist]:
+    """Draw the parts of the model and the limits of what is not resolved; return the legend."""
     unit = shown_unit(axis, 'B', units)
-    parts = result.part_adev(curve.m) * unit.factor
     floor = BELOW_CURVE * unit.factor * float(curve.adev[curve.adev > 0.0].min())
-    lines, hidden = [], []
-    for i, term in enumerate(TERMS):
-        coefficient, its_unit = result.fit.noise[term], shown_unit(axis, term, units)
-        if coefficient.status != 'estimated' or coefficient.value is None:
-            hidden.append(_legend_text(term, coefficient, its_unit))
-            continue
-        colour, dashes = TERM_STYLES[term]
-        (line,) = panel.plot(
-            curve.tau,
-            np.where(parts[:, i] > floor, parts[:, i], np.nan),
-            color=colour,
-            ls=dashes,
-            lw=1.1,
-            label=_legend_text(term, coefficient, its_unit),
+    lines = []
+    for name, adev in result.part_adev(curve.m).items():
+        colour, dashes = TERM_STYLES.get(name, PROCESS_STYLE)
+        label = name
+        if name in result.fit.noise:
+            label = _legend_text(name, result.fit.noise[name], shown_unit(axis, name, units))
+        shown = np.where(unit.factor * adev > floor, unit.factor * adev, np.nan)
+        lines += panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.1, label=label)
+    _mark_terms(panel, axis, result, units)
+    for name, limit in result.limit_adev(curve.m).items():
+        shaded = np.where(unit.factor * limit > floor, unit.factor * limit, np.nan)
+        colour = TERM_STYLES[name][0]
+        panel.fill_between(curve.tau, floor, shaded, color=colour, alpha=LIMIT_ALPHA, lw=0)
+        label = _legend_text(name, result.fit.noise[name], shown_unit(axis, name, units))
+        lines.append(Patch(color=colour, alpha=2 * LIMIT_ALPHA, lw=0, label=label))
+    known = {str(line.get_label())[:1] for line in lines}
+    hidden = [t for t in TERMS if t not in known]
+    return [*lines, *(Line2D([], [], ls='', label=f'{t} not resolved') for t in hidden)]
+
+
+def _mark_terms(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
+    """Mark where the coefficients are read as in IEEE Std 952: N at 1 s, K at 3 s, 0.664 B."""
+    unit = shown_unit(axis, 'B', units)
+    low, high = panel.get_xlim()
+    for term, tau in READ_AT.items():
+        adev = math.sqrt(
+            float(result.fit.selected.parts([tau]).get(term, np.zeros(1))[0])
         )
-        lines.append(line)
-    for name, adev_of_extra in result.extra_adev(curve.m).items():
-        shown = unit.factor * adev_of_extra
-        above = np.where(shown > floor, shown, np.nan)
-        lines += panel.plot(curve.tau, above, color='0.5', lw=0.9, label=name)
-    return [*lines, *(Line2D([], [], ls='', label=text) for text in hidden)]
+        bottom, top = panel.get_ylim()
+        if low < tau < high and bottom < adev * unit.factor < top:
+            colour = TERM_STYLES[term][0]
+            panel.plot([tau], [adev * unit.factor], '+', color=colour, ms=7.0, mew=1.2)
 
 
 def _legend_text(term: str, coefficient: Coefficient, unit: ShownUnit) -> str:
     value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
     if value == NOTHING_KNOWN:
-        return f'{term} not observable'
+        return f'{term} not resolved'
     return f'{term} {value} {pretty_unit(unit.name)}' + (f'\n   {interval}' if interval else '')

@@ -19,11 +19,11 @@ from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
-from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel
+from ..core.fit import AxisFit, Coefficient, NoiseModel
 from ..core.fit.regions import Region, read_curve
 from ..core.fit.settled import fit_settled
 from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
-from ..core.noise import NoiseTerms, gauss_markov_avar, sinusoid_avar, term_avar
+from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import AUTO
 from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
 from .datasheets import Datasheet
@@ -190,37 +190,25 @@ class AxisResult:
         value = c.value if c.status == 'estimated' else None
         return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
 
-    def part_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the deviation of each of the five terms at factors m, (factors, 5), SI."""
-        return np.sqrt(self._part_avar(m))
+    def part_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+        """Return the deviation of each part of the selected model at averaging factors m, SI."""
+        parts = self.fit.selected.parts(m * self.tau0, self.tau0)
+        return {name: np.sqrt(avar) for name, avar in parts.items()}
 
-    def extra_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of each Gauss-Markov process and sinusoid by a name, SI."""
-        extras = {}
-        processes = self.fit.processes
-        for i, drift in enumerate(processes.gauss_markov):
-            unit = gauss_markov_avar(m, drift.correlation_time / self.tau0)
-            extras[f'Gauss-Markov{f" {i + 1}" if i else ""}'] = drift.sigma * np.sqrt(unit)
-        for i, line in enumerate(processes.sinusoid):
-            unit = sinusoid_avar(m, line.frequency * self.tau0)
-            extras[f'sinusoid{f" {i + 1}" if i else ""}'] = line.amplitude * np.sqrt(unit)
-        return extras
+    def limit_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+        """Return the deviation of each unresolved term at its 95 % upper limit, SI."""
+        limits = {
+            term: c.upper95
+            for term, c in self.fit.noise.items()
+            if c.status != 'estimated' and c.upper95 is not None and math.isfinite(c.upper95)
+        }
+        parts = ProcessModel(NoiseTerms(**limits)).parts(m * self.tau0, self.tau0)
+        return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the deviation of the fit at factors m, (factors,), SI.
-
-        A ramp that is not resolved is left out: its square would add its own scatter.
-        """
-        parts = self._part_avar(m)
-        if self.fit.noise['R'].status != 'estimated':
-            parts[:, TERMS.index('R')] = 0.0
-        extras = sum(adev**2 for adev in self.extra_adev(m).values())
-        total: NDArray[np.float64] = np.sqrt(parts.sum(axis=1) + extras)
+        """Return the deviation of the selected model at averaging factors m, (factors,), SI."""
+        total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(m * self.tau0, self.tau0))
         return total
-
-    def _part_avar(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
-        values = {term: c.value or 0.0 for term, c in self.fit.noise.items()}
-        return term_avar(m, self.tau0, NoiseTerms(**values))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from ..core.allan.recent import Change, RecentCurve
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison
 from ..core.findings import Finding, finding
-from ..core.fit.findings import record_times
+from ..core.fit.duration import recommended_duration
+from ..core.fit.findings import about
 from ..core.fit.model import TERMS, Coefficient
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
@@ -308,7 +309,8 @@ def _ruling_term(result: AxisResult | None, m: int) -> str:
     """Return the term that makes most of the fitted curve at a factor; '' before a fit."""
     if result is None:
         return ''
-    return TERMS[int(result.part_adev(np.array([m]))[0].argmax())]
+    parts = result.part_adev(np.array([m]))
+    return max(parts, key=lambda name: float(parts[name][0]), default='')
 
 
 def _summary(view: AxisView, evidence: float) -> str:
@@ -329,19 +331,16 @@ def _summary(view: AxisView, evidence: float) -> str:
 
 
 def _next_term(view: AxisView, result: AxisResult, evidence: float) -> str:
-    """Return which coefficient shows next, and how much more evidence that takes; '' if unknown."""
+    """Return how long a rest resolves what is missing and matters; '' where nothing is."""
     if view.method != 'gls':
         return ''  # the times are those of that fit
-    times = record_times(result.fit, result.tau0, evidence)
-    more = {
-        term: time.observable - evidence
-        for term, time in times.items()
-        if time.observable is not None and result.fit.noise[term].status == 'not_observable'
-    }
-    if not more:
+    limits = {c.term: c.limit for c in view.comparisons if c.axis == view.axis}
+    advice = recommended_duration(result.fit, evidence, limits)
+    if advice is None:
         return ''
-    term = min(more, key=lambda name: more[name])
-    return f'{term} shows after about {duration_text(max(more[term], 0.0))} more'
+    seconds, terms = advice
+    need = 'needs' if len(terms) == 1 else 'need'
+    return f'{" and ".join(terms)} {need} {about(seconds)} at rest'
 
 
 def _longest_tau(sums: AllanSums) -> float | None:

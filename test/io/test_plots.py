@@ -52,8 +52,11 @@ def test_the_curve_is_drawn_in_the_unit_it_says(small_results: Results) -> None:
 def test_the_parts_add_up_to_the_fit(small_results: Results) -> None:
     axis = small_results.axes['accel_x']
     m = axis.curve.m
-    ramp = axis.part_adev(m)[:, 4] if axis.fit.noise['R'].status == 'estimated' else 0.0
-    squares = (axis.part_adev(m)[:, :4] ** 2).sum(axis=1) + ramp**2
+    parts = axis.part_adev(m)
+    resolved = {t for t, c in axis.fit.noise.items() if c.status == 'estimated' and c.value}
+    assert set(parts) == resolved
+    assert set(axis.limit_adev(m)) == set('QNBKR') - resolved
+    squares = sum(adev**2 for adev in parts.values())
     assert np.allclose(axis.total_adev(m) ** 2, squares, rtol=1e-12)
 
 

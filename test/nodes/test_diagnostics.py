@@ -57,7 +57,7 @@ def test_the_coefficients_stand_in_both_unit_systems(sums):
     told = values(status)
     assert status.level == DiagnosticStatus.OK and status.hardware_id == 'imu'
     assert status.message.startswith('N 0.2000 deg/sqrt(h), B < 0.206 deg/h')
-    assert status.message.endswith('from 25.0 s of evidence')
+    assert 'from 25.0 s of evidence; K needs 2 h at rest' in status.message
     assert float(told['N [rad/s/sqrt(Hz)]']) == pytest.approx(N, rel=1e-3)
     assert told['N [deg/sqrt(h)]'] == '0.2000'
     assert told['N 95 % [deg/sqrt(h)]'] == '0.190..0.210'
@@ -78,12 +78,14 @@ def test_before_a_fit_it_says_so(sums):
     assert 'why' in status_of(sums, result=None, trouble='why').message
 
 
-def test_it_says_what_shows_next_and_when(sums):
-    almost = Coefficient(2e-5, None, 1e-4, 'not_observable')
-    status = status_of(sums, result=fit(B=almost))
-    assert 'B shows after about ' in status.message
+def test_it_advises_for_what_matters_only(sums):
+    large, small = (Coefficient(2e-5, None, size, 'not_observable') for size in (1e-3, 1e-9))
+    status = status_of(sums, result=fit(B=large, K=small))
+    assert 'B needs 4 h at rest' in status.message
     assert values(status)['next coefficient'] in status.message
-    assert 'shows' not in status_of(sums, result=fit(B=almost), method='paper').message
+    for quiet in (fit(B=small, K=small), None):
+        assert 'at rest' not in status_of(sums, result=quiet).message
+    assert 'needs' not in status_of(sums, result=fit(B=large), method='paper').message
 
 
 def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):

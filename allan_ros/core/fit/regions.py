@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The reading of a curve as in Cong et al. 2019: which noise rules in which range of tau."""
+"""Which part of the selected model dominates in which range of tau, as in Cong et al. 2019."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -13,28 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.curve import AllanCurve, local_slopes
-from ..noise import NoiseTerms, term_avar
-from .model import TERMS, AxisFit, Coefficient
+from .model import AxisFit
 
 Floats = NDArray[np.float64]
 
 
 MIN_WIDTH = 3.0
-"""tau_high/tau_low from which a term rules a range alone: half a decade, the least on which an eye
-reads a slope."""
+"""tau_high/tau_low from which a part dominates a range alone: half a decade, the least on which an
+eye reads a slope."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """A range of averaging times and the noise that rules there.
+    """A range of averaging times and the noise that dominates there.
 
     Attributes
     ----------
     tau_low, tau_high : float
         Ends of the range in s.
     term : str
-        The term with the largest share of sigma^2, or several joined by '+' where they rule in
-        turn or mixed.
+        The part of the model with the largest share of sigma^2 (a term's letter, or the name of
+        a process), or several joined by '+' where they dominate in turn or mixed.
     slope : float
         d log adev / d log tau of the measured curve over the range: -1 (Q), -1/2 (N), 0 (B),
         1/2 (K), 1 (R) where one term is alone.
@@ -48,7 +47,7 @@ class Region:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Consecutive points on which one term has the largest share, or the join of several."""
+    """Consecutive points on which one part has the largest share, or the join of several."""
 
     terms: tuple[str, ...]
     points: slice
@@ -57,9 +56,9 @@ class _Stretch:
 def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     """Return the regions of one axis, from the shortest tau to the longest.
 
-    A term rules where its share of the fitted sigma^2 is the largest. A stretch narrower than a
-    factor 3 in tau rules nothing alone: adjacent ones are read together, as terms that rule in
-    turn, and a lone one together with its runner-up.
+    A part dominates where its share of the modelled sigma^2 is the largest. A stretch narrower
+    than a factor 3 in tau has no dominant part: adjacent ones are joined, and a single one is
+    joined with its runner-up.
 
     Parameters
     ----------
@@ -68,18 +67,18 @@ def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     axis : str
         One of its axes.
     fit : AxisFit
-        Its five terms; those not observable have no share.
+        Its selected model; terms that are not resolved have no share.
 
     Returns
     -------
     list of Region
-        They touch and cover the curve; empty when no term is known.
+        They touch and cover the curve; empty when no part is known.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
-    terms = _estimated(fit.noise)
-    if not any(terms.values()) or not len(curve.m):
+    parts = fit.selected.parts(curve.tau, tau0) if len(curve.m) else {}
+    if not parts:
         return []
-    variances = term_avar(curve.m, tau0, NoiseTerms(**terms))
+    variances = np.stack(list(parts.values()), axis=1)
     shares = variances / variances.sum(axis=1, keepdims=True)
     edges = np.concatenate([curve.tau[:1], np.sqrt(curve.tau[1:] * curve.tau[:-1]), curve.tau[-1:]])
     i = curve.axes.index(axis)
@@ -90,7 +89,7 @@ def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
             '+'.join(s.terms),
             _slope(curve, i, s.points),
         )
-        for s in _stretches(shares, edges)
+        for s in _stretches(list(parts), shares, edges)
     ]
 
 
@@ -103,34 +102,27 @@ def curve_slopes(curve: AllanCurve) -> Floats:
     return local_slopes(curve.m, curve.adev**2, weights) / 2.0
 
 
-def _estimated(noise: Mapping[str, Coefficient]) -> dict[str, float]:
-    return {
-        term: max(c.value, 0.0) if c.value is not None and c.status == 'estimated' else 0.0
-        for term, c in noise.items()
-    }
-
-
-def _stretches(shares: Floats, edges: Floats) -> list[_Stretch]:
+def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:
     """Return the stretches of the curve, narrow ones joined."""
     simple = []
     for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
         run = list(same)
-        simple.append(_Stretch((TERMS[k],), slice(run[0], run[-1] + 1)))
+        simple.append(_Stretch((parts[k],), slice(run[0], run[-1] + 1)))
 
     def is_wide(s: _Stretch) -> bool:
         return bool(edges[s.points.stop] >= MIN_WIDTH * edges[s.points.start])
 
     out: list[_Stretch] = []
     for wide, group in groupby(simple, key=is_wide):
-        parts = list(group)
+        alike = list(group)
         if wide:
-            out += parts
+            out += alike
             continue
-        points = slice(parts[0].points.start, parts[-1].points.stop)
-        names = {s.terms[0] for s in parts}
+        points = slice(alike[0].points.start, alike[-1].points.stop)
+        names = {s.terms[0] for s in alike}
         if len(names) == 1:
-            names = {TERMS[k] for k in np.argsort(shares[points].mean(axis=0))[-2:]}
-        out.append(_Stretch(tuple(t for t in TERMS if t in names), points))
+            names = {parts[k] for k in np.argsort(shares[points].mean(axis=0))[-2:]}
+        out.append(_Stretch(tuple(name for name in parts if name in names), points))
     return out
 
 

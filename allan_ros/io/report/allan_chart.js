@@ -1,14 +1,18 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// The Allan deviation of one sensor: curves with limits, the fit, and the parts of the curve that
-// is nearest to the cursor. Colour is the axis, dashes and a letter are the term.
+// The Allan deviation of one sensor: curves with limits, the selected model, and the parts of the
+// model of the curve nearest to the cursor. Colour is the axis, dashes and a letter are the term.
 'use strict';
 
 const AllanChart = (() => {
   const { colour, element, number } = Chart;
   const DASHES = { Q: [1, 3], N: [8, 3], B: [9, 3, 2, 3], K: [14, 4], R: [4, 3, 1, 3, 1, 3] };
+  const PROCESS = [2, 4];
   const BESIDE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
+  // The level part of the curve is 0.664 B: the label says so, as the table gives B.
+  const caption = (term) => (term === 'B' ? '0.664 B' : term);
+  const isTerm = (name) => name in DASHES;
 
   // A marker of an axis, so that axes differ in shape as well as in colour.
   function mark(context, label, x, y, size) {
@@ -25,10 +29,10 @@ const AllanChart = (() => {
 
   function create(host, sensor, units) {
     const axes = sensor.axes.filter((a) => a.adev);
-    const shown = new Set([...axes.map((a) => a.label), 'fit', 'limits', 'Q', 'N', 'B', 'K', 'R', 'other', 'beside']);
+    const shown = new Set([...axes.map((a) => a.label), 'fit', 'limits', 'upper', 'Q', 'N', 'B', 'K', 'R', 'other', 'beside']);
     let system = units;
     let near = axes[0];
-    let named = [];
+    let taken = [];
     const unit = () => sensor.units[system].curve;
     const scaled = (values) => values.map((v) => (v === null ? null : v * unit()[1]));
     const columns = () => [sensor.tau, ...axes.flatMap((a) => [scaled(a.low), scaled(a.high), scaled(a.fit), scaled(a.adev)])];
@@ -42,11 +46,15 @@ const AllanChart = (() => {
     ]);
     const bands = axes.map((a, i) => ({ series: [4 * i + 2, 4 * i + 1], fill: () => colour(`${a.label}-faint`) }));
 
-    function span(pick, low, high) {
-      const values = (visible().length ? visible() : axes).flatMap(pick).filter((v) => v > 0);
-      return values.length ? [low * Math.min(...values), high * Math.max(...values)] : [0.1, 10];
+    // The whole picture: every visible curve, and the marks that lie not far below them.
+    function rangeY() {
+      const some = visible().length ? visible() : axes;
+      const values = some.flatMap((a) => scaled(a.adev)).filter((v) => v > 0);
+      if (!values.length) return [0.1, 10];
+      const low = Math.min(...values);
+      const marks = some.flatMap((a) => Object.values(a.read).map(([, v]) => v * unit()[1])).filter((v) => v > 0.2 * low);
+      return [Math.min(0.45 * low, ...marks.map((v) => 0.75 * v)), 1.7 * Math.max(...values)];
     }
-    const rangeY = () => span((a) => scaled(a.adev), 0.45, 1.7);
     const rangeX = () => [sensor.tau[0] / 1.25, sensor.tau[sensor.tau.length - 1] * 1.35];
 
     function line(u, values, dash, width, ink) {
@@ -87,36 +95,93 @@ const AllanChart = (() => {
       ctx.restore();
     }
 
-    // The letter of a part stands on its line where the line enters or leaves the picture.
-    function letter(u, words, values, ink) {
-      const inside = places(u, values);
-      if (!inside.length) return;
-      const rising = inside[0][1] > inside[inside.length - 1][1];
-      const [x, y] = inside[rising ? 0 : inside.length - 1];
-      text(u, words, Math.min(Math.max(x, u.bbox.left + 10), u.bbox.left + u.bbox.width - 10), y, ink);
+    // A cross where the coefficient is read off as in IEEE Std 952 (N at 1 s, K at 3 s), if it is in
+    // the picture; the letter stands beside it, or else where the line enters or leaves the picture.
+    function letter(u, term, values, ink) {
+      const ratio = devicePixelRatio;
+      const [x, y] = term in near.read ? at(u, ...near.read[term]) : [NaN, NaN];
+      if (inside(u, x, y)) {
+        const { ctx } = u;
+        ctx.beginPath();
+        ctx.moveTo(x - 6 * ratio, y);
+        ctx.lineTo(x + 6 * ratio, y);
+        ctx.moveTo(x, y - 6 * ratio);
+        ctx.lineTo(x, y + 6 * ratio);
+        ctx.setLineDash([]);
+        ctx.lineWidth = 2 * ratio;
+        ctx.strokeStyle = ink;
+        ctx.stroke();
+        const seconds = number(near.read[term][0], 1);
+        label(u, `${term} at ${seconds} s`, [[x - 8 * ratio, y + 16 * ratio], [x + 8 * ratio, y - 16 * ratio]], ink, 'right');
+        return;
+      }
+      const run = places(u, values);
+      if (!run.length) return;
+      const rising = run[0][1] > run[run.length - 1][1] + 2;
+      const ends = rising ? [run[0], run[run.length - 1]] : [run[run.length - 1], run[0]];
+      const up = ends.flatMap(([ex, ey]) => [[ex, ey - 11 * ratio], [ex, ey + 11 * ratio]]);
+      label(u, caption(term), up, ink, 'center');
     }
+
+    // The upper limit of a term that is not resolved: shaded, and no part of the model.
+    function limit(u, term, values) {
+      const run = places(u, values);
+      if (run.length < 2) return;
+      const { ctx, bbox } = u;
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+      ctx.clip();
+      ctx.beginPath();
+      let last = null;
+      values.forEach((v, i) => {
+        if (!(v > 0)) return;
+        const [x, y] = at(u, sensor.tau[i], v);
+        if (last === null) ctx.moveTo(x, bbox.top + bbox.height);
+        ctx.lineTo(x, Math.max(y, bbox.top - 4));
+        last = x;
+      });
+      ctx.lineTo(last, bbox.top + bbox.height);
+      ctx.closePath();
+      ctx.globalAlpha = 0.07;
+      ctx.fillStyle = colour(near.label);
+      ctx.fill();
+      ctx.globalAlpha = 1;
+      ctx.restore();
+      const tops = [0.75, 0.5, 0.9, 0.25].map((share) => run[Math.floor(share * (run.length - 1))]);
+      label(u, `${term} limit`, tops.map(([x, y]) => [x, y + 12 * devicePixelRatio]), colour('ink-2'), 'center');
+    }
+
+    // A label at the first of its places where no other label is.
+    function label(u, words, spots, ink, align) {
+      const { ctx, bbox } = u;
+      const ratio = devicePixelRatio;
+      ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+      const wide = ctx.measureText(words).width;
+      for (const [px, y] of spots) {
+        const centre = align === 'right' ? px - wide / 2 : px;
+        const x = Math.min(Math.max(centre, bbox.left + wide / 2 + 3 * ratio), bbox.left + bbox.width - wide / 2 - 3 * ratio);
+        if (y < bbox.top + 8 * ratio || y > bbox.top + bbox.height - 8 * ratio) continue;
+        if (taken.some(([ox, oy, ow]) => Math.abs(ox - x) < (ow + wide) / 2 + 4 * ratio && Math.abs(oy - y) < 15 * ratio)) continue;
+        taken.push([x, y, wide]);
+        text(u, words, x, y, ink);
+        return;
+      }
+    }
+
+    const at = (u, tau, v) => [u.valToPos(tau, 'x', true), u.valToPos(v * unit()[1], 'y', true)];
+    const inside = (u, x, y) => x >= u.bbox.left && x <= u.bbox.left + u.bbox.width && y >= u.bbox.top && y <= u.bbox.top + u.bbox.height;
 
     // The name of a line of comparison stands beside it, where it is farthest from all curves.
     function name(u, words, values, ink) {
-      const { ctx, bbox } = u;
-      ctx.font = `600 ${12 * devicePixelRatio}px system-ui, sans-serif`;
-      const half = ctx.measureText(words).width / 2 + 4 * devicePixelRatio;
-      const lines = sensor.references.filter((r) => r.axis === near.name && r.adev !== values);
-      const others = [...visible(), ...lines].flatMap((a) => places(u, a.adev)).concat(named);
-      let best = [-Infinity];
-      for (const [px, py] of places(u, values)) {
-        const x = Math.min(Math.max(px, bbox.left + half), bbox.left + bbox.width - half);
-        for (const y of [py - 14 * devicePixelRatio, py + 14 * devicePixelRatio]) {
-          if (y < bbox.top + 10 || y > bbox.top + bbox.height - 10) continue;
-          const near = others.filter(([ox]) => Math.abs(ox - x) < half + 10).map(([, oy]) => Math.abs(oy - y));
-          // far enough is far enough: then the one that lies best on its own line
-          const score = Math.min(40 * devicePixelRatio, ...near) - Math.abs(x - px);
-          if (score > best[0]) best = [score, x, y];
-        }
-      }
-      if (best[0] === -Infinity) return;
-      named.push([best[1] - half, best[2]], [best[1], best[2]], [best[1] + half, best[2]]);
-      text(u, words, best[1], best[2], ink);
+      const ratio = devicePixelRatio;
+      const curves = visible().flatMap((a) => places(u, a.adev));
+      const spots = places(u, values).flatMap(([x, y]) => [[x, y - 14 * ratio], [x, y + 14 * ratio]]).map(([x, y]) => {
+        const beside = curves.filter(([ox]) => Math.abs(ox - x) < 50 * ratio).map(([, oy]) => Math.abs(oy - y));
+        return [Math.min(40 * ratio, ...beside), x, y];
+      });
+      spots.sort((a, b) => b[0] - a[0]);
+      label(u, words, spots.map(([, x, y]) => [x, y]), ink, 'center');
     }
 
     // Where a line runs in the picture.
@@ -127,15 +192,13 @@ const AllanChart = (() => {
     function above(u) {
       const { ctx } = u;
       const ratio = devicePixelRatio;
-      named = [];
+      taken = [];
       const beside = sensor.references.filter((r) => r.axis === near.name && shown.has('beside'));
+      const drawn = shown.has(near.label) ? Object.entries(near.parts).filter(([name]) => shown.has(isTerm(name) ? name : 'other')) : [];
       if (shown.has(near.label)) {
+        if (shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) limit(u, term, values);
         beside.forEach((other, i) => line(u, other.adev, BESIDE[i % BESIDE.length], 1.4, colour('ink-2')));
-        for (const [term, values] of Object.entries(near.parts)) {
-          if (!shown.has(term in DASHES ? term : 'other')) continue;
-          line(u, values, DASHES[term] || [2, 4], 1.2, colour(near.label));
-          letter(u, term, values, colour(near.label));
-        }
+        for (const [term, values] of drawn) line(u, values, DASHES[term] || PROCESS, 1.2, colour(near.label));
       }
       for (const a of visible()) {
         ctx.lineWidth = 1.3 * ratio;
@@ -151,11 +214,12 @@ const AllanChart = (() => {
           ctx.stroke();
         });
       }
+      for (const [term, values] of drawn) letter(u, term, values, colour(near.label));
       if (shown.has(near.label)) beside.forEach((other) => name(u, other.name, other.adev, colour('ink-2')));
       visible().forEach((a, row) => strip(u, a, row));
     }
 
-    // Above the picture a strip for each axis: which term rules where.
+    // Above the picture a strip for each axis: which part of the model dominates where.
     function strip(u, a, row) {
       const { ctx } = u;
       const ratio = devicePixelRatio;
@@ -171,7 +235,8 @@ const AllanChart = (() => {
         ctx.fillStyle = colour(`${a.label}-${i % 2 ? 'tint' : 'faint'}`);
         ctx.fillRect(from, top, to - from - ratio, (STRIP - 2) * ratio);
         ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
-        if (to - from < ctx.measureText(term).width + 4 * ratio) return;
+        const words = ctx.measureText(term).width + 4 * ratio < to - from ? term : '';
+        if (!words) return;
         ctx.fillStyle = colour('ink');
         ctx.textAlign = 'center';
         ctx.textBaseline = 'middle';
@@ -205,22 +270,20 @@ const AllanChart = (() => {
       }
       if (shown.has(near.label)) {
         const parts = Object.entries(near.parts)
-          .filter(([term, values]) => shown.has(term in DASHES ? term : 'other') && values[at] > 0)
-          .map(([term, values]) => `${term} ${number(values[at] * factor, 3)}`);
-        if (parts.length) lines.push([`of ${near.label}: ${parts.join(', ')}`, null]);
+          .filter(([term, values]) => shown.has(isTerm(term) ? term : 'other') && values[at] > 0)
+          .map(([term, values]) => `${caption(term)} ${number(values[at] * factor, 3)}`);
+        if (parts.length) lines.push([`model of ${near.label}: ${parts.join(', ')}`, null]);
         const region = (near.regions || []).find(([low, high]) => sensor.tau[at] >= low && sensor.tau[at] <= high);
-        if (region) lines.push([`${region[2]} rules ${near.label} here, slope ${region[3] < 0 ? '−' : '+'}${Math.abs(region[3]).toFixed(2)}`, null]);
+        if (region) lines.push([`${region[2]} dominates ${near.label} here, slope ${region[3] < 0 ? '−' : '+'}${Math.abs(region[3]).toFixed(2)}`, null]);
         if (near.n[at]) lines.push([`${near.n[at].toLocaleString('en')} differences`, null]);
       }
       return lines;
     }
 
     const heading = element('h3', {}, 'Allan deviation');
-    const parts = element('span', { class: 'note' });
-    const tell = () => {
-      heading.textContent = `Allan deviation, ${unit()[0]}`;
-      parts.textContent = `Parts drawn: those of ${near.label}, the curve nearest to the cursor.`;
-    };
+    const parts = element('span', {});
+    const axisName = () => `Allan deviation σ(τ) [${unit()[0]}]`;
+    const tell = () => { parts.textContent = `Parts drawn: those of ${near.label}, the curve nearest to the cursor. `; };
     const controls = element('div', { class: 'controls' });
     host.append(heading, controls);
     const u = Chart.create(host, {
@@ -228,8 +291,8 @@ const AllanChart = (() => {
       height: 462,
       padding: [axes.length * STRIP + 12, 14, 0, 0],
       zoomY: true,
-      x: { log: true, range: rangeX, label: 'averaging time τ [s]' },
-      y: { log: true, range: rangeY },
+      x: { log: true, full: rangeX, label: 'averaging time τ [s]' },
+      y: { log: true, full: rangeY, label: axisName() },
       series, bands, above, focus, describe,
     }, columns());
 
@@ -246,18 +309,31 @@ const AllanChart = (() => {
       u.setData(columns());
     }
     const terms = [...new Set(axes.flatMap((a) => Object.keys(a.parts)))];
-    const others = [['fit', 'fit'], ['limits', '68 % limits']];
-    if (terms.some((t) => !(t in DASHES))) others.push(['other', 'other parts']);
-    if (sensor.references.length) others.push(['beside', [...new Set(sensor.references.map((r) => r.name))].join(', ')]);
+    const others = [{ key: 'fit', text: 'model' }, { key: 'limits', text: '68 % limits' }];
+    if (axes.some((a) => Object.keys(a.upper).length)) others.push({ key: 'upper', text: 'limits of unresolved terms' });
+    if (terms.some((t) => !isTerm(t))) others.push({ key: 'other', text: 'processes', dash: PROCESS });
+    if (sensor.references.length) others.push({ key: 'beside', text: [...new Set(sensor.references.map((r) => r.name))].join(', '), dash: BESIDE[0] });
+    const title = () => `${heading.dataset.sensor}: Allan deviation`;
+    heading.dataset.sensor = sensor.title;
+    heading.append(Chart.element('span', { class: 'grow' }), Picture.buttons(u, title, `allan_${sensor.sensor}`));
+    u.title = title();
     controls.append(
       Chart.toggles('axes', axes.map((a) => ({ key: a.label, text: a.label, style: `var(--${a.label})` })), change),
-      Chart.toggles('parts', Object.keys(DASHES).filter((t) => terms.includes(t)).map((t) => ({ key: t, text: t })), change),
-      Chart.toggles('also', others.map(([key, text]) => ({ key, text })), change),
+      Chart.toggles('parts', Object.keys(DASHES).filter((t) => terms.includes(t)).map((t) => ({ key: t, text: caption(t), dash: DASHES[t] })), change),
+      Chart.toggles('also', others, change),
     );
-    host.append(element('p', { class: 'note' },
-      'The strips on top say which term rules where. Drag to zoom, double-click to go back. ', parts));
+    const said = ['The strips on top say which part of the model dominates where; the crosses mark where a coefficient is read off. '];
+    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: below the 95 % upper limit of a term that is not resolved; it is no part of the model. ');
+    host.append(element('p', { class: 'note' }, ...said, parts, 'Drag to zoom, double-click to go back.'));
     tell();
-    return { units(next) { system = next; tell(); u.setData(columns()); } };
+    return {
+      units(next) {
+        system = next;
+        u.axes[1].label = axisName();
+        tell();
+        u.setData(columns());
+      },
+    };
   }
 
   return { create };

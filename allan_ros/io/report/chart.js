@@ -1,12 +1,13 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// What all charts share: colours of the theme, numbers, logarithmic axes, the cursor and its note.
+// What all charts share: colours of the theme, numbers, logarithmic axes, zoom, the cursor and its note.
 'use strict';
 
 const Chart = (() => {
   const all = [];
   const SUPERSCRIPT = { '-': '⁻', 0: '⁰', 1: '¹', 2: '²', 3: '³', 4: '⁴', 5: '⁵', 6: '⁶', 7: '⁷', 8: '⁸', 9: '⁹' };
   const FONT = '12px system-ui, sans-serif';
+  const LABEL_ROOM = { x: 46, y: 26 };  // pixels that a label of a logarithmic axis takes along it
 
   // A colour of the page as it is now: light, dark or printed.
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -25,10 +26,57 @@ const Chart = (() => {
 
   const power = (exponent) => [...String(exponent)].map((c) => SUPERSCRIPT[c]).join('');
 
-  function decade(value) {
-    const exponent = Math.round(Math.log10(value));
-    if (Math.abs(value / 10 ** exponent - 1) > 1e-6) return number(value, 1);
-    return exponent >= -3 && exponent <= 4 ? String(Number((10 ** exponent).toPrecision(1))) : `10${power(exponent)}`;
+  // The label of a tick: as short as the value allows.
+  function tick(value) {
+    const size = Math.abs(value);
+    if (value === 0 || (size >= 1e-3 && size < 1e5)) return String(Number(value.toPrecision(6)));
+    const exponent = Math.floor(Math.log10(size) + 1e-9);
+    const lead = Number((value / 10 ** exponent).toPrecision(4));
+    return lead === 1 ? `10${power(exponent)}` : `${lead}·10${power(exponent)}`;
+  }
+
+  const clean = (value) => Number(value.toPrecision(12));
+
+  // Round values of a logarithmic range: digits times every power of ten.
+  function round(min, max, digits, step = 1) {
+    const values = [];
+    for (let e = Math.floor(Math.log10(min) / step) * step; 10 ** e <= max; e += step) {
+      for (const digit of digits) values.push(clean(digit * 10 ** e));
+    }
+    return values.filter((v) => v >= min * (1 - 1e-9) && v <= max * (1 + 1e-9));
+  }
+
+  // Evenly spaced round values, for a range too narrow for decades.
+  function even(min, max, count) {
+    const raw = (max - min) / count;
+    const unit = 10 ** Math.floor(Math.log10(raw));
+    const step = unit * [1, 2, 5, 10].find((s) => s * unit >= raw);
+    const values = [];
+    for (let v = Math.ceil(min / step) * step; v <= max * (1 + 1e-9); v += step) values.push(clean(v));
+    return values;
+  }
+
+  // The labelled values of a logarithmic axis so many pixels long: at least three wherever they fit.
+  function labelled(min, max, pixels, room) {
+    const log = (v) => (Math.log10(v) * pixels) / Math.log10(max / min);
+    const fits = (values) => values.every((v, i) => i === 0 || log(v) - log(values[i - 1]) >= room);
+    const choices = [
+      round(min, max, [1, 2, 5]), round(min, max, [1, 3]), round(min, max, [1]),
+      round(min, max, [1], 2), round(min, max, [1], 3), round(min, max, [1], 5),
+    ];
+    const good = choices.find((values) => values.length >= 3 && fits(values));
+    if (good) return good;
+    for (let count = 8; count >= 2; count -= 1) {
+      const values = even(min, max, count);
+      if (values.length >= 3 && fits(values)) return values;
+    }
+    return even(min, max, 3);
+  }
+
+  // Grid lines of a logarithmic axis: every digit of every decade, and all that is labelled.
+  function splits(min, max, labels) {
+    const fine = Math.log10(max / min) > 7 ? round(min, max, [1]) : round(min, max, [1, 2, 3, 4, 5, 6, 7, 8, 9]);
+    return [...new Set([...fine, ...labels])].sort((a, b) => a - b);
   }
 
   // An element with text and children; text is never read as HTML.
@@ -42,7 +90,8 @@ const Chart = (() => {
     return made;
   }
 
-  function axis(log, size, label) {
+  function axis(which, log, size, label) {
+    let labels = [];
     return {
       ...(label ? { label, labelFont: FONT, labelSize: 22, labelGap: 2 } : {}),
       stroke: () => colour('ink-2'),
@@ -50,22 +99,37 @@ const Chart = (() => {
       ticks: { stroke: () => colour('grid'), width: 1, size: 5 },
       font: FONT,
       size,
-      ...(log ? { values: (u, splits) => splits.map((s) => (isRound(s) ? decade(s) : '')), space: 34 } : {}),
+      ...(log ? {
+        filter: (u, values) => values,
+        splits(u, index, min, max) {
+          const pixels = (which === 'x' ? u.bbox.width : u.bbox.height) / devicePixelRatio;
+          labels = labelled(min, max, pixels || 300, LABEL_ROOM[which]);
+          return splits(min, max, labels);
+        },
+        values: (u, values) => values.map((v) => (labels.includes(v) ? tick(v) : '')),
+      } : { values: (u, values) => values.map(tick) }),
     };
   }
 
-  // Whether a tick has one digit: uPlot's first is the end of the axis, wherever that lies.
-  const isRound = (value) => value !== null && Math.abs(Number(value.toPrecision(1)) / value - 1) < 1e-6;
-
   // Make a chart that fills its host, follows the theme, and tells its numbers at the cursor.
   //   options.describe(u, index) returns the lines of the note: [text, colour or null] each.
+  //   options.x.full and options.y.full return the range of the whole picture.
   function create(host, options, data) {
     const height = options.height || 360;
     const box = element('div', { class: 'plot', tabindex: '0', role: 'group', 'aria-label': options.label });
     const tip = element('div', { class: 'tip', hidden: '' });
     const spoken = element('p', { class: 'spoken', 'aria-live': 'polite' });
     host.append(box);
-    let leave = false;
+    let zoomed = false;
+    const rangeX = (chart, min, max) => {
+      const times = chart.data[0];
+      zoomed = min > times[0] || max < times[times.length - 1];
+      return zoomed ? [min, max] : (options.x.full ? options.x.full() : [min, max]);
+    };
+    const rangeY = (chart, min, max) => {
+      if (!zoomed || min === null || !(max > min)) return options.y.full();
+      return options.y.log ? [min / 1.2, max * 1.2] : [min, max];
+    };
     const u = new uPlot(
       {
         width: Math.max(280, host.clientWidth),
@@ -73,10 +137,13 @@ const Chart = (() => {
         padding: options.padding || [8, 14, 0, 0],
         legend: { show: false },
         scales: {
-          x: { time: false, distr: options.x.log ? 3 : 1, range: options.x.range },
-          y: { distr: options.y.log ? 3 : 1, range: options.y.range },
+          x: { time: false, distr: options.x.log ? 3 : 1, range: rangeX },
+          y: { distr: options.y.log ? 3 : 1, range: rangeY },
         },
-        axes: [{ ...axis(options.x.log, 34, options.x.label), ...options.x.axis }, { ...axis(options.y.log, 58), ...options.y.axis }],
+        axes: [
+          { ...axis('x', options.x.log, 34, options.x.label), ...options.x.axis },
+          { ...axis('y', options.y.log, options.y.log ? 62 : 58, options.y.label), ...options.y.axis },
+        ],
         series: [{}, ...options.series],
         bands: options.bands || [],
         cursor: {
@@ -95,10 +162,12 @@ const Chart = (() => {
     );
     u.over.append(tip);
     box.append(spoken);
+    u.above = options.above;
+    u.caption = options.label;
 
     function show(chart) {
       const at = chart.cursor.idx;
-      if (leave || at === null || at === undefined || chart.cursor.left < 0) {
+      if (at === null || at === undefined || chart.cursor.left < 0) {
         tip.hidden = true;
         return;
       }
@@ -162,12 +231,13 @@ const Chart = (() => {
   }
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redrawAll);
 
-  // A row of buttons that are on or off.
+  // A row of buttons that are on or off; a sample shows how each is drawn while it is on.
   function toggles(label, names, change) {
     const group = element('div', { class: 'toggles', role: 'group', 'aria-label': label }, element('span', {}, label));
-    for (const { key, text, style } of names) {
-      const button = element('button', { type: 'button', 'aria-pressed': 'true', 'data-key': key }, text);
+    for (const { key, text, style, dash } of names) {
+      const button = element('button', { type: 'button', 'aria-pressed': 'true', 'data-key': key, title: 'show or hide' });
       if (style) button.style.setProperty('--chip', style);
+      button.append(sample(dash || []), text);
       button.addEventListener('click', () => {
         const on = button.getAttribute('aria-pressed') !== 'true';
         button.setAttribute('aria-pressed', String(on));
@@ -178,5 +248,14 @@ const Chart = (() => {
     return group;
   }
 
-  return { colour, create, element, number, redrawAll, toggles };
+  function sample(dash) {
+    const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+    const line = document.createElementNS('http://www.w3.org/2000/svg', 'line');
+    for (const [name, value] of Object.entries({ viewBox: '0 0 20 8', 'aria-hidden': 'true' })) svg.setAttribute(name, value);
+    for (const [name, value] of Object.entries({ x1: 0, x2: 20, y1: 4, y2: 4, 'stroke-dasharray': dash.join(' ') })) line.setAttribute(name, value);
+    svg.append(line);
+    return svg;
+  }
+
+  return { all, colour, create, element, labelled, number, redrawAll, toggles };
 })();

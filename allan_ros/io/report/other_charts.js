@@ -16,10 +16,10 @@ const OtherCharts = (() => {
     const columns = () => [frequency, ...axes.flatMap((a) => [scaled(a.density), scaled(a.fit)])];
     const series = axes.flatMap((a) => [
       { label: label(a), stroke: () => colour(label(a)), width: 1.3, points: { show: false } },
-      { label: `${label(a)} fit`, stroke: () => colour(label(a)), width: 1.6, dash: [7, 4], points: { show: false } },
+      { label: `${label(a)} model`, stroke: () => colour(label(a)), width: 1.6, dash: [7, 4], points: { show: false } },
     ]);
-    const heading = element('h3', {});
-    const tell = () => { heading.textContent = `Noise density, ${unit()[0]}`; };
+    const heading = element('h3', {}, 'Noise density');
+    const axisName = () => `noise density [${unit()[0]}]`;
     const rangeY = () => {
       const values = axes.flatMap((a) => scaled(a.density)).filter((v) => v > 0);
       return [0.6 * Math.min(...values), 1.6 * Math.max(...values)];
@@ -40,8 +40,8 @@ const OtherCharts = (() => {
       label: `Noise density of the ${sensor.sensor}; arrow keys move from point to point`,
       height: 322,
       zoomY: true,
-      x: { log: true, range: () => [frequency[0] / 1.2, frequency[frequency.length - 1] * 1.2], label: 'frequency [Hz]' },
-      y: { log: true, range: rangeY },
+      x: { log: true, full: () => [frequency[0] / 1.2, frequency[frequency.length - 1] * 1.2], label: 'frequency [Hz]' },
+      y: { log: true, full: rangeY, label: axisName() },
       series, describe,
     }, columns());
     controls.append(Chart.toggles('axes', axes.map((a) => ({ key: a.name, text: label(a), style: `var(--${label(a)})` })), (key, on) => {
@@ -50,13 +50,13 @@ const OtherCharts = (() => {
       axes.forEach((a, i) => [1, 2].forEach((j) => u.setSeries(2 * i + j, { show: shown.has(a.name) })));
     }));
     host.append(element('p', { class: 'note' },
-      'Root of the one-sided power spectral density (Welch 1967); dashed: what the fit makes. '
+      'Root of the one-sided power spectral density (Welch 1967); dashed: the selected model. '
       + 'Its flat part is √2 N, the noise density of datasheets.'));
-    tell();
-    return { units(next) { system = next; tell(); u.setData(columns()); } };
+    heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => `${sensor.title}: noise density`, `density_${sensor.sensor}`));
+    return { units(next) { system = next; u.axes[1].label = axisName(); u.setData(columns()); } };
   }
 
-  const WHY = { motion: 'left out: the IMU moved', stuck: 'left out: an axis showed one value', '': 'left out of the evidence' };
+  const WHY = { motion: 'left out: the IMU moved', stuck: 'left out: an axis showed one value', '': 'left out' };
   const HATCHES = { motion: 'moved', stuck: 'bad', '': 'left-out' };
 
   // Slanting lines: to the right where the IMU moved, to the left for any other reason.
@@ -93,7 +93,10 @@ const OtherCharts = (() => {
     const shownTime = time.map((t) => t / scale);
     const excluded = (i) => leftOut.find(([from, to]) => time[i] < to && (i + 1 < time.length ? time[i + 1] : Infinity) > from);
     const made = [];
-    host.append(element('h3', {}, 'Raw signal'));
+    const fold = element('details', { class: 'fold' }, element('summary', {}, 'Raw signal'));
+    host.append(fold);
+    const inner = element('div', {});
+    fold.append(inner);
     axes.forEach((a, row) => {
       const label = a.name.split('_').pop();
       const last = row === axes.length - 1;
@@ -101,15 +104,15 @@ const OtherCharts = (() => {
       const columns = () => [shownTime, a.low, a.high].map((c, i) => (i ? c.map((v) => (v === null ? null : v * unit()[1])) : c));
       const heading = element('p', { class: 'row' });
       const tell = () => { heading.textContent = `${label} about ${number(a.middle * unit()[1])} ${unit()[0]}`; };
-      host.append(heading);
-      const u = Chart.create(host, {
+      inner.append(heading);
+      const u = Chart.create(inner, {
         label: `Raw signal of ${a.name}`,
         height: last ? 140 : 118,
         sync: 'signal',
         padding: [4, 14, 0, 0],
         x: { axis: { size: 26 }, label: last ? `time [${name}]` : '' },
-        // The evidence fills the picture; a knock that was left out may leave it.
-        y: { range: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], axis: { space: 24, values: plain } },
+        // What was used fills the picture; a knock that was left out may leave it.
+        y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], axis: { space: 24 } },
         series: [
           { label: 'low', stroke: () => colour(label), width: 0.6, points: { show: false } },
           { label: 'high', stroke: () => colour(label), width: 0.6, points: { show: false } },
@@ -148,11 +151,9 @@ const OtherCharts = (() => {
     if (reasons.has('')) said.push('Hatched downwards, grey: left out (warm-up, or another rate).');
     if (gaps.length) said.push('Grey: no samples.');
     if (starts.length > 1) said.push('Upright lines: the next recording begins.');
-    host.append(element('p', { class: 'note' }, said.join(' ')));
+    inner.append(element('p', { class: 'note' }, said.join(' ')));
     return { units(next) { made.forEach((update) => update(next)); } };
   }
-
-  const plain = (chart, splits) => splits.map((s) => number(s, 3).replace(/(\.\d*?)0+$/, '$1').replace(/\.$/, ''));
 
   // The reading that was taken nearest to a time.
   function nearest({ time, celsius }, at) {
@@ -176,8 +177,8 @@ const OtherCharts = (() => {
       height: 150,
       sync: 'signal',
       padding: [4, 14, 0, 0],
-      x: { axis: { size: 26 }, label: `time [${name}]`, range: () => [0, end / scale] },
-      y: { range: () => [low - room, high + room], axis: { space: 24, values: plain } },
+      x: { axis: { size: 26 }, label: `time [${name}]`, full: () => [0, end / scale] },
+      y: { full: () => [low - room, high + room], axis: { space: 24 } },
       series: [{ label: 'temperature', stroke: () => colour('ink'), width: 1.3, points: { show: false } }],
       describe: (chart, i) => [[`${number(shownTime[i])} ${name}`, null], [`${number(warmth.celsius[i])} °C`, null]],
     }, [shownTime, warmth.celsius]);

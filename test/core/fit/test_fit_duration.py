@@ -1,63 +1,81 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import numpy as np
 import pytest
 
-from allan_ros.core.fit.findings import record_times
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.fit.duration import (
+    LENGTHS_S,
+    SECONDS_FOR_N,
+    longest_recommended,
+    recommended_duration,
+)
+from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.fit.model import AxisFit, Coefficient
 
 HOUR = 3600.0
+N = 1e-4
 
 
-def seen(value, relative):
-    return Coefficient(value, ((1 - relative) * value, (1 + relative) * value))
+def seen(value):
+    return Coefficient(value, (0.9 * value, 1.1 * value))
 
 
-def unseen(value=None):
-    return Coefficient(value, None, 1.0, 'not_observable')
+def unseen(upper, value=None):
+    return Coefficient(value, None, upper, 'not_observable')
 
 
-def test_a_term_that_is_known_takes_no_longer():
-    fit = AxisFit({t: seen(1e-3, 0.05) for t in 'QNBKR'})
-    for time in record_times(fit, 0.01, HOUR).values():
-        assert (time.observable, time.tight) == (HOUR, HOUR)
+def fit_of(**noise):
+    return AxisFit({**{t: unseen(1.0) for t in 'QBKR'}, 'N': seen(N), **noise})
 
 
-def test_half_the_interval_takes_four_times_the_record():
-    fit = AxisFit({t: seen(1e-3, 0.2) for t in 'QNBKR'})
-    times = record_times(fit, 0.01, HOUR)
-    for term in 'QNBK':
-        assert times[term].tight == pytest.approx(4 * HOUR)
+def test_q_and_r_are_never_advised_for():
+    assert recommended_duration(fit_of(B=seen(1e-5), K=seen(1e-7)), 60.0) is None
 
 
-def test_a_term_of_which_nothing_is_known_has_no_time():
-    fit = AxisFit({'N': seen(1e-3, 0.01), **{t: unseen() for t in 'QBKR'}})
-    times = record_times(fit, 0.01, HOUR)
-    assert all(times[t].observable is None and times[t].tight is None for t in 'QBKR')
+def test_a_limit_that_cannot_matter_asks_for_nothing():
+    # at 100 s white noise is N/10 = 1e-5; a B of 1e-6 and a K of 1e-7 are far below it
+    assert recommended_duration(fit_of(B=unseen(1e-6), K=unseen(1e-7)), 60.0) is None
 
 
-def test_a_walk_shows_when_51_n_over_t_is_down_to_it():
-    fit = AxisFit({'N': seen(1e-3, 0.01), 'K': unseen(1e-6), **{t: unseen() for t in 'QBR'}})
-    time = record_times(fit, 0.01, HOUR)['K']
-    assert time.observable == pytest.approx(51.0 * 1e-3 / 1e-6)
-    assert time.tight > time.observable
+def test_a_limit_that_may_matter_asks_for_a_fixed_length():
+    lengths = {recommended_duration(fit_of(), seconds) for seconds in (60.0, 600.0, HOUR)}
+    assert lengths == {(4 * HOUR, ('B', 'K'))}
+    assert recommended_duration(fit_of(), 5 * HOUR) is None
 
 
-def test_a_ramp_shows_later_beside_a_larger_walk():
-    times = [
-        record_times(
-            AxisFit(
-                {'N': seen(1e-3, 0.01), 'B': unseen(), 'K': seen(k, 0.3), 'Q': unseen()}
-                | {'R': unseen(1e-7)}
-            ),
-            0.01,
-            HOUR,
-        )['R'].observable
-        for k in (1e-6, 1e-5)
-    ]
-    assert times[0] < times[1]
+def test_the_estimate_of_a_hidden_term_does_not_move_the_advice():
+    assert recommended_duration(fit_of(K=unseen(1.0, 1e-9)), 60.0) == recommended_duration(
+        fit_of(K=unseen(1.0, 1e-5)), 60.0
+    )
 
 
-def test_never_less_than_half_as_long_again():
-    fit = AxisFit({'N': seen(1e-3, 0.01), **{t: unseen(10.0) for t in 'QBKR'}})
-    for term in 'QBKR':
-        assert record_times(fit, 0.01, HOUR)[term].observable == 1.5 * HOUR
+def test_a_datasheet_sets_what_must_be_resolved():
+    fit = fit_of(B=unseen(5e-5), K=unseen(1e-9))
+    # 8.5 N/sqrt(T) = 2e-5 at 30 min 6 s
+    assert recommended_duration(fit, 60.0, {'B': 2e-5}) == (HOUR, ('B',))
+    assert recommended_duration(fit, 60.0, {'B': 6e-5}) is None
+    assert recommended_duration(fit, 60.0, {'B': 1e-9}) is None  # longer than is advised
+
+
+def test_without_n_a_minute_comes_first():
+    fit = fit_of(N=unseen(1.0))
+    assert recommended_duration(fit, 5.0) == (SECONDS_FOR_N, ('N',))
+    assert recommended_duration(fit, 90.0) is None
+
+
+def test_one_line_serves_all_axes():
+    advice = [None, (60.0, ('N',)), (HOUR, ('K', 'B'))]
+    assert longest_recommended(advice) == (HOUR, ('N', 'B', 'K'))
+    assert longest_recommended([None]) is None
+
+
+@pytest.mark.parametrize('seconds', [200.0, 2000.0, 20000.0])
+def test_white_noise_is_never_advised_more_than_four_hours(seconds):
+    samples = np.random.default_rng(1).normal(size=(int(10 * seconds), 1))
+    engine = RunningAllan(axes=('gyro_x',))
+    engine.update(samples, 0, (len(samples) - 1) * 10**8)
+    engine.end_segment()
+    fit = fit_gls(engine.sums).axes['gyro_x']
+    advice = recommended_duration(fit, seconds)
+    assert advice is None or (seconds < advice[0] <= 4 * HOUR < LENGTHS_S[-1])
