@@ -48,6 +48,10 @@ NOTHING_KNOWN = '-'
 """Stands where there is neither a value nor a limit."""
 
 
+READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
+"""Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
+
+
 SHARP = 0.02
 """An interval narrower than this share of its upper end is shown with the digits of a value."""
 

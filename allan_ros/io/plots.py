@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,6 +22,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS
 from .format import (
     NOTHING_KNOWN,
+    READ_AT,
     SENSOR_NAMES,
     ShownUnit,
     interval_text,
@@ -114,10 +114,6 @@ LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
 
 TALLER_LEGEND_IN = 0.44
 """Inches of the legend above each panel of a narrow picture."""
-
-
-READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
-"""Term -> averaging time in s at which its Allan deviation equals its coefficient (IEEE Std 952)."""
 
 
 PROCESS_STYLE = ('0.5', (0, (2, 1)))
@@ -219,12 +215,6 @@ def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']
         dpi = rcParams['savefig.dpi'] if 'savefig.dpi' in style else PNG_DPI
         figure.savefig(file, format=form, dpi=dpi, metadata=metadata[form])
     return file.getvalue()
-
-
-def as_element(svg: bytes) -> str:
-    """Return an SVG file as an ``<svg>`` element to stand inside a page."""
-    text = svg.decode()
-    return text[text.index('<svg') :]
 
 
 def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray[Any]:
@@ -370,9 +360,7 @@ def _mark_terms(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
     unit = shown_unit(axis, 'B', units)
     low, high = panel.get_xlim()
     for term, tau in READ_AT.items():
-        adev = math.sqrt(
-            float(result.fit.selected.parts([tau]).get(term, np.zeros(1))[0])
-        )
+        adev = float(np.sqrt(result.fit.selected.parts([tau]).get(term, np.zeros(1))[0]))
         bottom, top = panel.get_ylim()
         if low < tau < high and bottom < adev * unit.factor < top:
             colour = TERM_STYLES[term][0]

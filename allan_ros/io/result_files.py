@@ -18,7 +18,7 @@ from .documents import results_to_document, sums_file_to_document
 from .exporters import export, target_of
 from .files import write_atomic
 from .plot_style import PictureSettings, load_style
-from .report import Beside, render_report
+from .report import ReportContext, render_report
 from .results import Results
 from .signal_summary import summarize_signal
 from .text import to_json
@@ -74,7 +74,7 @@ def write_result_files(
         pictures is unknown.
     """
     # Heavy to import (0.3 s), and merging sums on a robot needs no pictures until here.
-    from .plots import as_element, sensor_figure, to_form
+    from .plots import sensor_figure, to_form
 
     recorded = results.recorded
     if recorded is None:
@@ -92,31 +92,29 @@ def write_result_files(
     outline = summarize_signal(
         recorded.signals, known.spans, OUTLINE_BINS, known.counts.cuts, recorded.temperatures
     )
-    elements = {}
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:
         figure = sensor_figure(results, sensor, outline, units, style)
         if figure is None:
             continue
-        drawn = {form: to_form(figure, form, style) for form in {'svg', *pictures.plot_format}}
-        elements[sensor] = as_element(drawn['svg'])
         for form in pictures.plot_format:
-            contents[f'allan_{sensor}.{form}'] = drawn[form]
+            contents[f'allan_{sensor}.{form}'] = to_form(figure, form, style)
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
     densities = (
         spectrum_of(of, s.tau0)
         for of, s in zip(recorded.spectra, recorded.sums)
         if s.tau0 is not None
     )
-    beside = Beside(
-        elements,
+    others = [*(path.name for path in paths), *contents, 'results.json', 'sums.json']
+    context = ReportContext(
         outline,
         [density for density in densities if density is not None],
         former or {},
         margin,
         _repeat(command, to_json({'sums': sums_document['sums']})),
+        others,
     )
-    contents['report.html'] = render_report(results, beside, units)
+    contents['report.html'] = render_report(results, context, units)
     contents['results.json'] = to_json(results_to_document(results))
     contents['sums.json'] = to_json(sums_document)
     for name, content in contents.items():
@@ -125,10 +123,10 @@ def write_result_files(
     return results, paths
 
 
-def _repeat(command: str, evidence: str) -> dict[str, str]:
+def _repeat(command: str, sums: str) -> dict[str, str]:
     """Return what one needs to do an analysis again, and to know that it was of the same data."""
-    digest = hashlib.sha256(evidence.encode()).hexdigest()[:FINGERPRINT_DIGITS]
-    said = {'fingerprint of the evidence': f'{digest} (the same samples give the same)'}
+    digest = hashlib.sha256(sums.encode()).hexdigest()[:FINGERPRINT_DIGITS]
+    said = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
     return {'command': command, **said} if command else said
 
 

@@ -30,7 +30,7 @@ from .datasheets import Datasheet
 from .recorded import Provenance, RecordingSums
 
 if TYPE_CHECKING:
-    from .report.verdict import Verdict
+    from .verdict import Verdict
 
 
 @dataclass(frozen=True)
@@ -262,11 +262,10 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the IMU is fine, whether the record was long enough, and what to do next."""
-        from .report.verdict import verdict_of
+        """Whether the IMU is healthy, why, and what to do next."""
+        from .verdict import comparisons_of, verdict_of
 
-        comparisons = self.datasheet.comparisons if self.datasheet else ()
-        return verdict_of(self, comparisons, 'datasheet')
+        return verdict_of(self, comparisons_of(self))
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:

@@ -13,6 +13,7 @@ from ..core.fit import TERMS
 from ..core.imu import SI_UNITS, sensor_of
 from .format import duration_text, interval_text, pretty_unit, shown_unit, value_text
 from .results import Results
+from .verdict import WORDS
 
 IN_SUMMARY = ('N', 'B', 'K')
 """Terms of the text summary: those that filters take."""
@@ -55,7 +56,7 @@ def summary_html(results: Results, units: str = 'datasheet') -> str:
     )
     verdict = results.verdict
     return (
-        f'<div><p><b>{escape(verdict.word)}.</b> {escape(verdict.fine)}</p>'
+        f'<div><p><b>{WORDS[verdict.level]}.</b> {escape(verdict.summary)}</p>'
         f'<p>{escape(headline(results))}</p>'
         f'<table><thead><tr><th>axis</th>{head}</tr></thead><tbody>{rows}</tbody></table>'
         f'{f"<ul>{notes}</ul>" if notes else ""}</div>'

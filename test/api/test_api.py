@@ -179,7 +179,7 @@ def test_summaries(results: ar.Results) -> None:
     assert text.startswith('imu_link: 18,000 samples at 50 Hz, 6.00 min')
     assert all(axis in text and axis in html for axis in AXES)
     assert '<table>' in html
-    assert results.verdict.word in html
+    assert results.verdict.summary in html
 
 
 def test_foreign_names_are_escaped_in_html() -> None:

@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of one analysis: a verdict, charts one can touch, tables, and how it was done."""
 
-from .page import Beside, render_report
+from .page import ReportContext, render_report
 
-__all__ = ['Beside', 'render_report']
+__all__ = ['ReportContext', 'render_report']

@@ -148,8 +148,17 @@ const AllanChart = (() => {
       ctx.fill();
       ctx.globalAlpha = 1;
       ctx.restore();
-      const tops = [0.75, 0.5, 0.9, 0.25].map((share) => run[Math.floor(share * (run.length - 1))]);
-      label(u, `${term} limit`, tops.map(([x, y]) => [x, y + 12 * devicePixelRatio]), colour('ink-2'), 'center');
+    }
+
+    // Its name stands inside the shade, away from the curves.
+    function nameLimit(u, term, values) {
+      const curves = visible().flatMap((a) => places(u, a.adev));
+      const spots = places(u, values).flatMap(([x, y]) => [14, 34, 60].map((down) => [x, y + down * devicePixelRatio])).map(([x, y]) => {
+        const beside = curves.filter(([ox]) => Math.abs(ox - x) < 30 * devicePixelRatio).map(([, oy]) => Math.abs(oy - y));
+        return [Math.min(24 * devicePixelRatio, ...beside), x, y];
+      });
+      spots.sort((a, b) => b[0] - a[0]);
+      label(u, `${term} limit`, spots.map(([, x, y]) => [x, y]), colour('ink-2'), 'center');
     }
 
     // A label at the first of its places where no other label is.
@@ -215,6 +224,7 @@ const AllanChart = (() => {
         });
       }
       for (const [term, values] of drawn) letter(u, term, values, colour(near.label));
+      if (shown.has(near.label) && shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) nameLimit(u, term, values);
       if (shown.has(near.label)) beside.forEach((other) => name(u, other.name, other.adev, colour('ink-2')));
       visible().forEach((a, row) => strip(u, a, row));
     }

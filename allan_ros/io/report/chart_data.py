@@ -20,6 +20,8 @@ from ...core.fit import TERMS, Coefficient
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
 from ..format import (
+    READ_AT,
+    SENSOR_NAMES,
     ShownUnit,
     interval_text,
     pretty_unit,
@@ -51,10 +53,6 @@ TERM_NAMES = {
 """sensor -> term -> its name in IEEE Std 952 and 1293."""
 
 
-VERDICT_WORDS = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
-"""Verdict of a comparison -> how the page says it."""
-
-
 def in_units(html_of: Callable[[str], str]) -> str:
     """Return the HTML of both systems of units, of which the page shows the chosen one."""
     return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
@@ -69,30 +67,34 @@ Floats = NDArray[np.float64]
 
 
 def model_density(axis: AxisResult, frequency: Floats) -> Floats:
-    """Return the one-sided power spectral density of the fit, (frequencies,), SI unit^2/Hz.
+    """Return the one-sided power spectral density of the selected model, SI unit^2/Hz.
 
     Twice the two-sided densities of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C for
     samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
     K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
-    ramp has none: a block's mean is taken off, and what is left of it is far below. Only terms
-    that are observable count.
+    ramp has none (the mean of a block is subtracted), and a sinusoid is a line without width.
+
+    Parameters
+    ----------
+    axis : AxisResult
+    frequency : (frequencies,) array
+        In Hz, above 0.
+
+    Returns
+    -------
+    (frequencies,) array
     """
-    value = {
-        term: c.value if c.status == 'estimated' and c.value is not None else 0.0
-        for term, c in axis.fit.noise.items()
-    }
+    terms = axis.fit.selected.terms
     omega = 2.0 * np.pi * frequency
     step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
     density: Floats = (
-        (value['Q'] * step) ** 2 / axis.tau0
-        + value['N'] ** 2
-        + value['B'] ** 2 / omega
-        + (value['K'] * axis.tau0 / step) ** 2
+        (terms.Q * step) ** 2 / axis.tau0
+        + terms.N**2
+        + terms.B**2 / omega
+        + (terms.K * axis.tau0 / step) ** 2
     )
-    drift = axis.fit.gauss_markov
-    if drift is not None:
-        time = drift.correlation_time
-        density = density + 2.0 * drift.sigma**2 * time / (1.0 + (omega * time) ** 2)
+    for sigma, time in axis.fit.selected.gauss_markov:
+        density = density + 2.0 * sigma**2 * time / (1.0 + (omega * time) ** 2)
     return 2.0 * density
 
 
@@ -203,6 +205,7 @@ def sensor_charts(
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
     return {
         'sensor': sensor,
+        'title': f'{SENSOR_NAMES[sensor]} of {results.identity.label or "IMU"}',
         'units': {units: _units(sensor, units) for units in SYSTEMS},
         'tau': _rounded(tau),
         'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
@@ -257,22 +260,26 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 
     positive = curve.adev[curve.adev > 0.0]
     floor = BELOW_CURVE * float(positive.min()) if len(positive) else math.inf
-    parts = dict(zip(TERMS, axis.part_adev(curve.m).T))
-    known = {t: p for t, p in parts.items() if axis.fit.noise[t].status == 'estimated'}
     fitted = curve.m >= axis.fit.m_min
+
+    def above_floor(adev: Floats) -> list[float | None]:
+        return column(np.where(adev > floor, adev, np.nan))
+
+    parts = axis.part_adev(curve.m)
+    model = axis.fit.selected
     return {
         **shown,
         'adev': column(np.where(curve.adev > 0.0, curve.adev, np.nan)),
         'low': column(np.where(curve.ci_low > 0.0, curve.ci_low, np.nan)),
         'high': column(np.where(curve.ci_high > 0.0, curve.ci_high, np.nan)),
         'n': column(curve.n),
-        'fit': column(np.where(fitted & (floor < math.inf), axis.total_adev(curve.m), np.nan)),
-        'parts': {
-            **{t: column(np.where(p > floor, p, np.nan)) for t, p in known.items()},
-            **{
-                extra: column(np.where(p > floor, p, np.nan))
-                for extra, p in axis.extra_adev(curve.m).items()
-            },
+        'fit': column(np.where(fitted & bool(parts), axis.total_adev(curve.m), np.nan)),
+        'parts': {name: above_floor(adev) for name, adev in parts.items()},
+        'upper': {name: above_floor(adev) for name, adev in axis.limit_adev(curve.m).items()},
+        'read': {
+            term: _rounded([tau, float(np.sqrt(model.parts([tau])[term][0]))])
+            for term, tau in READ_AT.items()
+            if term in parts
         },
         'regions': [[*_rounded([r.tau_low, r.tau_high]), r.term, r.slope] for r in axis.regions],
     }

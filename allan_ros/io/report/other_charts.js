@@ -53,6 +53,7 @@ const OtherCharts = (() => {
       'Root of the one-sided power spectral density (Welch 1967); dashed: the selected model. '
       + 'Its flat part is √2 N, the noise density of datasheets.'));
     heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => `${sensor.title}: noise density`, `density_${sensor.sensor}`));
+    u.title = `${sensor.title}: noise density`;
     return { units(next) { system = next; u.axes[1].label = axisName(); u.setData(columns()); } };
   }
 
@@ -86,7 +87,7 @@ const OtherCharts = (() => {
   // Time as it is drawn: in minutes, or in hours where there are many.
   const clock = (seconds) => (seconds[seconds.length - 1] > 7200 ? [3600, 'h'] : [60, 'min']);
 
-  function signal(host, sensor, units, warmth) {
+  function signal(host, sensor, units, temperatures) {
     const { time, axes, leftOut, gaps, starts } = sensor.signal;
     let system = units;
     const [scale, name] = clock(time);
@@ -132,7 +133,7 @@ const OtherCharts = (() => {
         describe(chart, i) {
           const [what, factor] = unit();
           const out = excluded(i);
-          const celsius = warmth ? nearest(warmth, time[i]) : null;
+          const celsius = temperatures ? nearest(temperatures, time[i]) : null;
           return [
             [`${number(shownTime[i])} ${name}`, null],
             [`${label}  ${number(a.low[i] * factor, 3)}..${number(a.high[i] * factor, 3)} ${what}`, colour(label)],
@@ -165,14 +166,15 @@ const OtherCharts = (() => {
     return best;
   }
 
-  function temperature(host, warmth, end) {
+  function temperature(host, temperatures, end) {
     const [scale, name] = clock([end]);
-    const known = warmth.celsius.filter((v) => v !== null);
+    const known = temperatures.celsius.filter((v) => v !== null);
     const [low, high] = [Math.min(...known), Math.max(...known)];
     const room = Math.max(0.08 * (high - low), 0.2);
-    const shownTime = warmth.time.map((t) => t / scale);
-    host.append(element('h3', {}, `Temperature, °C: ${number(low, 3)} to ${number(high, 3)}`));
-    Chart.create(host, {
+    const shownTime = temperatures.time.map((t) => t / scale);
+    const heading = element('h3', {}, `Temperature: ${number(low, 3)} to ${number(high, 3)} °C`);
+    host.append(heading);
+    const u = Chart.create(host, {
       label: 'Temperature; arrow keys move from point to point',
       height: 150,
       sync: 'signal',
@@ -180,9 +182,10 @@ const OtherCharts = (() => {
       x: { axis: { size: 26 }, label: `time [${name}]`, full: () => [0, end / scale] },
       y: { full: () => [low - room, high + room], axis: { space: 24 } },
       series: [{ label: 'temperature', stroke: () => colour('ink'), width: 1.3, points: { show: false } }],
-      describe: (chart, i) => [[`${number(shownTime[i])} ${name}`, null], [`${number(warmth.celsius[i])} °C`, null]],
-    }, [shownTime, warmth.celsius]);
-    host.append(element('p', { class: 'note' }, `Of ${warmth.source}. It enters no number; a bias often follows it.`));
+      describe: (chart, i) => [[`${number(shownTime[i])} ${name}`, null], [`${number(temperatures.celsius[i])} °C`, null]],
+    }, [shownTime, temperatures.celsius]);
+    heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => 'Temperature', 'temperature'));
+    host.append(element('p', { class: 'note' }, `From ${temperatures.source}. It enters no number; a bias often follows it.`));
   }
 
   return { spectrum, signal, temperature };

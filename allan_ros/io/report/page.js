@@ -20,12 +20,12 @@
         return made;
       };
       charts.push(AllanChart.create(place('allan', 'curve'), sensor, chosen()));
-      if (sensor.signal) {
-        charts.push(OtherCharts.signal(place('signal', 'rest'), sensor, chosen(), data.warmth));
-        const { time } = sensor.signal;
-        if (data.warmth) OtherCharts.temperature(place('warmth', 'rest'), data.warmth, time[time.length - 1]);
-      }
       if (sensor.spectrum) charts.push(OtherCharts.spectrum(place('spectrum', 'rest'), sensor, chosen()));
+      if (sensor.signal) {
+        const { time } = sensor.signal;
+        if (data.temperature) OtherCharts.temperature(place('temperature', 'rest'), data.temperature, time[time.length - 1]);
+        charts.push(OtherCharts.signal(place('signal', 'rest'), sensor, chosen(), data.temperature));
+      }
     }
     copyButtons(document.querySelector(`.copy[data-sensor=${sensor.sensor}]`), sensor);
   }
@@ -45,9 +45,13 @@
       });
       host.append(button);
     }
-    host.append(said);
+    const file = element('button', { type: 'button', 'data-form': 'CSV' }, 'CSV');
+    file.addEventListener('click', () => Picture.save(new Blob([csv(sensor)], { type: 'text/csv' }), `coefficients_${sensor.sensor}.csv`));
+    host.append(element('span', { class: 'grow' }), element('span', { class: 'save' }, 'save as', file), said);
     host.hidden = false;
   }
+
+  const csv = (sensor) => sensor.copy[chosen()].TSV.replaceAll('\t', ',');
 
   // The curve of all axes in SI, a line for each averaging time.
   function curve(sensor) {
@@ -73,18 +77,24 @@
     }
   }
 
-  // Paper is white, and shows what is folded.
+  // On paper, white and without its raw signals, each Allan chart is a vector picture.
   addEventListener('beforeprint', () => {
     document.documentElement.classList.add('printing');
-    for (const folded of document.querySelectorAll('details:not([open])')) {
+    for (const folded of document.querySelectorAll('details:not([open]):not(.fold)')) {
       folded.open = true;
       folded.dataset.folded = '';
+    }
+    for (const chart of Chart.all.filter((u) => u.title)) {
+      const figure = element('figure', { class: 'paper' });
+      figure.innerHTML = Picture.svg(chart, chart.title);
+      chart.root.closest('.plot').before(figure);
     }
     Chart.redrawAll();
   });
   addEventListener('afterprint', () => {
     document.documentElement.classList.remove('printing');
     for (const folded of document.querySelectorAll('details[data-folded]')) folded.open = false;
+    for (const figure of document.querySelectorAll('figure.paper')) figure.remove();
     Chart.redrawAll();
   });
 })();

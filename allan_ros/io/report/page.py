@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: the verdict first, then curves, tables and findings, in one file of its own.
+"""`report.html`: verdict and headline numbers, findings, curves and tables in one file.
 
-Nothing is fetched: the page forbids itself any request (Content-Security-Policy), and names each
-of its scripts by its hash, so that none but ours can run, whatever a recording says.
+The page fetches nothing: its Content-Security-Policy forbids every request and lists its scripts
+by their hashes, so that nothing in a recording can run as a script.
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ import scipy
 
 from ... import __version__
 from ...core.allan.spectrum import Spectrum
-from ...core.compare import Comparison, Reference, compare, reference_of_run
-from ...core.findings import Finding
+from ...core.findings import Finding, grouped
 from ...core.imu import AXES, SENSORS
 from ..format import SENSOR_NAMES, duration_text, significant
 from ..results import AxisResult, Results
 from ..signal_summary import SignalSummary
+from ..verdict import WORDS, Verdict, comparisons_of, finding_text, verdict_of
 from .chart_data import sensor_charts, temperature_chart, to_script
-from .tables import coefficient_table, datasheet_table, former_table
-from .verdict import Verdict, verdict_of
+from .tables import baseline_table, coefficient_table, datasheet_table, headline_table
 
 EARLIEST_S = 978_307_200
-"""2001-01-01: a first stamp before it is no date, but the time since a machine was started."""
+"""2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""
 
 
 NS = 10**9
 
 
 def recorded_on(results: Results) -> str:
-    """Return when the evidence begins, in UTC, or '' where the stamps are no dates."""
+    """Return when the static data begins, in UTC, or '' where the stamps are no dates."""
     spans = results.provenance.spans
     start = min((span.start_ns for span in spans), default=0) // NS
     if start < EARLIEST_S:
@@ -51,16 +50,16 @@ def recorded_on(results: Results) -> str:
 
 
 def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield the section.
+    """Yield the tables of inputs, sample counts and what is needed to repeat the analysis.
 
     Parameters
     ----------
     results : Results
     method : mapping of str to str
-        What else one needs to do it again: the command, the fingerprint of the sums.
+        The command, the fingerprint of the sums.
     """
     yield '<h3>Inputs</h3>' + _table(dict(_inputs(results)))
-    yield '<h3>What became of the samples</h3>' + _table(dict(_fates(results)))
+    yield '<h3>Samples</h3>' + _table(dict(_counts(results)))
     yield '<h3>To repeat it</h3>' + _table({**method, **_versions()})
     settings = results.provenance.settings
     if settings:
@@ -85,18 +84,18 @@ def _size(path: Path) -> Iterator[str]:
         yield f'{sum(stat.st_size for stat in stats):,} bytes'
 
 
-def _fates(results: Results) -> Iterator[tuple[str, str]]:
+def _counts(results: Results) -> Iterator[tuple[str, str]]:
     counts = results.provenance.counts
     yield (
-        'evidence',
+        'used',
         f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
         f'{duration_text(results.duration_s)} in {results.segments} '
         f'segment{"" if results.segments == 1 else "s"}',
     )
     for name, number in vars(counts).items():
-        if isinstance(number, int) and number:
+        if isinstance(number, int) and number and name != 'used':
             yield name.replace('_', ' '), f'{number:,}'
-    yield 'cuts', ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none'
+    yield 'gaps', ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none'
 
 
 def _versions() -> dict[str, str]:
@@ -126,6 +125,7 @@ STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
 SCRIPTS = (
     'uplot/uPlot.iife.min.js',
     'chart.js',
+    'picture.js',
     'allan_chart.js',
     'other_charts.js',
     'page.js',
@@ -134,57 +134,60 @@ SCRIPTS = (
 
 
 ICONS = {
-    'good': '<path d="M7 12.5l3.5 3.5L17 9"/>',
-    'caution': '<path d="M12 6.5v7M12 17v.5"/>',
-    'bad': '<path d="M8 8l8 8M16 8l-8 8"/>',
+    'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
+    'attention': '<path d="M12 6.5v7M12 17v.5"/>',
+    'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
+    'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
-"""Light -> the sign in its disc: the light is told by sign and word as well as by colour."""
+"""Level -> the sign in its disc: sign and words say the same as the colour."""
 
 
 FOLDED = 3
 """More notes than this are folded away under their number."""
 
+STEPS = 4
+"""Most next steps that are shown."""
+
 
 @dataclass(frozen=True)
-class Beside:
-    """What the page shows beside the results.
+class ReportContext:
+    """What the page shows in addition to the results.
 
     Attributes
     ----------
-    pictures : mapping of sensor to str
-        ``<svg>`` elements: for print, and where there is no script.
-    outline : SignalSummary or None
+    signal : SignalSummary or None
         The raw signal.
     spectra : sequence of Spectrum
-    former : mapping of name to Results
-        Earlier runs.
+    baselines : mapping of name to Results
+        Earlier runs, or other IMUs: their curves are drawn over these.
     margin : float
-        Fraction by which an interval must lie above an earlier run to be beyond it.
+        Fraction by which an interval must exceed an earlier run to be beyond it.
     method : mapping of str to str
-        What one needs to do it again.
+        What is needed to repeat the analysis.
+    files : sequence of str
+        Names of the files in the same folder.
     """
 
-    pictures: Mapping[str, str] = field(default_factory=dict)
-    outline: SignalSummary | None = None
+    signal: SignalSummary | None = None
     spectra: Sequence[Spectrum] = ()
-    former: Mapping[str, Results] = field(default_factory=dict)
+    baselines: Mapping[str, Results] = field(default_factory=dict)
     margin: float = 0.0
     method: Mapping[str, str] = field(default_factory=dict)
+    files: Sequence[str] = ()
 
 
-def render_report(results: Results, beside: Beside, units: str) -> str:
+def render_report(results: Results, context: ReportContext, units: str) -> str:
     """Return the page.
 
     Parameters
     ----------
     results : Results
-    beside : Beside
+    context : ReportContext
     units : 'datasheet' or 'si'
         Those shown first.
     """
     name = results.identity.label or 'IMU'
-    comparisons = {run: _with_run(results, run, beside) for run in beside.former}
-    held = [*_with_datasheet(results), *(c for of_run in comparisons.values() for c in of_run)]
+    comparisons = comparisons_of(results, context.baselines, context.margin)
     sensors = {
         sensor: axes
         for sensor, where in SENSORS.items()
@@ -193,24 +196,28 @@ def render_report(results: Results, beside: Beside, units: str) -> str:
     body = [
         *_header(results, name, sensors, units),
         '<main>',
-        *_verdict_section(verdict_of(results, held, units)),
-        *_findings_section(results.findings),
+        *_verdict_section(results, verdict_of(results, comparisons, units), sensors),
+        *_findings_section(results),
     ]
     for sensor, axes in sensors.items():
         body += [
-            *_sensor_section(sensor, axes, beside),
+            *_sensor_section(sensor, axes),
             *(datasheet_table(sensor, axes, results.datasheet) if results.datasheet else ()),
         ]
-        for run, former in beside.former.items():
-            body += former_table(sensor, axes, run, former, comparisons[run])
+        for run, baseline in context.baselines.items():
+            compared = [c for c in comparisons if c.reference == run]
+            body += baseline_table(sensor, axes, run, baseline, compared)
         body.append(f'<div class="charts rest" data-sensor="{sensor}" hidden></div></section>')
+    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
     body += [
-        '<section id="background"><h2>Recording and method</h2>',
-        *background(results, {**beside.method, 'fit': f'method {results.method}'}),
+        '<section id="recording"><h2>Recording and method</h2>',
+        f'<p class="files">Files beside this page: {links}</p>' if links else '',
+        *background(results, {**context.method, 'fit': f'method {results.method}'}),
         '</section></main>',
         f'<footer>allan_ros {__version__}</footer>',
     ]
-    return _page(f'Noise of {name}', '\n'.join(body), _data(results, beside, list(sensors), units))
+    data = _data(results, context, list(sensors), units)
+    return _page(f'Noise of {name}', '\n'.join(body), data)
 
 
 def _page(title: str, body: str, data: str) -> str:
@@ -237,33 +244,17 @@ def _digest(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
-def _data(results: Results, beside: Beside, sensors: Sequence[str], units: str) -> str:
+def _data(results: Results, context: ReportContext, sensors: Sequence[str], units: str) -> str:
     references = [] if results.datasheet is None else [results.datasheet.datasheet.reference()]
     charts = [
-        sensor_charts(results, sensor, references, beside.former, beside.spectra, beside.outline)
+        sensor_charts(
+            results, sensor, references, context.baselines, context.spectra, context.signal
+        )
         for sensor in sensors
     ]
     return to_script(
-        {'units': units, 'warmth': temperature_chart(beside.outline), 'sensors': charts}
+        {'units': units, 'temperature': temperature_chart(context.signal), 'sensors': charts}
     )
-
-
-def _with_datasheet(results: Results) -> list[Comparison]:
-    sheet = results.datasheet
-    if sheet is None:
-        return []
-    name = sheet.datasheet.name
-    return [Comparison(name, h.axis, h.term, h.limit.value, h.verdict) for h in sheet.held]
-
-
-def _with_run(results: Results, run: str, beside: Beside) -> list[Comparison]:
-    former = {name: axis.fit.noise for name, axis in beside.former[run].axes.items()}
-    reference: Reference = reference_of_run(run, former)
-    return [
-        comparison
-        for name, axis in results.axes.items()
-        for comparison in compare(name, axis.fit.noise, reference, beside.margin)
-    ]
 
 
 def _header(
@@ -286,67 +277,66 @@ def _header(
     )
     yield (
         f'<nav aria-label="Sections"><div><a href="#verdict">Verdict</a>{links}'
-        '<a href="#background">Data</a></div><fieldset class="switch"><legend>Units</legend>'
+        '<a href="#recording">Data</a></div><fieldset class="switch"><legend>Units</legend>'
         f'{switch}</fieldset></nav>'
     )
 
 
-def _verdict_section(verdict: Verdict) -> Iterator[str]:
-    steps = ''.join(f'<li>{escape(step)}</li>' for step in verdict.steps)
-    yield (
-        f'<section id="verdict" class="{verdict.light}">'
-        f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
-        f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.light]}</svg>'
-        f'<strong>{verdict.word}</strong></p><div class="answers">'
-        f'<div><h2>Is this IMU fine?</h2><p>{escape(verdict.fine)}</p></div>'
-        f'<div><h2>Was the recording long enough?</h2><p>{escape(verdict.long_enough)}</p></div>'
-        f'<div><h2>What to do next</h2><ol>{steps}</ol></div></div></section>'
+def _verdict_section(
+    results: Results, verdict: Verdict, sensors: Mapping[str, Mapping[str, AxisResult]]
+) -> Iterator[str]:
+    """Yield the verdict, and beside it the numbers that most readers came for."""
+    listed = {finding_text(f, results) for f in grouped(results.findings)}
+    reasons = ''.join(
+        f'<li>{escape(reason)}</li>' for reason in verdict.reasons if reason not in listed
     )
+    steps = ''.join(f'<li>{escape(step)}</li>' for step in verdict.next_steps[:STEPS])
+    yield (
+        f'<section id="verdict" class="{verdict.level}">'
+        f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
+        f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
+        f'<strong>{WORDS[verdict.level]}</strong><span>{escape(verdict.summary)}</span></p>'
+    )
+    yield '<div class="headline">'
+    for sensor, axes in sensors.items():
+        yield from headline_table(sensor, axes)
+    yield '</div><div class="answers">'
+    if reasons:
+        yield f'<div><h2>What the recording shows</h2><ul>{reasons}</ul></div>'
+    yield f'<div><h2>What to do next</h2><ol>{steps}</ol></div></div></section>'
 
 
-def _findings_section(findings: Sequence[Finding]) -> Iterator[str]:
+def _findings_section(results: Results) -> Iterator[str]:
+    """Yield one block for each cause; many notes are folded."""
+    findings = grouped(results.findings)
     if not findings:
         return
     yield '<section id="findings"><h2>Findings</h2>'
-    pressing = [finding for finding in findings if finding.severity != 'info']
     notes = [finding for finding in findings if finding.severity == 'info']
-    yield from _finding_blocks(pressing)
+    yield from (_block(f, results) for f in findings if f.severity != 'info')
     if len(notes) > FOLDED:
         yield f'<details><summary>{len(notes)} notes</summary>'
-        yield from _finding_blocks(notes)
-        yield '</details>'
-    else:
-        yield from _finding_blocks(notes)
-    yield '</section>'
+    yield from (_block(note, results) for note in notes)
+    yield ('</details>' if len(notes) > FOLDED else '') + '</section>'
 
 
-def _finding_blocks(findings: Sequence[Finding]) -> Iterator[str]:
-    """Yield the findings, those that ask for the same together."""
-    alike: dict[tuple[str, str], list[Finding]] = {}
-    for finding in findings:
-        alike.setdefault((finding.severity, finding.remedy), []).append(finding)
-    for (severity, remedy), several in alike.items():
-        said = ''.join(
-            f'<p>{_where(finding.axes)}{escape(finding.message)}</p>' for finding in several
-        )
-        yield (
-            f'<div class="finding {severity}"><span class="severity">{severity}</span><div>{said}'
-            f'<p class="remedy">{escape(remedy)}</p></div></div>'
-        )
+def _block(finding: Finding, results: Results) -> str:
+    where = finding_text(finding, results)[: -len(finding.message)]
+    return (
+        f'<div class="finding {finding.severity}">'
+        f'<span class="severity">{finding.severity}</span>'
+        f'<div><p><b>{escape(where)}</b>{escape(finding.message)}</p>'
+        f'<p class="remedy">{escape(finding.remedy)}</p></div></div>'
+    )
 
 
-def _where(axes: Sequence[str]) -> str:
-    return f'<b>{escape(", ".join(axes))}</b> ' if axes else ''
-
-
-def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], beside: Beside) -> Iterator[str]:
+def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
     name = SENSOR_NAMES[sensor]
     yield f'<section id="{sensor}" class="sensor"><h2>{name}</h2>'
     yield f'<div class="charts curve" data-sensor="{sensor}" hidden></div>'
-    if sensor in beside.pictures:
-        yield (
-            f'<figure class="static" role="img" aria-label="Allan deviation of the {sensor}">'
-            f'{beside.pictures[sensor]}</figure>'
-        )
     yield f'<h3>Coefficients</h3><div class="copy" data-sensor="{sensor}" hidden></div>'
     yield from coefficient_table(sensor, axes)
+    yield (
+        '<noscript><p class="note">The charts of this page need JavaScript; '
+        f'<a href="allan_{sensor}.png">allan_{sensor}.png</a> shows the same.</p></noscript>'
+    )

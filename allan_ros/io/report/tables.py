@@ -1,25 +1,36 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of one sensor: its coefficients, and how they stand to datasheets and former runs."""
+"""The tables of one sensor: coefficients, and comparisons with datasheets and earlier runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 
+import numpy as np
+
 from ...core.compare import Comparison
 from ...core.fit import TERMS, Coefficient
-from ..datasheet_comparison import DatasheetComparison
-from ..format import NOTHING_KNOWN, interval_text, pretty_unit, region_text, shown_unit, value_text
+from ...core.fit.duration import ADVISED_TERMS
+from ..datasheet_comparison import VERDICT_TEXT, DatasheetComparison
+from ..format import (
+    NOTHING_KNOWN,
+    SENSOR_NAMES,
+    interval_text,
+    pretty_unit,
+    region_text,
+    shown_unit,
+    value_text,
+)
 from ..results import AxisResult, Results
-from .chart_data import TERM_NAMES, VERDICT_WORDS, in_units
+from .chart_data import TERM_NAMES, in_units
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict -> a sign beside its word and colour."""
 
 
 def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
-    """Yield the table of the five terms, a column an axis; a remark where none is known at all."""
+    """Yield the table of the five terms, one column per axis; a note where none is known."""
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
         yield '<p class="note">Nothing could be measured: neither a value nor a limit.</p>'
@@ -31,23 +42,43 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
         yield f'<tr>{_term_heading(sensor, term)}{cells}</tr>'
     if any(result.fit.misfit > 0.0 for result in axes.values()):
         misfits = ''.join(f'<td>{result.fit.misfit:.1%}</td>' for result in axes.values())
-        yield f'<tr><th scope="row">misfit<small>of the five terms</small></th>{misfits}</tr>'
+        yield f'<tr><th scope="row">misfit<small>of the model</small></th>{misfits}</tr>'
     if any(result.regions for result in axes.values()):
         regions = ''.join(
             f'<td class="regions">{"<br>".join(region_text(r) for r in result.regions)}</td>'
             for result in axes.values()
         )
-        yield f'<tr class="wide"><th scope="row">what rules where</th>{regions}</tr>'
+        yield f'<tr class="wide"><th scope="row">dominant noise</th>{regions}</tr>'
+    processes = [
+        f'{_letter(axis)}: {process}'
+        for axis, result in axes.items()
+        for process in result.part_adev(np.ones(1, int))
+        if process not in TERMS
+    ]
     yield (
-        '</tbody></table></div><p class="note">Under each value its 95 % interval. "&lt;": not '
-        'observable in this much data; the 95 % upper limit is given.</p>'
+        '</tbody></table></div><p class="note">95 % intervals below the values. "&lt;" is the 95 % '
+        'upper limit of a term that is not resolved. B is the coefficient; the level part of the '
+        'curve lies at 0.664 B.'
+        + (f' The model also has {escape("; ".join(processes))}.' if processes else '')
+        + '</p>'
     )
+
+
+def headline_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
+    """Yield the small table of N, B and K beside the verdict."""
+    caption = f'<caption>{SENSOR_NAMES[sensor]}</caption>'
+    yield f'<table class="coefficients">{caption}<thead><tr><td></td>'
+    yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
+    for term in ADVISED_TERMS:
+        cells = ''.join(_coefficient_cell(a, term, r.fit.noise[term]) for a, r in axes.items())
+        yield f'<tr>{_term_heading(sensor, term, "", False)}{cells}</tr>'
+    yield '</tbody></table>'
 
 
 def datasheet_table(
     sensor: str, axes: Mapping[str, AxisResult], comparison: DatasheetComparison
 ) -> Iterator[str]:
-    """Yield the table of what a datasheet states of a sensor; nothing where it states nothing."""
+    """Yield the comparison with a datasheet; nothing where it states nothing about the sensor."""
     rows, notes = [], []
     for term in TERMS:
         held = {axis: h for axis in axes if (h := comparison.of(axis, term)) is not None}
@@ -69,19 +100,19 @@ def datasheet_table(
         rows.append(f'<tr>{heading}{cells}</tr>')
     if rows:
         name = comparison.datasheet.name
-        yield from _comparison_table(f'Beside the datasheet of {name}', axes, rows)
+        yield from _comparison_table(f'Compared with the datasheet of {name}', axes, rows)
         sources = '; '.join(str(source) for source in comparison.datasheet.sources.values())
         yield from (f'<p class="note">{escape(said)}</p>' for said in (*notes, sources))
 
 
-def former_table(
+def baseline_table(
     sensor: str,
     axes: Mapping[str, AxisResult],
     name: str,
-    former: Results,
+    baseline: Results,
     comparisons: Sequence[Comparison],
 ) -> Iterator[str]:
-    """Yield the table of a former run beside this one; nothing where they share no term."""
+    """Yield the comparison with an earlier run; nothing where the two share no term."""
     rows = []
     for term in TERMS:
         held = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
@@ -94,7 +125,7 @@ def former_table(
                 axes[axis].fit.noise[term],
                 c.limit,
                 c.verdict,
-                _then(axis, term, former),
+                _then(axis, term, baseline),
             )
             if (c := held.get(axis)) is not None
             else '<td></td>'
@@ -102,16 +133,16 @@ def former_table(
         )
         rows.append(f'<tr>{_term_heading(sensor, term)}{cells}</tr>')
     if rows:
-        yield from _comparison_table(f'Beside {name}', axes, rows)
+        yield from _comparison_table(f'Compared with {name}', axes, rows)
         yield (
             '<p class="note">"Within" is not above the upper end of what the earlier run allowed; '
             '"beyond" is a whole interval above it.</p>'
         )
 
 
-def _then(axis: str, term: str, former: Results) -> str:
+def _then(axis: str, term: str, baseline: Results) -> str:
     """Return what a coefficient was in an earlier run."""
-    coefficient = former.axes[axis].fit.noise[term]
+    coefficient = baseline.axes[axis].fit.noise[term]
     value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
     return f'<small>then <span class="nowrap">{value}</span></small>'
 
@@ -136,7 +167,7 @@ def _verdict_cell(
     share = f'<small>{least}{100.0 * size / limit:.0f}&nbsp;% of it</small>' if size else ''
     return (
         f'<td>{value}{then or share}<b class="mark {verdict}">'
-        f'<i aria-hidden="true">{MARKS[verdict]}</i> {VERDICT_WORDS[verdict]}</b></td>'
+        f'<i aria-hidden="true">{MARKS[verdict]}</i> {VERDICT_TEXT[verdict]}</b></td>'
     )
 
 
@@ -153,11 +184,12 @@ def _coefficient_cell(axis: str, term: str, coefficient: Coefficient) -> str:
     return f'<td class="{coefficient.status}">{in_units(shown)}</td>'
 
 
-def _term_heading(sensor: str, term: str, html: str = '') -> str:
+def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) -> str:
     """Return the heading of a term's row; ``html`` stands in place of its name."""
     units = in_units(lambda system: escape(pretty_unit(shown_unit(sensor, term, system).name)))
     what = html or escape(TERM_NAMES[sensor][term])
-    return f'<th scope="row">{term} <em>{units}</em><small>{what}</small></th>'
+    name = f'<small>{what}</small>' if named else ''
+    return f'<th scope="row">{term} <em>{units}</em>{name}</th>'
 
 
 def _letter(axis: str) -> str:

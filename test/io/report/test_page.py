@@ -20,9 +20,8 @@ from allan_ros.core.allan.spectrum import RunningSpectrum, spectrum_of
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Segment
-from allan_ros.io.plots import as_element, sensor_figure, to_form
 from allan_ros.io.readers.recording import SourceInfo
-from allan_ros.io.report import Beside, render_report
+from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.report.chart_data import copies, sensor_charts, to_script
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalEnvelope, TemperatureTrace
@@ -77,20 +76,19 @@ def a_signal(n: int = 5000, start_ns: int = 10**18) -> SignalEnvelope:
     return envelope
 
 
-def everything(results: Results) -> Beside:
+def everything(results: Results) -> ReportContext:
     """Return all that a page can show beside results."""
     running = RunningSpectrum(tuple(results.axes))
     running.update(np.random.default_rng(2).normal(size=(len(results.axes), 5000)))
     spectrum = spectrum_of(running.sums, results.tau0)
     assert spectrum is not None
-    figure = sensor_figure(results, 'gyro')
-    return Beside(
-        {'gyro': as_element(to_form(figure, 'svg'))} if figure else {},
+    return ReportContext(
         summarize_signal([a_signal()], (), 1000),
         [spectrum],
         {'last month': results},
         0.1,
         {'command': 'allan analyze my_bag'},
+        ['results.json'],
     )
 
 
@@ -126,7 +124,7 @@ def test_whatever_a_recording_says_stays_text(small_results: Results) -> None:
         method=HOSTILE,
     )
     beside = replace(
-        everything(results), former={HOSTILE: small_results}, method={HOSTILE: HOSTILE}
+        everything(results), baselines={HOSTILE: small_results}, method={HOSTILE: HOSTILE}
     )
     plain = Page(render_report(small_results, everything(small_results), 'datasheet'))
     page = Page(render_report(results, beside, 'datasheet'))
@@ -147,7 +145,7 @@ def test_the_page_says_what_the_results_say(small_results: Results, units: str) 
     beside = everything(small_results)
     text = render_report(small_results, beside, units)
     page = Page(text)
-    for said in ('Noise of unit 7', 'runs/one.mcap', 'allan analyze my_bag', 'Is this IMU fine?'):
+    for said in ('Noise of unit 7', 'runs/one.mcap', 'allan analyze my_bag', 'What to do next'):
         assert said in page.text
     assert f'value="{units}" checked' in text
     noise = small_results.axes['gyro_x'].fit.noise['N'].value
@@ -164,7 +162,7 @@ def test_an_absent_sensor_and_an_empty_curve_leave_the_page_whole(small_results:
     gyro['gyro_y'] = replace(gyro['gyro_y'], curve=None)
     for axes in (gyro, {'accel_y': small_results.axes['accel_y']}, {}):
         results = replace(small_results, axes=axes)
-        data = data_of(Page(render_report(results, Beside(), 'si')))
+        data = data_of(Page(render_report(results, ReportContext(), 'si')))
         assert [a['name'] for s in data['sensors'] for a in s['axes']] == list(axes)
 
 

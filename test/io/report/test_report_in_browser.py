@@ -16,8 +16,7 @@ from allan_ros.core.allan.spectrum import RunningSpectrum, spectrum_of
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.io.datasheets import load_sensor
-from allan_ros.io.plots import as_element, sensor_figure, to_form
-from allan_ros.io.report import Beside, render_report
+from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalEnvelope, TemperatureTrace
 from allan_ros.io.signal_summary import summarize_signal
@@ -49,11 +48,11 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     warmth = TemperatureTrace('/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400))
     spans = [Segment(int(stamps[5000]), 15_000, 300.0, 'motion')]
     outline = summarize_signal([envelope], spans, 1000, {}, [warmth])
-    figures = {s: sensor_figure(results, s, outline) for s in ('gyro', 'accel')}
-    pictures = {s: as_element(to_form(f, 'svg')) for s, f in figures.items() if f is not None}
-    beside = Beside(pictures, outline, [spectrum], {'May': small_results}, 0.1, {'command': 'x'})
+    context = ReportContext(
+        outline, [spectrum], {'May': small_results}, 0.1, {'command': 'x'}, ['results.json']
+    )
     path = tmp_path_factory.mktemp('page') / 'report.html'
-    path.write_text(render_report(results, beside, 'datasheet'), encoding='utf-8')
+    path.write_text(render_report(results, context, 'datasheet'), encoding='utf-8')
     return path
 
 
@@ -113,10 +112,12 @@ def test_hovering_and_keys_tell_the_numbers(browser: Chromium, page: Path) -> No
 
 def test_what_is_left_out_is_told_with_its_temperature(browser: Chromium, page: Path) -> None:
     browser.open(page, 1280)
-    said = browser.evaluate('document.querySelector(".chart.signal > .note").textContent')
+    said = browser.evaluate('document.querySelector(".chart.signal .note").textContent')
     assert 'left out because the IMU moved' in said
-    heading = browser.evaluate('document.querySelector(".chart.warmth h3").textContent')
-    assert heading == 'Temperature, °C: 20.0 to 31.0'
+    heading = browser.evaluate(
+        'document.querySelector(".chart.temperature h3").firstChild.textContent'
+    )
+    assert heading == 'Temperature: 20.0 to 31.0 °C'
     browser.evaluate(
         '(box => { box.focus(); box.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"})); })'
         '(document.querySelector(".signal .plot"))'
@@ -139,8 +140,8 @@ def test_axes_and_parts_are_switched(browser: Chromium, page: Path) -> None:
 def test_units_are_switched_everywhere_and_copied(browser: Chromium, page: Path) -> None:
     browser.open(page, 1280)
     shown = (
-        'JSON.stringify([document.querySelector(".allan h3").textContent,'
-        'document.querySelector(".coefficients tbody tr:nth-child(2) th").innerText])'
+        'JSON.stringify([Chart.all[0].axes[1].label,'
+        'document.querySelector(".coefficients tbody tr:nth-child(1) th").innerText])'
     )
     assert '°/√h' in browser.evaluate(shown)
     browser.evaluate('document.getElementById("units-si").click()')

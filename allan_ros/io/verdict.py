@@ -1,0 +1,317 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict on an IMU: one function for terminal, results.json, report and `allan check`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from ..core.compare import MARGIN, Comparison, compare, reference_of_run
+from ..core.findings import Finding, grouped
+from ..core.fit.duration import ADVISED_TERMS, longest_recommended, recommended_duration
+from ..core.fit.findings import about
+from ..core.imu import AXES, SENSORS, sensor_of
+from .format import duration_text, pretty_unit, shown_unit, significant
+from .results import Results
+
+Level = Literal['healthy', 'attention', 'unknown', 'failed']
+
+WORDS: dict[Level, str] = {
+    'healthy': 'Healthy',
+    'attention': 'Usable with care',
+    'unknown': 'Not judged',
+    'failed': 'Failed',
+}
+"""Level -> the words beside its colour."""
+
+SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
+"""Findings that mean a broken sensor even though nothing could be measured."""
+
+TOO_SHORT_S = 20.0
+"""Seconds at rest below which no verdict is given."""
+
+ALIKE = 1.15
+"""Largest ratio of the white noise of two axes that agree: what units of one batch scatter by."""
+
+ODD_AXIS = 2.0
+"""Ratio from which an axis is suspect; the third axis of many accelerometers reaches 1.5."""
+
+NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
+"""Findings that ask for nothing, or for a longer record, which is advised in one line."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is to be known first.
+
+    Attributes
+    ----------
+    level : 'healthy', 'attention', 'unknown' or 'failed'
+        'unknown' where nothing could be measured, or there is nothing to compare with.
+    summary : str
+        One sentence.
+    reasons : tuple of str
+        Sentences, the most important first.
+    next_steps : tuple of str
+        What to do, the most urgent first.
+    """
+
+    level: Level
+    summary: str
+    reasons: tuple[str, ...]
+    next_steps: tuple[str, ...]
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the object ``verdict`` of results.json."""
+        return asdict(self)
+
+
+def verdict_of(
+    results: Results, comparisons: Sequence[Comparison] = (), units: str = 'datasheet'
+) -> Verdict:
+    """Return the verdict on an IMU and its record.
+
+    Parameters
+    ----------
+    results : Results
+    comparisons : sequence of Comparison
+        With its datasheet and earlier runs, as `comparisons_of` returns them.
+    units : 'datasheet' or 'si'
+    """
+    level = _level(results, comparisons)
+    summary = _summary(level, results, comparisons, units)
+    reasons = (*_axes_alike(results), *_duration(results), *_warnings(results))
+    steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
+    return Verdict(level, summary, reasons, steps)
+
+
+def comparisons_of(
+    results: Results, baselines: Mapping[str, Results] | None = None, margin: float = MARGIN
+) -> list[Comparison]:
+    """Return the comparisons with the datasheet of the results and with earlier runs.
+
+    Parameters
+    ----------
+    results : Results
+    baselines : mapping of name to Results, optional
+        Earlier runs.
+    margin : float
+        Fraction by which an interval must exceed an earlier run to be beyond it.
+    """
+    found = list(results.datasheet.comparisons) if results.datasheet else []
+    for run, baseline in (baselines or {}).items():
+        found += compare_with_run(results, run, baseline, margin)
+    return found
+
+
+def compare_with_run(
+    results: Results, name: str, baseline: Results, margin: float
+) -> list[Comparison]:
+    """Return the comparisons of all coefficients with those of one earlier run."""
+    noise = {axis: result.fit.noise for axis, result in baseline.axes.items()}
+    reference = reference_of_run(name, noise)
+    return [
+        comparison
+        for axis, result in results.axes.items()
+        for comparison in compare(axis, result.fit.noise, reference, margin)
+    ]
+
+
+def measured(results: Results) -> bool:
+    """Return whether any coefficient of any axis is resolved."""
+    return any(
+        c.value is not None and c.status == 'estimated'
+        for axis in results.axes.values()
+        for c in axis.fit.noise.values()
+    )
+
+
+def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
+    severities = {finding.severity for finding in results.findings}
+    if 'beyond' in {c.verdict for c in comparisons}:
+        return 'failed'
+    if {finding.id for finding in results.findings} & set(SENSOR_FAULTS):
+        return 'failed'
+    if 'error' in severities or _too_short(results) or not _judged(comparisons):
+        return 'unknown'
+    return 'attention' if 'warning' in severities else 'healthy'
+
+
+def _too_short(results: Results) -> bool:
+    return not measured(results) or results.duration_s < TOO_SHORT_S
+
+
+def _judged(comparisons: Sequence[Comparison]) -> bool:
+    """Return whether N, the first thing a record resolves, is within every limit there is.
+
+    Where no limit of N is stated, every stated number must be within.
+    """
+    asked = [c for c in comparisons if c.term == 'N'] or list(comparisons)
+    return bool(asked) and all(c.verdict == 'within' for c in asked)
+
+
+def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], units: str) -> str:
+    faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
+    beyond = [c for c in comparisons if c.verdict == 'beyond']
+    if beyond:
+        return f'Above {_references(beyond)}: {_and(list(_excesses(results, beyond, units)))}.'
+    if faults:
+        return f'{_where(faults[0], results)}{faults[0].message}'
+    if not measured(results):
+        errors = [f for f in results.findings if f.severity == 'error']
+        why = errors[0].message if errors else 'No coefficient is resolved.'
+        return f'Nothing could be measured. {why}'
+    if results.duration_s < TOO_SHORT_S:
+        return f'Too short to judge: {duration_text(results.duration_s)} at rest.'
+    if not comparisons:
+        return 'No datasheet and no earlier run to compare with.'
+    unsettled = [c for c in comparisons if c.verdict == 'open']
+    if not unsettled:
+        return f'All {len(comparisons)} numbers are within {_references(comparisons)}.'
+    terms: dict[str, list[str]] = {}
+    for c in unsettled:
+        terms.setdefault(c.term, []).append(c.axis)
+    named = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
+    return (
+        f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
+        f'{_references(comparisons)}, none is above; not settled: {_and(named)}.'
+    )
+
+
+def _references(comparisons: Sequence[Comparison]) -> str:
+    return _and(list(dict.fromkeys(c.reference for c in comparisons)))
+
+
+def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
+    """Yield by how much the numbers of each sensor and term exceed each limit."""
+    groups: dict[tuple[str, str], list[Comparison]] = {}
+    for c in beyond:
+        groups.setdefault((sensor_of(c.axis), c.term), []).append(c)
+    for (sensor, term), group in groups.items():
+        noise = (results.axes[c.axis].fit.noise[term] for c in group)
+        ratios = [((n.ci95 or (n.value, 0.0))[0] or 0.0) / c.limit for n, c in zip(noise, group)]
+        unit = shown_unit(sensor, term, units)
+        where = _axes_text([c.axis for c in group], results)
+        times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
+        limit = significant(max(c.limit for c in group) * unit.factor, 3)
+        shown = f'{limit} {pretty_unit(unit.name)}'
+        yield f'{term} of {where} (at least {" to ".join(times)} times {shown})'
+
+
+def _axes_alike(results: Results) -> Iterator[str]:
+    """Yield how far the white noise of the axes of each sensor agrees."""
+    for sensor, where in SENSORS.items():
+        known = {
+            axis: c.value
+            for axis in AXES[where]
+            if axis in results.axes
+            and (c := results.axes[axis].fit.noise['N']).status == 'estimated'
+            and c.value
+        }
+        if len(known) < 2:
+            continue
+        noisy, quiet = max(known, key=known.__getitem__), min(known, key=known.__getitem__)
+        ratio = known[noisy] / known[quiet]
+        if ratio > ODD_AXIS:
+            yield (
+                f'{_axis(noisy).capitalize()} has {ratio:.1f} times the white noise of '
+                f'{_axis(quiet)}: check that axis.'
+            )
+        elif ratio > ALIKE:
+            yield (
+                f'The {sensor} axes differ in white noise: {_axis(noisy)} has '
+                f'{100.0 * (ratio - 1.0):.0f}\u00a0% more than {_axis(quiet)}.'
+            )
+
+
+def _duration(results: Results) -> Iterator[str]:
+    """Yield what the length of the record resolves."""
+    axes = results.axes
+    if not measured(results):
+        return
+    if not any(c.ci95 for axis in axes.values() for c in axis.fit.noise.values()):
+        yield f'Method {results.method} gives no intervals; use gls to know what is resolved.'
+        return
+    counts = {
+        term: sum(axis.fit.noise[term].status == 'estimated' for axis in axes.values())
+        for term in ADVISED_TERMS
+    }
+    resolved = _and([f'{term} on {count} of {len(axes)} axes' for term, count in counts.items()])
+    if set(counts.values()) == {len(axes)}:
+        resolved = 'N, B and K on every axis'
+    yield f'{duration_text(results.duration_s)} at rest resolve {resolved}.'
+
+
+def _warnings(results: Results) -> Iterator[str]:
+    """Yield the warnings and errors, one for each cause."""
+    for finding in grouped(results.findings):
+        if finding.severity != 'info':
+            yield f'{_where(finding, results)}{finding.message}'
+
+
+def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
+    """Return how long to record, and for which terms; None where more would not help."""
+    if results.method != 'gls':
+        return None
+    longest = max((span.duration_s for span in results.provenance.spans), default=0.0)
+    limits: dict[str, dict[str, float]] = {}
+    if results.datasheet is not None:
+        for held in results.datasheet.held:
+            limits.setdefault(held.axis, {})[held.term] = held.limit.value
+    return longest_recommended(
+        recommended_duration(axis.fit, longest or results.duration_s, limits.get(name))
+        for name, axis in results.axes.items()
+    )
+
+
+def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """Yield what to do next, the most urgent first."""
+    remedies: dict[str, list[str]] = {}
+    for severity in ('error', 'warning'):
+        for finding in results.findings:
+            if finding.severity == severity and finding.id not in NO_STEP:
+                remedies.setdefault(finding.remedy, []).extend(finding.axes)
+    for remedy, axes in remedies.items():
+        where = f' ({_axes_text(axes, results)})' if axes else ''
+        yield f'{remedy.rstrip(".")}{where}.'
+    advice = time_to_record(results)
+    if advice is not None:
+        seconds, terms = advice
+        yield f'Record {about(seconds)} at rest, warmed up, to resolve or bound {_and(terms)}.'
+    elif _too_short(results) and level == 'unknown' and not remedies:
+        yield 'Record at least a minute at rest.'
+    if not comparisons and measured(results):
+        yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'
+    if level in ('healthy', 'attention'):
+        yield 'Write a file for a filter: allan export FOLDER --to openvins.'
+
+
+def finding_text(finding: Finding, results: Results) -> str:
+    """Return the message of a finding with its axes in front, by sensor where all are meant."""
+    return f'{_where(finding, results)}{finding.message}'
+
+
+def _where(finding: Finding, results: Results) -> str:
+    return f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
+
+
+def _axis(axis: str) -> str:
+    return f'{sensor_of(axis)} {axis.rsplit("_", 1)[1]}'
+
+
+def _axes_text(axes: Sequence[str], results: Results) -> str:
+    """Return axes by name, or by sensor where all of one are meant."""
+    if set(axes) >= set(results.axes):
+        return 'all axes'
+    words: list[str] = []
+    for sensor, where in SENSORS.items():
+        have = [axis for axis in AXES[where] if axis in results.axes]
+        named = [axis for axis in AXES[where] if axis in axes]
+        words += [sensor] if len(named) == len(have) > 1 else map(_axis, named)
+    return ', '.join(words)
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} and {words[-1]}'

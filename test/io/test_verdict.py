@@ -1,0 +1,139 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict: its level follows findings and comparisons, and its words name what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from allan_ros.core.compare import Comparison, compare, reference_of_run
+from allan_ros.core.findings import Finding
+from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.imu import AXES
+from allan_ros.io.results import Results
+from allan_ros.io.verdict import comparisons_of, verdict_of
+
+
+def against_itself(results: Results, factor: float) -> list[Comparison]:
+    """Return the comparison with a run whose limits are so many times its own."""
+    own = reference_of_run('May', {name: a.fit.noise for name, a in results.axes.items()})
+    limits = {
+        axis: {t: factor * v for t, v in terms.items() if t in 'NB'}
+        for axis, terms in own.limits.items()
+    }
+    reference = replace(own, limits=limits)
+    return [
+        c for name, a in results.axes.items() for c in compare(name, a.fit.noise, reference, 0.0)
+    ]
+
+
+def calm(results: Results) -> Results:
+    return replace(results, findings=tuple(f for f in results.findings if f.severity == 'info'))
+
+
+def with_noise(results: Results, **noise: Coefficient) -> Results:
+    axes = {
+        name: replace(a, fit=replace(a.fit, noise={**a.fit.noise, **noise}))
+        for name, a in results.axes.items()
+    }
+    return replace(results, axes=axes)
+
+
+def test_an_imu_within_its_reference_is_healthy(small_results: Results) -> None:
+    verdict = verdict_of(calm(small_results), against_itself(small_results, 1.01))
+    assert verdict.level == 'healthy'
+    assert verdict.summary == 'All 12 numbers are within May.'
+    assert verdict.reasons[-1].startswith('20.0 min at rest resolve N on 6 of 6 axes')
+    assert any('allan export' in step for step in verdict.next_steps)
+
+
+def test_an_excess_fails_and_is_named(small_results: Results) -> None:
+    verdict = verdict_of(small_results, against_itself(small_results, 0.5))
+    assert verdict.level == 'failed'
+    assert verdict.summary.startswith('Above May: N of gyro (at least 2 times 0.12')
+    assert 'deg' not in verdict.summary and '°/√h' in verdict.summary
+    assert not any('export' in step for step in verdict.next_steps)
+
+
+def test_a_number_that_is_not_settled_leaves_it_unjudged(small_results: Results) -> None:
+    verdict = verdict_of(calm(small_results), against_itself(small_results, 0.999), 'si')
+    assert verdict.level == 'unknown'
+    assert 'not settled: N of all axes' in verdict.summary
+
+
+def test_n_within_its_limit_is_enough(small_results: Results) -> None:
+    comparisons = [
+        replace(c, verdict='within' if c.term == 'N' else 'open')
+        for c in against_itself(small_results, 0.999)
+    ]
+    verdict = verdict_of(calm(small_results), comparisons)
+    assert verdict.level == 'healthy'
+    assert verdict.summary == (
+        '6 of 12 numbers are within May, none is above; not settled: B of all axes.'
+    )
+
+
+def test_nothing_is_judged_without_a_reference(small_results: Results) -> None:
+    verdict = verdict_of(calm(small_results))
+    assert verdict.level == 'unknown'
+    assert verdict.summary == 'No datasheet and no earlier run to compare with.'
+    assert any('--sensor' in step for step in verdict.next_steps)
+
+
+def test_the_remedies_of_warnings_come_first(small_results: Results) -> None:
+    warnings = tuple(
+        Finding('x', 'warning', f'It hums at {f} Hz.', 'Silence the fan.', (axis,))
+        for f, axis in ((50, 'gyro_x'), (51, 'gyro_y'))
+    )
+    within = against_itself(small_results, 1.01)
+    verdict = verdict_of(replace(small_results, findings=warnings), within)
+    assert verdict.level == 'attention'
+    assert 'gyro x, gyro y: It hums at 50 to 51 Hz.' in verdict.reasons
+    assert verdict.next_steps[0] == 'Silence the fan (gyro x, gyro y).'
+    for axes, words in ((tuple(small_results.axes), 'all axes'), (AXES[:4], 'gyro, accel x')):
+        named = replace(small_results, findings=(replace(warnings[0], axes=axes),))
+        assert verdict_of(named).next_steps[0] == f'Silence the fan ({words}).'
+
+
+def test_an_error_leaves_it_unjudged_and_a_dead_sensor_fails(small_results: Results) -> None:
+    within = against_itself(small_results, 1.01)
+    error = Finding('never_still', 'error', 'Never still.', 'Let it rest.')
+    dead = Finding('no_noise', 'error', 'No noise.', 'Check it.', ('gyro_x',))
+    assert verdict_of(replace(small_results, findings=(error,)), within).level == 'unknown'
+    verdict = verdict_of(replace(small_results, findings=(dead,)), within)
+    assert (verdict.level, verdict.summary) == ('failed', 'gyro x: No noise.')
+    nothing = AxisFit({t: Coefficient(None, status='not_observable') for t in 'QNBKR'})
+    axes = {name: replace(a, fit=nothing) for name, a in small_results.axes.items()}
+    verdict = verdict_of(replace(small_results, axes=axes, findings=()))
+    assert verdict.level == 'unknown'
+    assert verdict.summary.startswith('Nothing could be measured')
+
+
+def test_too_short_a_record_is_not_judged(small_results: Results) -> None:
+    short = replace(calm(small_results), duration_s=5.0)
+    verdict = verdict_of(short, against_itself(small_results, 1.01))
+    assert (verdict.level, verdict.summary) == ('unknown', 'Too short to judge: 5.00 s at rest.')
+
+
+def test_axes_that_differ_are_not_said_to_agree(small_results: Results) -> None:
+    axis = small_results.axes['gyro_y']
+    for factor, words in ((1.46, 'differ in white noise: gyro y has 4'), (3.0, 'Gyro y has 3')):
+        value = factor * small_results.axes['gyro_x'].fit.noise['N'].value
+        loud = {**axis.fit.noise, 'N': Coefficient(value, (0.9 * value, 1.1 * value))}
+        axes = {**small_results.axes, 'gyro_y': replace(axis, fit=replace(axis.fit, noise=loud))}
+        text = ' '.join(verdict_of(replace(small_results, axes=axes)).reasons)
+        assert words in text
+        assert 'agree' not in text
+
+
+def test_a_method_without_intervals_is_named(small_results: Results) -> None:
+    plain = replace(
+        with_noise(small_results, **{t: Coefficient(1e-5) for t in 'QNBKR'}), method='paper'
+    )
+    assert verdict_of(plain).reasons[-1].startswith('Method paper gives no intervals')
+
+
+def test_comparisons_are_with_every_baseline(small_results: Results) -> None:
+    comparisons = comparisons_of(small_results, {'May': small_results, 'June': small_results}, 0.0)
+    assert {c.reference for c in comparisons} == {'May', 'June'}
+    assert not any(c.verdict == 'beyond' for c in comparisons)
