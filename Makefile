@@ -11,6 +11,7 @@ TESTS ?= test
 
 FLOOR := .venv-floor
 LINT := .venv-lint
+SITE := .venv-site
 # The type checker and the numpy whose types it reads are pinned, so that the result does not
 # depend on the Python or the numpy of the environment that runs the tests.
 LINT_PINS := mypy==2.4.1 ruff==0.17.5
@@ -72,6 +73,9 @@ docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 	$(VENV)/bin/python scripts/reference.py
 	$(VENV)/bin/python scripts/sensor_table.py
 
+site: $(SITE)/.ready  ## build the documentation as a website, into site/
+	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --quiet --strict
+
 pictures: $(VENV)/.ready  ## draw the pictures of docs/ anew
 	$(VENV)/bin/python scripts/pictures.py docs/images
 	$(VENV)/bin/python scripts/report_pictures.py docs/images
@@ -80,7 +84,7 @@ test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy a
 	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) test/core test/io test/cli
 
 clean:  ## remove environments and what was built
-	rm -rf $(VENV) $(FLOOR) $(LINT) build site install log demo *.egg-info
+	rm -rf $(VENV) $(FLOOR) $(LINT) $(SITE) build site install log demo *.egg-info
 
 # The stamp is written last: an unfinished environment, or one whose Python is gone, is made again.
 define runs
@@ -88,7 +92,7 @@ ifneq ($$(shell $(1)/bin/python -c 'print("runs")' 2>/dev/null),runs)
 .PHONY: $(1)/.ready
 endif
 endef
-$(foreach each,$(VENV) $(LINT),$(eval $(call runs,$(each))))
+$(foreach each,$(VENV) $(LINT) $(SITE),$(eval $(call runs,$(each))))
 
 $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
 	rm -rf $(VENV)
@@ -105,6 +109,12 @@ $(LINT)/.ready: Makefile
 	packages=$$($(LINT)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') && \
 		$(LINT)/bin/python -m pip install --quiet --target "$$packages" --no-deps \
 		--ignore-requires-python --only-binary=:all: --python-version 3.11 $(LINT_TYPES)
+	touch $@
+
+$(SITE)/.ready: Makefile
+	rm -rf $(SITE)
+	$(PYTHON) -m venv $(SITE)
+	$(SITE)/bin/python -m pip install --quiet 'mkdocs-material>=9.5,<10'
 	touch $@
 
 $(FLOOR)/.ready: setup.py pyproject.toml
