@@ -1,0 +1,83 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rerun the commands whose output the README and docs quote, and write the new output.
+
+usage: quoted_output.py [--check] [PAGE ...]
+
+A quoted block is fenced and stands below a comment that holds its command line:
+
+    <!-- $ allan analyze my_bag | head -5 -->
+
+The commands of one page run in order in one temporary folder. Lines of a comment without a block
+below only prepare it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMAND = re.compile(r'<!-- \$ (?P<command>.+?) -->\n(?:```\w*\n(?P<output>.*?)```\n)?', re.DOTALL)
+
+
+def quoting_pages() -> list[Path]:
+    """Return the pages that quote output."""
+    pages = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
+    return [page for page in pages if COMMAND.search(page.read_text(encoding='utf-8'))]
+
+
+def with_new_output(text: str) -> str:
+    """Return the text of a page with the output of its commands as it is now.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        When a command fails.
+    """
+    tools = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get('PATH', '')])
+    environment = {**os.environ, 'PATH': tools, 'COLUMNS': '100', 'NO_COLOR': '1'}
+    with tempfile.TemporaryDirectory() as folder:
+
+        def rerun(match: re.Match[str]) -> str:
+            done = subprocess.run(
+                ['bash', '-euo', 'pipefail', '-c', match['command']],
+                cwd=folder,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            if match['output'] is None:
+                return match[0]
+            start = match.start('output') - match.start()
+            return f'{match[0][:start]}{done.stdout}```\n'
+
+        return COMMAND.sub(rerun, text)
+
+
+def main() -> int:
+    """Rewrite or check the pages; return 1 where a check fails."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').splitlines()[0])
+    parser.add_argument('--check', action='store_true', help='change nothing; exit 1 if stale')
+    parser.add_argument('pages', nargs='*', type=Path)
+    options = parser.parse_args()
+    stale = 0
+    for page in options.pages or quoting_pages():
+        text = page.read_text(encoding='utf-8')
+        new = with_new_output(text)
+        if new != text:
+            stale = 1
+            print(f'{page}: {"stale: run `make docs`" if options.check else "rewritten"}')
+            if not options.check:
+                page.write_text(new, encoding='utf-8')
+    return stale if options.check else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
