@@ -375,6 +375,17 @@ CATALOGUE = {
         'The sensor is warming up ({what}) and settles {when}.',
         'Record for at least {how_long} in all.',
     ),
+    'bias_steps': Wording(
+        'warning',
+        'The bias steps at least {count} times, by up to {size:.3g} {size_unit}: K is {before:.3g} '
+        '{unit} with these steps, {after:.3g} without.',
+        'Look for switching heaters, loose connections or popcorn noise.',
+    ),
+    'level_changes': Wording(
+        'warning',
+        'The white noise differs {which}: N is {low:.4g} to {high:.4g} {unit}, {value:.4g} in all.',
+        'The interval of N includes this scatter; look for vibration and temperature.',
+    ),
     'misfit': Wording(
         'warning',
         'The model deviates from the data by {misfit:.1%}; the intervals are widened accordingly.',

@@ -21,7 +21,7 @@ from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
 from ..core.fit import AxisFit, Coefficient, NoiseModel
 from ..core.fit.regions import Region, read_curve
-from ..core.fit.settled import fit_settled
+from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import AUTO
@@ -397,7 +397,7 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     """
     skip = recorded.provenance.settings.get('skip', AUTO)
     settle = isinstance(skip, (int, float)) and skip < 0.0
-    fitted = [fit_settled(s, method, settle) for s in recorded.sums]
+    fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
     sums, fits = [s for s, _ in fitted], [fit for _, fit in fitted]
     curves = [allan_curve(s) for s in sums]
     axes = dict(_axis_results(zip(curves, fits)))

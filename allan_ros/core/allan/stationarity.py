@@ -18,20 +18,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
+from .curve import WHITE, edf
 from .history import Recording
+from .likelihood import (
+    CellMeans,
+    Likelihood,
+    VarianceModel,
+    likelihood,
+    maximum,
+    null_model,
+    variance_model,
+)
+from .sums import LEVEL_FACTORS
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LEAST_CELLS = 24
 """Recordings with fewer cells of data are not tested."""
-
-GROWTH = 24
-"""Cells are pooled beyond this many, in proportion to their age: some 100 remain."""
 
 DECAYS, LONGEST_DECAY = 8, 1 / 12
 """Correlation times tried for an exponential warm-up, and the longest, of the recording."""
@@ -44,265 +53,6 @@ EARLY_AGES, LONGEST_EARLY = 7, 1 / 2
 
 INVISIBLE = 1.0
 """A warm-up whose rest changes twice the log likelihood by less than this has no effect."""
-
-TOLERANCE = 1e-3
-"""Gain in twice the log likelihood at which a maximisation stops."""
-
-
-@dataclass(frozen=True)
-class CellMeans:
-    """Means of consecutive stretches of one recording.
-
-    Attributes
-    ----------
-    begin, end : (stretches,) float64 array
-        In cells since the start of the recording.
-    means : (stretches, axes) float64 array
-    """
-
-    begin: Floats
-    end: Floats
-    means: Floats
-
-    @classmethod
-    def of(cls, recording: Recording, growth: int = GROWTH) -> CellMeans:
-        """Return the means of stretches that grow in proportion to their age."""
-        number, means = recording.cell_samples, recording.cell_means
-        edges = [0]
-        while edges[-1] < len(number):
-            edges.append(min(edges[-1] + max(1, edges[-1] // growth), len(number)))
-        begin, end = np.array(edges[:-1]), np.array(edges[1:])
-        if not len(begin):
-            return cls(begin.astype(float), end.astype(float), means)
-        samples = np.add.reduceat(number, begin)
-        sums = np.add.reduceat(means * number[:, None], begin, axis=0)
-        some = 2 * samples >= (end - begin) * recording.step
-        mean = sums[some] / np.maximum(samples[some], 1)[:, None]
-        return cls(begin[some].astype(float), end[some].astype(float), mean)
-
-    def since(self, age: float) -> CellMeans:
-        """Return the stretches that begin at an age or later, in cells."""
-        late = self.begin >= age
-        return CellMeans(self.begin[late], self.end[late], self.means[late])
-
-
-class VarianceModel:
-    """Covariance of means under white noise, bias instability and random walk of unit size.
-
-    Attributes
-    ----------
-    contrasts : (stretches - 2, stretches) float64 array
-        Orthonormal, free of a constant and a ramp.
-    units : tuple of (stretches - 2, stretches - 2) float64 arrays
-        Covariances of the contrasts.
-    """
-
-    def __init__(self, begin: Floats, end: Floats) -> None:
-        self.begin, self.end = begin, end
-        middle = (begin + end) / 2.0
-        fixed = np.stack([np.ones(len(begin)), middle - middle.mean()], axis=1)
-        basis, _ = np.linalg.qr(fixed, mode='complete')
-        self.contrasts: Floats = basis[:, 2:].T
-        self.units = tuple(self._of_contrasts(v) for v in self._covariances())
-
-    def exponential(self, decay: float) -> Floats:
-        """Return the contrasts of exp(-age/decay)."""
-        low, high = (np.exp(-age / decay) for age in (self.begin, self.end))
-        return np.asarray(self.contrasts @ (decay * (low - high) / (self.end - self.begin)))
-
-    def linear(self, duration: float) -> Floats:
-        """Return the contrasts of 1 - age/duration, 0 from ``duration`` on."""
-        low, high = (np.minimum(age, duration) for age in (self.begin, self.end))
-        area = (high - low) - (high**2 - low**2) / (2.0 * duration)
-        return np.asarray(self.contrasts @ (area / (self.end - self.begin)))
-
-    def step(self, age: float) -> Floats:
-        """Return the contrasts of a step of unit size at an age."""
-        after = np.clip((self.end - age) / (self.end - self.begin), 0.0, 1.0)
-        return np.asarray(self.contrasts @ after)
-
-    def early_walk(self, age: float) -> Floats:
-        """Return the covariance of the contrasts of a random walk that ends at an age."""
-        left = np.maximum(age - (self.begin + self.end) / 2.0, 0.0)
-        return self._of_contrasts(np.minimum(left[:, None], left))
-
-    def _of_contrasts(self, covariance: Floats) -> Floats:
-        return np.asarray(self.contrasts @ covariance @ self.contrasts.T)
-
-    def _covariances(self) -> list[Floats]:
-        """Return the covariances of the means, up to those of a constant and a ramp.
-
-        They are second differences of the generalised covariances of the phase: -|t|/2, and
-        t^2 ln|t| / (2 pi), and |t|^3 / 12.
-        """
-        ends = (self.begin, self.end)
-        lags = [np.abs(x[:, None] - y) for x in ends for y in ends]
-        widths = np.outer(self.end - self.begin, self.end - self.begin)
-        covariances = []
-        for phase in (_white, _flicker, _walk):
-            begins, outward, inward, last = (phase(t) for t in lags)
-            covariances.append((begins - outward - inward + last) / widths)
-        return covariances
-
-
-def _white(lag: Floats) -> Floats:
-    return -lag / 2.0
-
-
-def _flicker(lag: Floats) -> Floats:
-    return np.asarray(lag * lag * np.log(np.where(lag > 0.0, lag, 1.0)) / (2.0 * math.pi))
-
-
-def _walk(lag: Floats) -> Floats:
-    return np.asarray(lag**3 / 12.0)
-
-
-@lru_cache(maxsize=4)
-def _model(begin: tuple[float, ...], end: tuple[float, ...]) -> VarianceModel:
-    return VarianceModel(np.array(begin), np.array(end))
-
-
-def variance_model(means: CellMeans) -> VarianceModel:
-    """Return the model of some stretches; that of the last four is cached."""
-    return _model(tuple(means.begin.tolist()), tuple(means.end.tolist()))
-
-
-@dataclass(frozen=True)
-class Likelihood:
-    """A maximum of the likelihood of contrasts with normal distribution.
-
-    Attributes
-    ----------
-    value : float
-        Twice the log likelihood, up to a constant.
-    variances : (components,) float64 array
-    whitening : (contrasts, contrasts) float64 array
-        W with W C W' = 1.
-    residual : (contrasts,) float64 array
-        Whitened contrasts less their mean.
-    amplitudes : (effects,) float64 array
-        Of the effects on the mean.
-    """
-
-    value: float
-    variances: Floats
-    whitening: Floats
-    residual: Floats
-    amplitudes: Floats
-
-
-def likelihood(
-    values: Floats, units: Sequence[Floats], variances: Floats, effects: Floats | None = None
-) -> Likelihood:
-    """Return the likelihood of contrasts at given variances, the best amplitudes of the effects.
-
-    Parameters
-    ----------
-    values : (contrasts,) float64 array
-    units : sequence of (contrasts, contrasts) float64 arrays
-        Covariance of each variance component.
-    variances : (components,) float64 array
-    effects : (contrasts, effects) float64 array, optional
-        Effects on the mean, of unit size.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the covariance is not positive definite.
-    """
-    covariance = sum((v * u for v, u in zip(variances, units)), np.zeros_like(units[0]))
-    covariance[np.diag_indices_from(covariance)] += 1e-12 * np.trace(covariance) / len(values)
-    factor = np.linalg.cholesky(covariance)
-    whitening = np.linalg.inv(factor)
-    white: Floats = np.asarray(whitening @ values)
-    amplitudes = np.zeros(0)
-    if effects is not None and effects.shape[1]:
-        seen = whitening @ effects
-        amplitudes = np.asarray(np.linalg.lstsq(seen, white, rcond=None)[0])
-        white -= seen @ amplitudes
-    value = -2.0 * float(np.log(np.diag(factor)).sum()) - float(white @ white)
-    return Likelihood(value, variances, whitening, white, amplitudes)
-
-
-def maximum(
-    values: Floats,
-    units: Sequence[Floats],
-    start: Floats,
-    effects: Floats | None = None,
-    rounds: int = 25,
-) -> Likelihood:
-    """Return the maximum of the likelihood over variances of 0 or above, by Fisher scoring.
-
-    Parameters
-    ----------
-    values, units, effects
-        As of `likelihood`.
-    start : (components,) float64 array
-        Variances to begin with.
-    rounds : int
-        Most iterations.
-    """
-    best = likelihood(values, units, start, effects)
-    for _ in range(rounds):
-        score, information = _score(best, units)
-        free = (best.variances > 0.0) | (score > 0.0)
-        if not free.any():
-            break
-        scale = np.sqrt(np.diag(information)[free])
-        scaled = information[np.ix_(free, free)] / np.outer(scale, scale)
-        scaled[np.diag_indices_from(scaled)] += 1e-9
-        change = np.zeros(len(start))
-        change[free] = np.linalg.solve(scaled, score[free] / scale) / scale
-        found = _climb(best, values, units, change, effects)
-        if found is None:
-            break
-        gain, best = found.value - best.value, found
-        if gain < TOLERANCE:
-            break
-    return best
-
-
-def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the derivative of the log likelihood by the variances, and its information."""
-    inverse = at.whitening.T @ at.whitening
-    weighted = at.whitening.T @ at.residual
-    products = [inverse @ unit for unit in units]
-    score = [float(weighted @ u @ weighted - np.trace(p)) / 2.0 for u, p in zip(units, products)]
-    information = [[float(np.sum(p * q.T)) / 2.0 for q in products] for p in products]
-    return np.array(score), np.array(information)
-
-
-def _climb(
-    at: Likelihood,
-    values: Floats,
-    units: Sequence[Floats],
-    change: Floats,
-    effects: Floats | None,
-) -> Likelihood | None:
-    """Return the likelihood after the change or a part of it; None if none is better."""
-    for halvings in range(10):
-        new = np.maximum(at.variances + change * 0.5**halvings, 0.0)
-        if not new.any():
-            continue
-        try:
-            found = likelihood(values, units, new, effects)
-        except np.linalg.LinAlgError:
-            continue
-        if found.value >= at.value:
-            return found
-    return None
-
-
-STARTS = ((0.4, 0.3, 0.3), (0.9, 0.05, 0.05), (0.05, 0.05, 0.9))
-"""Shares of the three components in the variance from which the maximum is searched."""
-
-
-def null_model(values: Floats, model: VarianceModel) -> Likelihood:
-    """Return the likelihood of contrasts without any effect."""
-    scale = float(values @ values) / len(values)
-    sizes = np.array([np.trace(unit) / len(values) for unit in model.units])
-    starts = [scale * np.array(shares) / sizes for shares in STARTS]
-    return max((maximum(values, model.units, s) for s in starts), key=lambda found: found.value)
 
 
 @dataclass(frozen=True)
@@ -355,11 +105,7 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
     found: list[EarlyPart] = []
     left_out = 0
     while left_out <= len(recording.cell_samples) // 2:
-        rest = replace(
-            recording,
-            cell_samples=recording.cell_samples[left_out:],
-            cell_means=recording.cell_means[left_out:],
-        )
+        rest = _without(recording, left_out)
         tests = [_strongest(rest, sensors, kind, limits) for kind, limits in THRESHOLDS.items()]
         part = max((t for t in tests if t), key=lambda t: t.excess, default=None)
         if part is None:
@@ -506,3 +252,259 @@ def _invisible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> fl
     if seen >= INVISIBLE:
         age += effect.parameter / 2.0 * math.log(max(seen, 1.0) + 1.0)
     return age
+
+
+# --- steps of the bias ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BiasSteps:
+    """Steps of the bias of one axis.
+
+    Attributes
+    ----------
+    axis : int
+    ages : tuple of float
+        Of the steps, in samples, largest likelihood first.
+    sizes : (steps,) float64 array
+        In the unit of the samples.
+    walk_before, walk_after : float
+        Variance of the random walk per sample without and with the steps.
+    excess : float
+        Twice the log likelihood ratio beyond its threshold.
+    """
+
+    axis: int
+    ages: tuple[float, ...]
+    sizes: Floats
+    walk_before: float
+    walk_after: float
+    excess: float
+
+
+MOST_STEPS = 8
+"""Steps searched for on one axis."""
+
+FIRST_SCORE, NEXT_SCORE = 10.0, 8.0
+"""Score statistic from which the first step and a further one are tried."""
+
+STEP_PRICE, STEPS_THRESHOLD = 8.0, 17.0
+"""Twice the log likelihood ratio that each step costs, and what must be left for a finding."""
+
+STEP_CELLS, STEP_STRETCHES = 512, 256
+"""Most stretches in which steps are located, and with which the variances are fitted."""
+
+
+def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
+    """Return the axes on which steps of the bias are more likely than a random walk alone.
+
+    Steps are added one by one where the score is largest, and the variances are fitted anew.
+
+    Parameters
+    ----------
+    recording : Recording
+    age : int
+        Samples left out at the start.
+    """
+    recording = _without(recording, math.ceil(age / recording.step))
+    fine = CellMeans.even(recording, STEP_CELLS)
+    if len(fine.begin) < LEAST_CELLS:
+        return ()
+    grown, coarse = CellMeans.of(recording), CellMeans.even(recording, STEP_STRETCHES)
+    found = []
+    model = variance_model(grown)
+    values = model.contrasts @ grown.means
+    for axis in range(fine.means.shape[1]):
+        start = _null_of(values[:, axis], model)
+        steps = None if start is None else _steps_of(axis, fine, coarse, start.variances)
+        if steps is not None:
+            offset = math.ceil(age / recording.step)
+            ages = tuple((a + offset) * recording.step for a in steps.ages)
+            scale = 1.0 / recording.step  # a walk per cell
+            walks = steps.walk_before * scale, steps.walk_after * scale
+            found.append(replace(steps, ages=ages, walk_before=walks[0], walk_after=walks[1]))
+    return tuple(found)
+
+
+def _without(recording: Recording, cells: int) -> Recording:
+    """Return a recording without its first cells."""
+    return replace(
+        recording,
+        cell_samples=recording.cell_samples[cells:],
+        cell_means=recording.cell_means[cells:],
+    )
+
+
+def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> BiasSteps | None:
+    """Return the steps of one axis in cells, None if they are not significant."""
+    where, fitted = variance_model(fine), variance_model(coarse)
+    ages = fine.begin[2:-1]
+    every = where.steps(ages)
+    values = where.contrasts @ fine.means[:, axis]
+    coarse_values = fitted.contrasts @ coarse.means[:, axis]
+    chosen: list[int] = []
+    null: Likelihood | None = None
+    best: Likelihood | None = None
+    current: Likelihood | None = None
+    best_excess = 0.0
+    while len(chosen) < MOST_STEPS:
+        at = start if current is None else current.variances
+        scores = _step_scores(values, where, at, every, chosen)
+        strongest = int(scores.argmax())
+        if scores[strongest] < (NEXT_SCORE if chosen else FIRST_SCORE):
+            break
+        if null is None or current is None:
+            null = current = maximum(coarse_values, fitted.units, start, rounds=12)
+        chosen.append(strongest)
+        effects = fitted.steps(ages[chosen])
+        current = maximum(coarse_values, fitted.units, current.variances, effects, rounds=12)
+        excess = current.value - null.value - STEP_PRICE * len(chosen) - STEPS_THRESHOLD
+        if excess > best_excess:
+            best, best_excess = current, excess
+    if best is None or null is None:
+        return None
+    kept = tuple(float(a) for a in ages[chosen[: len(best.amplitudes)]])
+    return BiasSteps(
+        axis,
+        kept,
+        best.amplitudes,
+        float(null.variances[2]),
+        float(best.variances[2]),
+        best_excess,
+    )
+
+
+def _step_scores(
+    values: Floats, model: VarianceModel, variances: Floats, every: Floats, chosen: list[int]
+) -> Floats:
+    """Return the score statistic of each step beside the chosen ones."""
+    known = every[:, chosen] if chosen else None
+    at = likelihood(values, model.units, variances, known)
+    seen = at.whitening @ every
+    if known is not None:
+        basis, _ = np.linalg.qr(at.whitening @ known)
+        seen = seen - basis @ (basis.T @ seen)
+    sizes = (seen**2).sum(axis=0)
+    return np.asarray((seen.T @ at.residual) ** 2 / np.maximum(sizes, 1e-9 * sizes.max()))
+
+
+# --- the level of white noise ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LevelChange:
+    """White noise of one axis that is not the same in all blocks of time, or recordings.
+
+    Attributes
+    ----------
+    axis : int
+    m : int
+        Averaging factor at which it is measured.
+    low, high : float
+        Smallest and largest deviation of a block, relative to that of all.
+    scatter : float
+        Standard deviation of the logarithm of the true deviations of the blocks.
+    probability : float
+        Of such differences if there are none.
+    """
+
+    axis: int
+    m: int
+    low: float
+    high: float
+    scatter: float
+    probability: float
+
+
+BLOCKS = 6
+"""Blocks of periods whose levels are compared."""
+
+LEVEL_PROBABILITY = 2e-4
+"""Probability below which the levels of an axis differ."""
+
+LEVEL_RATIO = 1.02
+"""Ratio of two levels that matters."""
+
+WHITE_SLOPE = 0.25
+"""The variance falls as 1/m where white noise dominates, to this difference of the exponent."""
+
+LEAST_DIFFERENCES = 200
+"""A block or recording with fewer differences is left out."""
+
+
+def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelChange, ...]:
+    """Return the axes whose white noise differs between blocks of time or recordings.
+
+    The levels of one recording are compared in blocks of time, those of several as wholes
+    (Bartlett's test: Proceedings of the Royal Society A 160, 1937).
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    age : int
+        Samples left out at the start of each.
+    """
+    if not recordings:
+        return ()
+    parts = [_level_blocks(r, age, BLOCKS if len(recordings) == 1 else 1) for r in recordings]
+    levels = min(count.shape[1] for count, _ in parts)
+    count = np.concatenate([c[:, :levels] for c, _ in parts])
+    sum_sq = np.concatenate([s[:, :levels] for _, s in parts])
+    if not levels:
+        return ()
+    m = recordings[0].level_m[:levels]
+    scale = 2.0 * m.astype(float) ** 2
+    found = []
+    for axis in range(sum_sq.shape[2]):
+        with np.errstate(divide='ignore', invalid='ignore'):
+            whole = sum_sq[:, :, axis].sum(axis=0) / (scale * count.sum(axis=0))
+        i = _white_level(whole, count.min(axis=0))
+        if i is None:
+            continue
+        variance = sum_sq[:, i, axis] / (scale[i] * np.maximum(count[:, i], 1))
+        change = _level_change(axis, int(m[i]), variance, count[:, i])
+        if change is not None:
+            found.append(change)
+    return tuple(found)
+
+
+def _level_blocks(recording: Recording, age: int, blocks: int) -> tuple[Ints, Floats]:
+    """Return counts (blocks, levels) and sums of squares (blocks, levels, axes)."""
+    first = -(-age // recording.period)
+    count, sum_sq = recording.level_count[first:], recording.level_sum_sq[first:]
+    edges = np.unique(np.linspace(0, len(count), blocks + 1).round().astype(int)[:-1])
+    if not len(count):
+        return count.sum(axis=0)[None], sum_sq.sum(axis=0)[None]
+    return np.add.reduceat(count, edges), np.add.reduceat(sum_sq, edges)
+
+
+def _white_level(variance: Floats, count: Ints) -> int | None:
+    """Return the first level at which the variance falls as of white noise."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        slopes = np.diff(np.log(variance)) / math.log(4.0)
+    for i, slope in enumerate(slopes):
+        if abs(slope + 1.0) < WHITE_SLOPE and count[i] >= LEAST_DIFFERENCES:
+            return i
+    return None
+
+
+def _level_change(axis: int, m: int, variance: Floats, count: Ints) -> LevelChange | None:
+    stride = max(1, m // LEVEL_FACTORS[0])
+    some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
+    variance, count = variance[some], count[some]
+    if len(count) < 2:
+        return None
+    degrees = np.array([edf(WHITE, m, stride, int(n)) for n in count])
+    pooled = float(degrees @ variance / degrees.sum())
+    ratio = np.log(variance / pooled)
+    size = 1.0 + (np.sum(1.0 / degrees) - 1.0 / degrees.sum()) / (3.0 * (len(count) - 1))
+    statistic = -float(degrees @ ratio) / size
+    probability = float(chdtrc(len(count) - 1, max(statistic, 0.0)))
+    low, high = (math.exp(r / 2.0) for r in (ratio.min(), ratio.max()))
+    if probability > LEVEL_PROBABILITY or high < LEVEL_RATIO * low:
+        return None
+    # DerSimonian & Laird, Controlled Clinical Trials 7, 1986; Var ln s^2 is 2/degrees
+    weights = degrees / 2.0
+    excess = float(weights @ (ratio - weights @ ratio / weights.sum()) ** 2) - (len(count) - 1)
+    spread = max(excess, 0.0) / float(weights.sum() - weights @ weights / weights.sum())
+    return LevelChange(axis, m, low, high, math.sqrt(spread) / 2.0, probability)

@@ -1,6 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fit_settled`: fit the settled part of a recording where its early part differs."""
+"""`fit_stationary`: fit recordings that are not the same throughout.
+
+The settled part is fitted where the early part differs, steps of the bias are reported, and the
+interval of N is widened where the level of the white noise varies.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..allan.settled import settled_sums
-from ..allan.stationarity import EarlyPart, early_parts
+from ..allan.stationarity import (
+    BiasSteps,
+    EarlyPart,
+    LevelChange,
+    bias_steps,
+    early_parts,
+    level_changes,
+)
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding, finding
@@ -30,6 +41,9 @@ N_SHIFT, LEAST_SHIFT = 0.02, 0.005
 
 TESTED_RECORDINGS = 8
 """How many of the longest recordings are tested."""
+
+STEPS_MATTER = 0.96
+"""Steps are reported if without them the variance of the walk is below this fraction."""
 
 NAMED_CHANGES = 3
 """How many changed coefficients a finding names."""
@@ -60,7 +74,7 @@ class _Change:
         return f'{self.axis} {self.term} is {a} {unit} in all data, {b} after {after}'
 
 
-def fit_settled(
+def fit_stationary(
     sums: AllanSums, method: str = 'gls', settle: bool = True
 ) -> tuple[AllanSums, NoiseModel]:
     """Return the fit of the sums or, if an early part differs, of the part after it.
@@ -71,14 +85,14 @@ def fit_settled(
     method : str
         One of `METHODS`; 'paper' always fits all data.
     settle : bool
-        Whether the early part may be left out; it is reported in any case.
+        Whether an early part may be left out; it is reported in any case.
 
     Returns
     -------
     sums : AllanSums
         Those that were fitted.
     model : NoiseModel
-        With a finding where an early part differs.
+        With findings where the recording is not stationary.
 
     Raises
     ------
@@ -89,16 +103,29 @@ def fit_settled(
     if method == 'paper' or not sums.tau0:
         return sums, complete
     parts = list(_early_parts(sums))
-    if not parts:
-        return sums, complete
+    used, model, found = _without_early_part(sums, method, settle, parts, complete)
+    age = max((part.age for part in parts), default=0)
+    found += [_steps_finding(sums, steps) for steps in _steps(sums, age)]
+    for change in level_changes(sums.history.recordings, age):
+        found += _level_finding(sums, change, model)
+        model = _widened(model, sums.axes[change.axis], change.scatter)
+    return used, replace(model, findings=(*found, *model.findings))
+
+
+def _without_early_part(
+    sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart], complete: NoiseModel
+) -> tuple[AllanSums, NoiseModel, list[Finding]]:
+    """Return the sums to be used, their fit, and the finding of the early part if it matters."""
+    if not parts or not sums.tau0:
+        return sums, complete, []
     last = max(parts, key=lambda part: part.age)
     rest = _rest(sums, last.age)
     if rest is None:
-        return sums, replace(complete, findings=(_unsettled(sums, last), *complete.findings))
+        return sums, complete, [_unsettled(sums, last)]
     settled = fit_noise(rest, method)
     changes = sorted(_changes(complete, settled), key=lambda change: -change.size)
     if not changes:
-        return sums, complete
+        return sums, complete, []
     early = about((_edge(sums, last.age) or 0) * sums.tau0)
     certain = settle and max(part.excess for part in parts) >= CERTAIN
     found = finding(
@@ -108,9 +135,71 @@ def fit_settled(
         what=_what(sums, parts),
         changes='; '.join(change.text(early) for change in changes[:NAMED_CHANGES]),
     )
-    if certain:
-        return rest, replace(settled, findings=(found, *settled.findings))
-    return sums, replace(complete, findings=(found, *complete.findings))
+    return (rest, settled, [found]) if certain else (sums, complete, [found])
+
+
+def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
+    """Return the steps of each axis, from the recording that shows them best."""
+    best: dict[int, BiasSteps] = {}
+    for recording in sums.history.recordings[:TESTED_RECORDINGS]:
+        for steps in bias_steps(recording, age):
+            have = best.get(steps.axis)
+            if steps.walk_after < STEPS_MATTER * steps.walk_before and (
+                have is None or steps.excess > have.excess
+            ):
+                best[steps.axis] = steps
+    return [best[axis] for axis in sorted(best)]
+
+
+def _steps_finding(sums: AllanSums, steps: BiasSteps) -> Finding:
+    name = sums.axes[steps.axis]
+    sensor, tau0 = sensor_of(name), sums.tau0 or 1.0
+    size, size_unit = to_datasheet('B', sensor, float(np.abs(steps.sizes).max()))
+    (before, unit), (after, _) = (
+        to_datasheet('K', sensor, math.sqrt(walk / tau0))
+        for walk in (steps.walk_before, steps.walk_after)
+    )
+    return finding(
+        'bias_steps',
+        (name,),
+        count=len(steps.ages),
+        size=size,
+        size_unit=size_unit,
+        before=before,
+        after=after,
+        unit=unit,
+    )
+
+
+def _level_finding(sums: AllanSums, change: LevelChange, model: NoiseModel) -> list[Finding]:
+    """Return the finding of white noise that varies; none where N is not resolved."""
+    name = sums.axes[change.axis]
+    noise = model.axes[name].noise['N']
+    if noise.status != 'estimated' or not noise.value:
+        return []
+    sensor = sensor_of(name)
+    (low, unit), (high, _), (value, _) = (
+        to_datasheet('N', sensor, noise.value * ratio) for ratio in (change.low, change.high, 1.0)
+    )
+    several = len(sums.history.recordings) > 1
+    which = 'between recordings' if several else 'within the recording'
+    return [
+        finding('level_changes', (name,), which=which, low=low, high=high, value=value, unit=unit)
+    ]
+
+
+def _widened(model: NoiseModel, axis: str, scatter: float) -> NoiseModel:
+    """Return the model with the interval of N of one axis widened by a relative scatter."""
+    fit = model.axes[axis]
+    noise = fit.noise['N']
+    if noise.ci95 is None or not noise.value or not noise.ci95[0] > 0.0:
+        return model
+    low, high = (
+        math.exp(math.hypot(math.log(limit / noise.value), 1.96 * scatter)) for limit in noise.ci95
+    )
+    wider = replace(noise, ci95=(noise.value / low, noise.value * high))
+    axes = {**model.axes, axis: replace(fit, noise={**fit.noise, 'N': wider})}
+    return replace(model, axes=axes)
 
 
 def _early_parts(sums: AllanSums) -> Iterator[EarlyPart]:

@@ -1,0 +1,300 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Likelihood of the means of the cells of a recording, as noise with and without an effect.
+
+The means are those of white noise, bias instability and random walk about a constant and a ramp.
+The three variances maximise the likelihood of the contrasts that are free of the constant and the
+ramp (restricted maximum likelihood: Patterson & Thompson, Biometrika 58, 1971).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .history import Recording
+
+Floats = NDArray[np.float64]
+
+GROWTH = 24
+"""Cells are pooled beyond this many, in proportion to their age: some 100 remain."""
+
+TOLERANCE = 1e-3
+"""Gain in twice the log likelihood at which a maximisation stops."""
+
+
+@dataclass(frozen=True)
+class CellMeans:
+    """Means of consecutive stretches of one recording.
+
+    Attributes
+    ----------
+    begin, end : (stretches,) float64 array
+        In cells since the start of the recording.
+    means : (stretches, axes) float64 array
+    """
+
+    begin: Floats
+    end: Floats
+    means: Floats
+
+    @classmethod
+    def of(cls, recording: Recording, growth: int = GROWTH) -> CellMeans:
+        """Return the means of stretches that grow in proportion to their age."""
+        number, means = recording.cell_samples, recording.cell_means
+        edges = [0]
+        while edges[-1] < len(number):
+            edges.append(min(edges[-1] + max(1, edges[-1] // growth), len(number)))
+        begin, end = np.array(edges[:-1]), np.array(edges[1:])
+        if not len(begin):
+            return cls(begin.astype(float), end.astype(float), means)
+        samples = np.add.reduceat(number, begin)
+        sums = np.add.reduceat(means * number[:, None], begin, axis=0)
+        some = 2 * samples >= (end - begin) * recording.step
+        mean = sums[some] / np.maximum(samples[some], 1)[:, None]
+        return cls(begin[some].astype(float), end[some].astype(float), mean)
+
+    @classmethod
+    def even(cls, recording: Recording, most: int) -> CellMeans:
+        """Return the means of stretches of equal length, at most so many."""
+        width = 1
+        while len(recording.cell_samples) > most * width:
+            width *= 2
+        rows = len(recording.cell_samples) // width
+        number = recording.cell_samples[: rows * width].reshape(rows, width)
+        means = recording.cell_means[: rows * width].reshape(rows, width, -1)
+        samples = number.sum(axis=1)
+        sums = (means * number[:, :, None]).sum(axis=1)
+        some = 2 * samples >= width * recording.step
+        begin = width * np.arange(rows, dtype=float)[some]
+        return cls(begin, begin + width, sums[some] / np.maximum(samples[some], 1)[:, None])
+
+    def since(self, age: float) -> CellMeans:
+        """Return the stretches that begin at an age or later, in cells."""
+        late = self.begin >= age
+        return CellMeans(self.begin[late], self.end[late], self.means[late])
+
+
+class VarianceModel:
+    """Covariance of means under white noise, bias instability and random walk of unit size.
+
+    Attributes
+    ----------
+    contrasts : (stretches - 2, stretches) float64 array
+        Orthonormal, free of a constant and a ramp.
+    units : tuple of (stretches - 2, stretches - 2) float64 arrays
+        Covariances of the contrasts.
+    """
+
+    def __init__(self, begin: Floats, end: Floats) -> None:
+        self.begin, self.end = begin, end
+        middle = (begin + end) / 2.0
+        fixed = np.stack([np.ones(len(begin)), middle - middle.mean()], axis=1)
+        basis, _ = np.linalg.qr(fixed, mode='complete')
+        self.contrasts: Floats = basis[:, 2:].T
+        self.units = tuple(self._of_contrasts(v) for v in self._covariances())
+
+    def exponential(self, decay: float) -> Floats:
+        """Return the contrasts of exp(-age/decay)."""
+        low, high = (np.exp(-age / decay) for age in (self.begin, self.end))
+        return np.asarray(self.contrasts @ (decay * (low - high) / (self.end - self.begin)))
+
+    def linear(self, duration: float) -> Floats:
+        """Return the contrasts of 1 - age/duration, 0 from ``duration`` on."""
+        low, high = (np.minimum(age, duration) for age in (self.begin, self.end))
+        area = (high - low) - (high**2 - low**2) / (2.0 * duration)
+        return np.asarray(self.contrasts @ (area / (self.end - self.begin)))
+
+    def steps(self, ages: Floats) -> Floats:
+        """Return the contrasts of steps of unit size at some ages, (contrasts, steps)."""
+        width = self.end - self.begin
+        after = np.clip((self.end[:, None] - ages) / width[:, None], 0.0, 1.0)
+        return np.asarray(self.contrasts @ after)
+
+    def early_walk(self, age: float) -> Floats:
+        """Return the covariance of the contrasts of a random walk that ends at an age."""
+        left = np.maximum(age - (self.begin + self.end) / 2.0, 0.0)
+        return self._of_contrasts(np.minimum(left[:, None], left))
+
+    def _of_contrasts(self, covariance: Floats) -> Floats:
+        return np.asarray(self.contrasts @ covariance @ self.contrasts.T)
+
+    def _covariances(self) -> list[Floats]:
+        """Return the covariances of the means, up to those of a constant and a ramp.
+
+        They are second differences of the generalised covariances of the phase: -|t|/2, and
+        t^2 ln|t| / (2 pi), and |t|^3 / 12.
+        """
+        ends = (self.begin, self.end)
+        lags = [np.abs(x[:, None] - y) for x in ends for y in ends]
+        widths = np.outer(self.end - self.begin, self.end - self.begin)
+        covariances = []
+        for phase in (_white, _flicker, _walk):
+            begins, outward, inward, last = (phase(t) for t in lags)
+            covariances.append((begins - outward - inward + last) / widths)
+        return covariances
+
+
+def _white(lag: Floats) -> Floats:
+    return -lag / 2.0
+
+
+def _flicker(lag: Floats) -> Floats:
+    return np.asarray(lag * lag * np.log(np.where(lag > 0.0, lag, 1.0)) / (2.0 * math.pi))
+
+
+def _walk(lag: Floats) -> Floats:
+    return np.asarray(lag**3 / 12.0)
+
+
+@lru_cache(maxsize=4)
+def _model(begin: tuple[float, ...], end: tuple[float, ...]) -> VarianceModel:
+    return VarianceModel(np.array(begin), np.array(end))
+
+
+def variance_model(means: CellMeans) -> VarianceModel:
+    """Return the model of some stretches; that of the last four is cached."""
+    return _model(tuple(means.begin.tolist()), tuple(means.end.tolist()))
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """A maximum of the likelihood of contrasts with normal distribution.
+
+    Attributes
+    ----------
+    value : float
+        Twice the log likelihood, up to a constant.
+    variances : (components,) float64 array
+    whitening : (contrasts, contrasts) float64 array
+        W with W C W' = 1.
+    residual : (contrasts,) float64 array
+        Whitened contrasts less their mean.
+    amplitudes : (effects,) float64 array
+        Of the effects on the mean.
+    """
+
+    value: float
+    variances: Floats
+    whitening: Floats
+    residual: Floats
+    amplitudes: Floats
+
+
+def likelihood(
+    values: Floats, units: Sequence[Floats], variances: Floats, effects: Floats | None = None
+) -> Likelihood:
+    """Return the likelihood of contrasts at given variances, the best amplitudes of the effects.
+
+    Parameters
+    ----------
+    values : (contrasts,) float64 array
+    units : sequence of (contrasts, contrasts) float64 arrays
+        Covariance of each variance component.
+    variances : (components,) float64 array
+    effects : (contrasts, effects) float64 array, optional
+        Effects on the mean, of unit size.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the covariance is not positive definite.
+    """
+    covariance = sum((v * u for v, u in zip(variances, units)), np.zeros_like(units[0]))
+    covariance[np.diag_indices_from(covariance)] += 1e-12 * np.trace(covariance) / len(values)
+    factor = np.linalg.cholesky(covariance)
+    whitening = np.linalg.inv(factor)
+    white: Floats = np.asarray(whitening @ values)
+    amplitudes = np.zeros(0)
+    if effects is not None and effects.shape[1]:
+        seen = whitening @ effects
+        amplitudes = np.asarray(np.linalg.lstsq(seen, white, rcond=None)[0])
+        white -= seen @ amplitudes
+    value = -2.0 * float(np.log(np.diag(factor)).sum()) - float(white @ white)
+    return Likelihood(value, variances, whitening, white, amplitudes)
+
+
+def maximum(
+    values: Floats,
+    units: Sequence[Floats],
+    start: Floats,
+    effects: Floats | None = None,
+    rounds: int = 25,
+) -> Likelihood:
+    """Return the maximum of the likelihood over variances of 0 or above, by Fisher scoring.
+
+    Parameters
+    ----------
+    values, units, effects
+        As of `likelihood`.
+    start : (components,) float64 array
+        Variances to begin with.
+    rounds : int
+        Most iterations.
+    """
+    best = likelihood(values, units, start, effects)
+    for _ in range(rounds):
+        score, information = _score(best, units)
+        free = (best.variances > 0.0) | (score > 0.0)
+        if not free.any():
+            break
+        scale = np.sqrt(np.diag(information)[free])
+        scaled = information[np.ix_(free, free)] / np.outer(scale, scale)
+        scaled[np.diag_indices_from(scaled)] += 1e-9
+        change = np.zeros(len(start))
+        change[free] = np.linalg.solve(scaled, score[free] / scale) / scale
+        found = _climb(best, values, units, change, effects)
+        if found is None:
+            break
+        gain, best = found.value - best.value, found
+        if gain < TOLERANCE:
+            break
+    return best
+
+
+def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Return the derivative of the log likelihood by the variances, and its information."""
+    inverse = at.whitening.T @ at.whitening
+    weighted = at.whitening.T @ at.residual
+    products = [inverse @ unit for unit in units]
+    score = [float(weighted @ u @ weighted - np.trace(p)) / 2.0 for u, p in zip(units, products)]
+    information = [[float(np.sum(p * q.T)) / 2.0 for q in products] for p in products]
+    return np.array(score), np.array(information)
+
+
+def _climb(
+    at: Likelihood,
+    values: Floats,
+    units: Sequence[Floats],
+    change: Floats,
+    effects: Floats | None,
+) -> Likelihood | None:
+    """Return the likelihood after the change or a part of it; None if none is better."""
+    for halvings in range(10):
+        new = np.maximum(at.variances + change * 0.5**halvings, 0.0)
+        if not new.any():
+            continue
+        try:
+            found = likelihood(values, units, new, effects)
+        except np.linalg.LinAlgError:
+            continue
+        if found.value >= at.value:
+            return found
+    return None
+
+
+STARTS = ((0.4, 0.3, 0.3), (0.9, 0.05, 0.05), (0.05, 0.05, 0.9))
+"""Shares of the three components in the variance from which the maximum is searched."""
+
+
+def null_model(values: Floats, model: VarianceModel) -> Likelihood:
+    """Return the likelihood of contrasts without any effect."""
+    scale = float(values @ values) / len(values)
+    sizes = np.array([np.trace(unit) / len(values) for unit in model.units])
+    starts = [scale * np.array(shares) / sizes for shares in STARTS]
+    return max((maximum(values, model.units, s) for s in starts), key=lambda found: found.value)
