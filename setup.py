@@ -102,9 +102,9 @@ setup(
     entry_points={
         'console_scripts': [
             f'allan = {PACKAGE}.cli.main:console',
-            f'allan_accumulator = {PACKAGE}.nodes.accumulator:main',
-            f'allan_estimator = {PACKAGE}.nodes.estimator:main',
-            f'allan_imu_relay = {PACKAGE}.nodes.relay:main',
+            f'allan_accumulator = {PACKAGE}.nodes.monitor:accumulator',
+            f'allan_estimator = {PACKAGE}.nodes.monitor:estimator',
+            f'allan_imu_relay = {PACKAGE}.nodes.monitor:relay',
             f'allan_monitor = {PACKAGE}.nodes.monitor:main',
             f'allan_player = {PACKAGE}.nodes.player:main',
             f'allan_watch = {PACKAGE}.nodes.watch:main',

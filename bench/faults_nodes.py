@@ -27,7 +27,7 @@ class Watch:
 
     def __init__(self, folder: Path) -> None:
         self._log = folder / 'watch.log'
-        self._process = Process('-m', 'allan_ros.nodes.watch', '--plain', log=self._log)
+        self._process = Process('-m', 'allan_ros.nodes', 'watch', '--plain', log=self._log)
 
     def stale(self, name: str) -> str:
         """Return the first line that calls a status whose name begins so stale; '' without one."""

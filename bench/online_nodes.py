@@ -92,7 +92,7 @@ def start(
     given = [x for parameter in ros for x in ('-p', parameter)]
     given += [x for names in remap for x in ('-r', names)]
     ros_args = ['--ros-args', '--log-level', 'error', *given]
-    return Process('-m', f'allan_ros.nodes.{name}', *arguments, *ros_args, **how)
+    return Process('-m', 'allan_ros.nodes', name, *arguments, *ros_args, **how)
 
 
 @contextlib.contextmanager

@@ -94,7 +94,7 @@ class Graph:
     def _start(self, module: str, *parameters: str) -> subprocess.Popen[bytes]:
         given = [a for p in parameters for a in ('-p', p)]
         return subprocess.Popen(
-            [sys.executable, '-m', f'allan_ros.nodes.{module}', '--ros-args', *given],
+            [sys.executable, '-m', 'allan_ros.nodes', module, '--ros-args', *given],
             cwd=self.folder.name,
             env={
                 **os.environ,

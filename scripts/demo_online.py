@@ -65,7 +65,7 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
 
 
 def _start(name: str, *arguments: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, '-m', f'allan_ros.nodes.{name}', *arguments])
+    return subprocess.Popen([sys.executable, '-m', 'allan_ros.nodes', name, *arguments])
 
 
 def _fit() -> None:

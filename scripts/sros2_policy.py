@@ -67,7 +67,7 @@ def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
             own = PLAYER if module == 'player' else ['--plain'] if module == 'watch' else []
             processes.append(
                 subprocess.Popen(
-                    [sys.executable, '-m', f'allan_ros.nodes.{module}', *own, '--ros-args']
+                    [sys.executable, '-m', 'allan_ros.nodes', module, *own, '--ros-args']
                     + ['-p', 'use_sim_time:=true', *given],
                     env=environment,
                     stdout=subprocess.DEVNULL,

@@ -73,6 +73,9 @@ class Fields:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
+    def optional_integer(self, key: str) -> int | None:
+        return None if self._document.get(key) is None else self.integer(key)
+
     def number(self, key: str, least: float = -MAX_FLOAT) -> float:
         value = self._number(key, self._get(key, (int, float), 'a number'))
         if value < least:

@@ -180,6 +180,11 @@ CATALOGUE = {
         'connected.',
         'Check the driver, the cable and power of the sensor, and the network.',
     ),
+    'wrong_type': Wording(
+        'error',
+        '{topic} has type {types}, not sensor_msgs/msg/Imu.',
+        'Remap imu/data to an Imu topic{candidates}.',
+    ),
     'input_stopped': Wording(
         'error',
         'The last message on {topic} came {seconds:.1f} s ago and its publisher is gone.',
@@ -192,9 +197,9 @@ CATALOGUE = {
     ),
     'qos_incompatible': Wording(
         'error',
-        '{count} publisher(s) on {topic} offer less than this subscription requests, so their '
-        'messages do not arrive.',
-        'Keep reliability at best_effort in the QoS overrides.',
+        'The QoS of {names} does not fit the subscription to {topic} ({reason}), so its messages '
+        'do not arrive.',
+        'Remove the QoS overrides of {topic}: best_effort and volatile fit every publisher.',
     ),
     'several_publishers': Wording(
         'warning',
@@ -244,6 +249,21 @@ CATALOGUE = {
         'The stamps went back and stayed there; the sums of the previous pass are {kept}.',
         'No action is needed for a looped recording: a second pass is no new data.',
     ),
+    'fit_failed': Wording(
+        'error',
+        'The fit failed: {reason}.',
+        'If the next fit fails too, call ~/reset and report the log.',
+    ),
+    'model_withdrawn': Wording(
+        'warning',
+        'The coefficients were withdrawn: {lost:.0%} of their data were discarded or replaced.',
+        'Keep the IMU at rest; the next fit gives new ones.',
+    ),
+    'internal_error': Wording(
+        'error',
+        'Internal error in {where}: {error}.',
+        'Report it with the log; all other parts of the node continue.',
+    ),
     'checkpoint_refused': Wording(
         'warning',
         '{path} is left unchanged and nothing is saved: {reason}.',
@@ -265,10 +285,30 @@ CATALOGUE = {
         'Fix the path; until then the sums are lost at a restart. Writing is retried.',
     ),
     # --- the relay: what the relayed messages lack ------------------------------------------------
+    'relay_waits': Wording(
+        'info',
+        'There is no noise model on {topic} yet; messages are {done}.',
+        'Keep the IMU at rest; N needs a minute.',
+    ),
+    'relay_late_model': Wording(
+        'warning',
+        'There was no noise model on {topic} for {seconds:.0f} s; messages are {done}.',
+        'Keep the IMU at rest; N needs a minute.',
+    ),
     'relay_without_model': Wording(
         'warning',
-        'There is no noise model on {topic} yet; messages are {done}.',
-        'Start allan_estimator, or remap noise_model to its topic; N needs a minute at rest.',
+        'Nothing publishes a noise model on {topic}; messages are {done}.',
+        'Start allan_estimator, or remap noise_model to its topic.',
+    ),
+    'relay_withdrawn': Wording(
+        'warning',
+        'The noise model on {topic} was withdrawn; messages are {done}.',
+        'Keep the IMU at rest; the next fit gives a new model.',
+    ),
+    'relay_several_publishers': Wording(
+        'warning',
+        '{count} publishers on {topic} ({names}): a filter receives their messages mixed.',
+        'Start each monitor in its own namespace, or remap the output of one.',
     ),
     'relay_model_unreadable': Wording(
         'warning',

@@ -60,8 +60,15 @@ def check(settings: Any) -> None:
             raise AllanError(f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}')
 
 
+class CheckedSettings:
+    """Base of all settings dataclasses: every value is checked when an object is made."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 @dataclass(frozen=True)
-class SegmenterSettings:
+class SegmenterSettings(CheckedSettings):
     """How a stream is cut into segments that count as evidence."""
 
     stamps: str = parameter(
@@ -117,6 +124,3 @@ class SegmenterSettings:
         read_only=True,
         auto=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)

@@ -99,6 +99,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
         'schema': SUMS_SCHEMA,
         'tool': _tool(),
         **_provenance_to_document(provenance),
+        'last_stamp_ns': provenance.last_stamp_ns,
         'findings': [asdict(f) for f in provenance.findings],
         'sums': [sums_to_document(s) for s in sums],
     }
@@ -158,6 +159,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
         tuple(_finding_from_document(f) for f in fields.each('findings')),
         _counts_from_document(fields.fields('counts')),
         _settings_from_document(fields.fields('settings')),
+        fields.optional_integer('last_stamp_ns'),
     )
 
 

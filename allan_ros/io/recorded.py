@@ -36,6 +36,8 @@ class Provenance:
         What happened to the samples.
     settings : mapping
         The settings of the analysis, as plain values.
+    last_stamp_ns : int or None
+        Latest stamp of the samples; with simulated time, older samples are a repeated pass.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -43,17 +45,20 @@ class Provenance:
     findings: tuple[Finding, ...] = ()
     counts: Counts = field(default_factory=Counts)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    last_stamp_ns: int | None = None
 
     def __add__(self, other: Provenance) -> Provenance:
         """Return the provenance of both; equal findings appear once, settings are the first's."""
         counts = deepcopy(self.counts)
         counts.add(other.counts)
+        stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
         return Provenance(
             self.sources + other.sources,
             tuple(sorted(self.spans + other.spans, key=lambda span: span.start_ns)),
             tuple(dict.fromkeys(self.findings + other.findings)),
             counts,
             self.settings,
+            max(stamps, default=None),
         )
 
 

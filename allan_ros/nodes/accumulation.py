@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The part of a node that watches one IMU: messages in; running sums, checkpoint, health out."""
+"""One IMU of a node: messages in; running sums, checkpoint and input status out."""
 
 from __future__ import annotations
 
@@ -11,33 +11,35 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ..core.allan.sums import AllanSums
+from ..core.errors import one_line
 from ..core.findings import Finding, finding
-from ..core.imu import ImuBatch
+from ..core.imu import AXES, ImuBatch
 from ..core.settings import SegmenterSettings
 from ..core.stream.pipeline import ImuStream, RunSplitter
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
-from ..io.documents import sums_file_to_document
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
-from .checkpointing import CheckpointKeeper, Total
+from .checkpointing import CheckpointKeeper
 from .diagnostics import InputView, input_status, status_name
-from .imu_input import ImuInput
-from .parameters import ParameterGroup
+from .imu_input import IMU_TYPE, ImuInput
+from .node import AllanNode
 from .qos import LATCHED
-from .settings import CheckpointSettings, InputSettings, PublishSettings
+from .settings import CheckpointSettings, InputSettings
 from .shell import Periodic
+from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
 
-IMU_TYPE = 'sensor_msgs/msg/Imu'
+LIVE_COUNTERPARTS = frozenset(('gaps',))
+"""Findings of a complete stream that the findings of the live input say better."""
 
 
 class WatchedImu(NamedTuple):
-    """Which IMU: its topic, a label where there are several, and its serial number if given."""
+    """One IMU: its topic, a label where there are several, and its serial number if given."""
 
     topic: str
     label: str = ''
@@ -47,19 +49,22 @@ class WatchedImu(NamedTuple):
 class Settings:
     """The parameters of a node that accumulates."""
 
-    def __init__(self, node: Node) -> None:
-        self.input = ParameterGroup(node, 'input', InputSettings)
-        self.segmenter = ParameterGroup(node, 'segmenter', SegmenterSettings)
-        self.publish = ParameterGroup(node, 'publish', PublishSettings)
-        self.checkpoint = ParameterGroup(node, 'checkpoint', CheckpointSettings)
+    def __init__(self, node: AllanNode) -> None:
+        self.input = node.parameters.group('input', InputSettings)
+        self.segmenter = node.parameters.group('segmenter', SegmenterSettings)
+        self.publish = node.publish
+        self.checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
 
     def watched(self) -> list[tuple[WatchedImu, str]]:
         """Return each IMU with the path of its checkpoint ('' for none)."""
         imus = [WatchedImu(*imu) for imu in self.input.value.imus]
         path = self.checkpoint.value.path
-        if len(imus) == 1 or not path:
-            return [(imu, path) for imu in imus]
-        return [(imu, str(Path(path) / f'{imu.label}.json')) for imu in imus]
+        if not path:
+            return [(imu, '') for imu in imus]
+        file = Path(path).expanduser()
+        if len(imus) == 1:
+            return [(imus[0], str(file))]
+        return [(imu, str(file / f'{imu.label}.json')) for imu in imus]
 
 
 class ImuWatch:
@@ -67,7 +72,7 @@ class ImuWatch:
 
     Parameters
     ----------
-    node : Node
+    node : AllanNode
     imu : WatchedImu
     settings : Settings
     checkpoint_path : str
@@ -78,11 +83,11 @@ class ImuWatch:
 
     def __init__(
         self,
-        node: Node,
+        node: AllanNode,
         imu: WatchedImu,
         settings: Settings,
         checkpoint_path: str = '',
-        listener: Callable[[Total], None] | None = None,
+        listener: Callable[[Snapshot], None] | None = None,
     ) -> None:
         self._node, self._imu, self._settings, self._listener = node, imu, settings, listener
         self._log = node.get_logger()
@@ -93,7 +98,10 @@ class ImuWatch:
         self._health = TransportMonitor(self._input.topic, now)
         self._last_stamp_ns: int | None = None
         self.frame_id = ''
-        self._begin(self._checkpoint.sums)
+        self._axes: tuple[str, ...] = ()  # those that had a finite value so far
+        self._published: tuple[AllanSums, ...] = ()
+        self._published_imu: tuple[str, tuple[str, ...]] = '', ()
+        self._begin(self._checkpoint.last_stamp_ns)
 
         home = f'~/{imu.label}/' if imu.label else '~/'
         self._publisher = node.create_publisher(String, f'{home}sums', LATCHED)
@@ -104,8 +112,15 @@ class ImuWatch:
         self._sums_due = Periodic(lambda: settings.publish.value.sums_period, now)
         self._save_due = Periodic(lambda: settings.checkpoint.value.period, now)
 
+    @property
+    def description(self) -> str:
+        """What is watched, for the log at start."""
+        name = f' as {self._imu.label}' if self._imu.label else ''
+        checkpoint = self._checkpoint.path or 'none'
+        return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
+
     def tick(self, now: float) -> None:
-        """Do what is due; called by the node's timer, as often as the queue must be emptied."""
+        """Do what is due; called by the node's timer, as often as the queue must be drained."""
         self._input.drain()
         self._health.heard(now, self._input.received)
         if self._update_due.due(now):
@@ -114,49 +129,57 @@ class ImuWatch:
             self._update()
             self._publish(self._total())
         elif self._publisher.get_subscription_count() > self._subscribers:
-            self._publish(self._total())  # who is new need not wait
+            self._publish(self._total())  # a new subscriber need not wait for the period
         self._subscribers = self._publisher.get_subscription_count()
         if self._save_due.due(now):
             self._update()
             self._checkpoint.save_in_background(self._total())
 
-    def status(self, now: float) -> DiagnosticStatus:
-        """Return the health of the input."""
+    def statuses(self, now: float) -> list[DiagnosticStatus]:
+        """Return the status of the input."""
         self._update()
         self._checkpoint.tick()
-        known = self._accumulator.result()
-        reception, publishers = self._input.reception(), self._input.publishers()
+        known = self._stream.result()
+        sums = self._checkpoint.total(known.sums, Provenance())[0]
+        lost = replaced_share(self._published, sums) > REPLACED_SHARE
+        if lost or (self.frame_id, self._axes) != self._published_imu:
+            self._publish(self._total())
+        statistics, publishers = self._input.statistics(), self._input.publishers()
         silence = self._health.silence_s(now)
         stale_after = self._settings.input.value.stale_after
         found = self._health.observe(
-            now, reception, known.health, publishers, stale_after, known.findings
+            now,
+            statistics,
+            known.health,
+            publishers,
+            stale_after,
+            known.findings,
+            self._input.graph_findings(),
         )
-        noted = (f for f in known.findings if f.id not in LIVE_FINDINGS)
+        live = {*LIVE_FINDINGS, *LIVE_COUNTERPARTS, *(f.id for f in found)}
         stamp_age = None
         if self._last_stamp_ns is not None:
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9
-        return input_status(
-            status_name(self._node, self._imu.label or self._imu.topic, 'input'),
-            self._imu.hardware_id or self.frame_id,
-            InputView(
-                topic=self._input.topic,
-                health=known.health,
-                reception=reception,
-                findings=(*found, *self._checkpoint.findings),
-                noted=(*noted, *self._noted),
-                sums=self._checkpoint.total(known.sums, Provenance())[0],
-                publishers=publishers,
-                declared_rate=self._settings.segmenter.value.declared_rate,
-                path='draining' if self._input.lean else 'a plain callback',
-                received_age_s=silence if reception.received else None,
-                stamp_age_s=stamp_age,
-                checkpoint=self._checkpoint.path,
-                checkpoint_age_s=self._checkpoint.age_s(now),
-            ),
+        view = InputView(
+            topic=self._input.topic,
+            health=known.health,
+            statistics=statistics,
+            findings=(*found, *self._checkpoint.findings),
+            noted=(*(f for f in known.findings if f.id not in live), *self._noted),
+            sums=sums,
+            publishers=publishers,
+            declared_rate=self._settings.segmenter.value.declared_rate,
+            path='draining' if self._input.lean else 'a plain callback',
+            received_age_s=silence if statistics.received else None,
+            stamp_age_s=stamp_age,
+            checkpoint=self._checkpoint.path,
+            checkpoint_age_s=self._checkpoint.age_s(now),
         )
+        name = status_name(self._node, self._imu.label or self._imu.topic, 'input')
+        return [input_status(name, self._imu.hardware_id or one_line(self.frame_id), view)]
 
     def close(self) -> None:
-        """Take what has come, and write the checkpoint."""
+        """Process the last messages, and write the checkpoint."""
         self._input.drain()
         self._update()
         for _, piece in self._splitter.flush():
@@ -166,36 +189,42 @@ class ImuWatch:
 
     # --- samples in -------------------------------------------------------------------------------
 
-    def _begin(self, before: tuple[AllanSums, ...] = ()) -> None:
-        """Start to accumulate, after what was there before."""
-        self._accumulator = ImuStream(self._settings.segmenter.value, self._imu.hardware_id)
-        self._splitter = RunSplitter(_latest_ns(before))
+    def _begin(self, latest_ns: int | None = None) -> None:
+        """Start new sums; with sim time, samples up to the latest stamp are a repeated pass."""
+        self._stream = ImuStream(self._settings.segmenter.value, self._imu.hardware_id)
+        self._splitter = RunSplitter(latest_ns)
+        self._latest_ns: int | None = None  # of these sums
 
     def _update(self) -> None:
-        """Accumulate what has been drained."""
-        # Played with simulated time, a recording may be looped: its second pass is no evidence.
-        # Without it, stamps that go back are a clock that was set, which only cuts.
+        """Accumulate the drained messages."""
+        # With simulated time a recording may be looped; its second pass is no new data. With real
+        # time, stamps that go back mean that the clock was set, which only splits the data.
         played = bool(self._node.get_parameter('use_sim_time').value)
         for batch in self._input.batches():
             if not played:
                 self._take(batch)
                 continue
-            for new_run, piece in self._splitter.split(batch):
-                if new_run:
-                    self._begin_run()
+            for new_pass, piece in self._splitter.split(batch):
+                if new_pass:
+                    self._begin_pass()
                 self._take(piece)
 
     def _take(self, batch: ImuBatch) -> None:
-        self._accumulator.update(batch)
+        self._stream.update(batch)
+        if len(self._axes) < len(AXES):
+            finite = np.array(AXES)[np.isfinite(batch.samples).any(axis=0)].tolist()
+            self._axes = tuple(axis for axis in AXES if axis in self._axes or axis in finite)
         self.frame_id = batch.frame_id
         self._last_stamp_ns = int(batch.stamps_ns[-1])
+        self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
 
-    def _begin_run(self) -> None:
-        """Put the sums of the run that ended aside, and start anew."""
+    def _begin_pass(self) -> None:
+        """Set the sums of the pass that ended aside, and start new ones."""
         where = self._checkpoint.begin_anew(self._total())
         splitter = self._splitter
         self._begin()
         self._splitter = splitter  # it is in the middle of a batch
+        self._publish(self._total())
         note = finding('run_began_anew', kept=f'in {where}' if where else 'dropped')
         self._noted = (note,)
         self._log.info(str(note))
@@ -203,23 +232,30 @@ class ImuWatch:
     # --- sums out ---------------------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums as if the input ended now, with those of the runs before."""
-        known = self._accumulator.result()
+        """Return the sums as if the input ended now, with those of former runs of the node."""
+        known = self._stream.result()
         source = SourceInfo(
             self._node.get_fully_qualified_name(), self._input.topic, IMU_TYPE, 'live'
         )
         settings = asdict(self._settings.segmenter.value)
         provenance = Provenance(
-            (source,), known.spans, known.findings, known.health.counts, settings
+            (source,),
+            known.spans,
+            known.findings,
+            known.health.counts,
+            settings,
+            self._latest_ns,
         )
         return self._checkpoint.total(known.sums, provenance)
 
     def _publish(self, total: Total) -> None:
+        """Hand the sums to the listener, and publish them while somebody subscribes."""
+        self._published, self._published_imu = total[0], (self.frame_id, self._axes)
+        snapshot = Snapshot(total, self.frame_id, self._imu.hardware_id, self._axes)
         if self._listener is not None:
-            self._listener(total)
+            self._listener(snapshot)
         if self._publisher.get_subscription_count():
-            document = sums_file_to_document(*total)
-            text = json.dumps(document, separators=(',', ':'), allow_nan=False)
+            text = json.dumps(snapshot.to_document(), separators=(',', ':'), allow_nan=False)
             self._publisher.publish(String(data=text))
 
     # --- services ---------------------------------------------------------------------------------
@@ -230,7 +266,7 @@ class ImuWatch:
         total = self._total()
         self._publish(total)
         if not self._checkpoint.path:
-            response.message = 'no file: set checkpoint.path to have one'
+            response.message = 'nothing was saved: set checkpoint.path'
             return response
         response.success = self._checkpoint.save(total)
         samples = max((s.samples for s in total[0]), default=0)
@@ -245,19 +281,8 @@ class ImuWatch:
         self._begin()
         self._publish(self._total())
         response.success = True
-        response.message = 'the sums began anew'
+        response.message = 'the sums start from zero'
         if where:
             response.message += f'; those before are in {where}'
         response.message = '; '.join([response.message, *map(str, self._checkpoint.findings)])
         return response
-
-
-def _latest_ns(sums: tuple[AllanSums, ...]) -> int | None:
-    """Return the end of the latest segment that is known one by one."""
-    ends = [
-        segment.start_ns + round(segment.samples * s.tau0 * 1e9)
-        for s in sums
-        if s.tau0 is not None
-        for segment in s.segments
-    ]
-    return max(ends, default=None)

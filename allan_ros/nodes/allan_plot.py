@@ -52,8 +52,8 @@ class AllanPlot:
         self._next = 0.0
         self._able = True
 
-    def take(self, results: Results) -> None:
-        """Take what the next picture shows."""
+    def take(self, results: Results | None) -> None:
+        """Take the results that the next picture shows; None for none."""
         self._results = results
 
     def tick(self, now: float) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the checkpoint of one IMU up to date, without ever holding up the draining of messages."""
+"""Keeps the checkpoint of one IMU up to date; writing never delays the draining of messages."""
 
 from __future__ import annotations
 
@@ -16,24 +16,22 @@ from ..core.findings import Finding, finding
 from ..io.checkpoint import Checkpoint
 from ..io.files import PathLock
 from ..io.recorded import Provenance
+from .snapshot import Total
 
 SPANS_KEPT = 1000
-"""Longest segments that are listed beside the sums."""
-
-Total = tuple[tuple[AllanSums, ...], Provenance]
-"""Sums of all runs of an IMU, and where they come from."""
+"""Longest segments that are listed next to the sums."""
 
 
 class CheckpointKeeper:
-    """Adds the sums of former runs to those of this one, and saves the total.
+    """Adds the sums of former runs of the node to the present ones, and saves the total.
 
-    Every trouble is a finding, told once in the log: a node goes on without its checkpoint. A path
-    that another node keeps is neither read nor written: the two would overwrite each other's sums.
+    Every problem becomes a finding and is logged once; the node continues without its checkpoint.
+    A path that another node has locked is neither read nor written.
 
     Parameters
     ----------
     path : str
-        '' for none: then totals are those of this run, and nothing is saved.
+        Missing folders are created. '' for none: then nothing is loaded or saved.
     log : rclpy logger
     """
 
@@ -54,22 +52,31 @@ class CheckpointKeeper:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """Sums of the runs before this one."""
+        """Sums of the former runs of the node."""
         return self._file.sums if self._file is not None else ()
 
     @property
+    def last_stamp_ns(self) -> int | None:
+        """Latest stamp of the samples in the file; None where nothing is known."""
+        if self._file is None:
+            return None
+        ends = [s.start_ns + round(s.duration_s * 1e9) for s in self._file.provenance.spans]
+        known = self._file.provenance.last_stamp_ns
+        return max(ends if known is None else [known, *ends], default=None)
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the file now."""
+        """Present problems of the file."""
         file = self._file
         of_file = (file.refused, file.loaded) if file is not None else ()
         return tuple(f for f in (self._in_use, self._unsaved, *of_file) if f is not None)
 
     def age_s(self, now: float) -> float | None:
-        """Return how old the file is (steady clock), None before it was written."""
+        """Return the age of the file in s (steady clock); None before it was written."""
         return None if self._saved_s is None else now - self._saved_s
 
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
-        """Return the sums of all runs; a file of another IMU is left alone."""
+        """Return the sums of all runs; a file of another IMU is left unchanged."""
         self._news = bool(sums)
         if self._file is None:
             return sums, provenance
@@ -83,7 +90,7 @@ class CheckpointKeeper:
         return total, _shortened(self._file.provenance + provenance, provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total now, where it says more than the file; return whether the file has it."""
+        """Write the total now if there are new samples; return whether the file holds it."""
         self._wait()
         if not self._may_write() or self._file is None:
             return False
@@ -98,18 +105,24 @@ class CheckpointKeeper:
         return True
 
     def save_in_background(self, total: Total) -> None:
-        """Write the total while messages go on; what became of it is learned the next time."""
+        """Write the total in a thread; the outcome is collected by `tick` or the next call."""
         self._wait()
         if self._news and self._may_write() and self._file is not None:
             self._writing = self._writer.submit(self._file.save, *total)
 
     def tick(self) -> None:
-        """Learn what became of a writing in the background, once it has ended."""
+        """Collect the outcome of a write in the background, once it has ended."""
         if self._writing is not None and self._writing.done():
             self._wait()
 
     def begin_anew(self, total: Total) -> str:
-        """Save the total under another name and forget it; return where it is, '' for nowhere."""
+        """Save the total, rename the file to ``.previous`` and start from zero.
+
+        Returns
+        -------
+        str
+            Path of the renamed file; '' where there is none.
+        """
         saved = self.save(total)
         if self._file is None:
             return ''
@@ -122,15 +135,20 @@ class CheckpointKeeper:
         return ''
 
     def close(self) -> None:
-        """Let the last writing end, and the path go."""
+        """Wait for the last write, and release the path."""
         self._wait()
         self._writer.shutdown()
         self._lock.release()
 
     def _open(self) -> None:
         try:
+            Path(self.path).parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = f'{Path(self.path).parent} cannot be created ({error.strerror})'
+            self._note(AllanError(reason))
+        try:
             owner = self._lock.acquire()
-        except AllanError as error:  # the file may be read all the same
+        except AllanError as error:  # the file may be readable nevertheless
             self._note(error)
             owner = ''
         if owner:
@@ -150,7 +168,7 @@ class CheckpointKeeper:
             self._file.remove_drafts()
 
     def _may_write(self) -> bool:
-        """Return whether the file is ours, also where its folder could not be written so far."""
+        """Return whether this node may write the file; retries a lock that failed so far."""
         if self._file is None or self._file.refused is not None:
             return False
         try:
@@ -168,7 +186,7 @@ class CheckpointKeeper:
         self._file = self._unsaved = None
 
     def _wait(self) -> None:
-        """Learn what became of the last writing in the background."""
+        """Wait for the write in the background and collect its outcome."""
         writing, self._writing = self._writing, None
         if writing is None:
             return
@@ -186,7 +204,7 @@ class CheckpointKeeper:
 
 
 def _shortened(provenance: Provenance, findings: tuple[Finding, ...]) -> Provenance:
-    """Return it as it may stand in a file for years: its longest spans, findings of this run."""
+    """Return it in bounded size: the longest segments, and the findings of this run only."""
     longest = sorted(provenance.spans, key=lambda span: -span.samples)[:SPANS_KEPT]
     return replace(
         provenance,

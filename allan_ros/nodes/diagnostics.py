@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnostic status of one axis: its five terms in SI and in the datasheets' units."""
+"""Diagnostic statuses of an input and of an axis, as messages on `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rclpy.node import Node
 from ..core.allan.recent import Change, RecentCurve
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison
+from ..core.errors import one_line
 from ..core.findings import Finding, finding
 from ..core.fit.duration import recommended_duration
 from ..core.fit.findings import about
@@ -43,15 +44,16 @@ LEVELS: Mapping[str, bytes] = {
 
 @dataclass(frozen=True)
 class InputView:
-    """All that is shown of one input.
+    """What the status of one input shows.
 
-    ``received_age_s`` is None before the first message; ``stamp_age_s`` is the ROS time since the
-    last header stamp; ``path`` says how messages are taken in.
+    ``noted`` are findings that do not change the level. ``received_age_s`` is None before the
+    first message; ``stamp_age_s`` is the ROS time since the last header stamp; ``path`` names how
+    messages are received.
     """
 
     topic: str
     health: StreamHealth
-    reception: TransportStatistics
+    statistics: TransportStatistics
     findings: tuple[Finding, ...]
     noted: tuple[Finding, ...]
     sums: tuple[AllanSums, ...]
@@ -65,46 +67,48 @@ class InputView:
 
 
 def diagnostic_array(node: Node, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
-    """Return the statuses as one message of now."""
+    """Return the statuses as one message, stamped now."""
     array = DiagnosticArray(status=list(statuses))
     array.header.stamp = node.get_clock().now().to_msg()
     return array
 
 
 def status_name(node: Node, *words: str) -> str:
-    """Return ``<node>: <words>``, with the namespace where there is one."""
-    return f'{node.get_fully_qualified_name().strip("/")}: {" ".join(w for w in words if w)}'
+    """Return ``<node>: <words>``, with the namespace if any; control characters are escaped."""
+    return one_line(
+        f'{node.get_fully_qualified_name().strip("/")}: {" ".join(w for w in words if w)}'
+    )
 
 
 def key_values(pairs: Iterable[tuple[str, object]]) -> list[KeyValue]:
-    """Return the pairs as the strings the message wants; None is 'unknown'."""
+    """Return the pairs as strings; None becomes 'unknown'."""
     return [KeyValue(key=key, value=_text(value)) for key, value in pairs]
 
 
 def worst_level(findings: Iterable[Finding]) -> bytes:
-    """Return the level of the gravest finding; OK without one."""
+    """Return the level of the most severe finding; OK without one."""
     return max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK)
 
 
 def message_of(findings: Sequence[Finding], otherwise: str) -> str:
-    """Return what to read first: the first warning or error, else the state of things."""
-    grave = [f for f in findings if f.severity != 'info']
-    if not grave:
+    """Return the first warning or error and how many there are more, else the other text."""
+    severe = [f for f in findings if f.severity != 'info']
+    if not severe:
         return otherwise
-    more = f' (and {len(grave) - 1} more)' if len(grave) > 1 else ''
-    return f'{grave[0]}{more}'
+    more = f' (and {len(severe) - 1} more)' if len(severe) > 1 else ''
+    return f'{severe[0]}{more}'
 
 
 def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStatus:
     """Return the status of one input."""
-    h, c, r = view.health, view.health.counts, view.reception
-    evidence = max((s.elapsed_ns * 1e-9 for s in view.sums), default=0.0)
+    h, c, r = view.health, view.health.counts, view.statistics
+    static_s = max((s.elapsed_ns * 1e-9 for s in view.sums), default=0.0)
     pairs: list[tuple[str, object]] = [
         ('topic', view.topic),
         ('state', h.state),
         ('rate [Hz]', h.rate_hz),
         ('declared rate [Hz]', view.declared_rate or None),
-        ('evidence [s]', evidence),
+        ('evidence [s]', static_s),
         ('segments', max((s.segment_count for s in view.sums), default=0)),
         ('share of still time', h.still_share),
         ('received [messages]', r.received),
@@ -136,23 +140,23 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
     return DiagnosticStatus(
         level=worst_level(view.findings),
         name=name,
-        message=message_of(view.findings, _state_text(view, evidence)),
+        message=message_of(view.findings, _state_text(view, static_s)),
         hardware_id=hardware_id,
         values=key_values(pairs),
     )
 
 
-def _state_text(view: InputView, evidence: float) -> str:
+def _state_text(view: InputView, static_s: float) -> str:
     h = view.health
-    gathered = f'{duration_text(evidence)} of evidence'
+    static = f'{duration_text(static_s)} of static data'
     if h.state == 'waiting':
         return 'waiting for the first message'
     if h.state == 'learning':
-        return 'learning rate and noise floor; keep the IMU still'
+        return 'learning the rate and the noise floor; keep the IMU still'
     rate = f'{h.rate_hz:.4g} Hz' if h.rate_hz else 'unknown rate'
     if h.state == 'moving':
-        return f'moving at {rate}: evidence waits, {gathered} so far'
-    return f'still at {rate}: {gathered}'
+        return f'moving at {rate}: samples in motion are not used, {static} so far'
+    return f'still at {rate}: {static}'
 
 
 def _text(value: object) -> str:
@@ -160,27 +164,28 @@ def _text(value: object) -> str:
         return 'unknown'
     if isinstance(value, float):
         return f'{value:.6g}'
-    return str(value)
+    return one_line(str(value))
 
 
 RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
-"""Averaging times at which recent and former deviation are shown side by side."""
+"""Averaging times at which the recent deviation is compared with the former one."""
 
 
 @dataclass(frozen=True)
 class AxisView:
-    """All that is shown of one axis.
+    """What the status of one axis shows.
 
-    ``result`` is None before the first fit; ``trouble`` says why there is none; ``change`` is
-    None unless the noise changed by more than the margin.
+    ``sums`` is None before there are any, ``result`` before the first fit; ``problems`` are a
+    failed fit and a withdrawn model; ``change`` is None unless the noise changed by more than the
+    margin.
     """
 
     axis: str
-    sums: AllanSums
+    sums: AllanSums | None
     result: AxisResult | None
     method: str
     fit_age_s: float | None
-    trouble: str
+    problems: tuple[Finding, ...]
     comparisons: tuple[Comparison, ...]
     margin: float
     recent: RecentCurve | None
@@ -189,8 +194,8 @@ class AxisView:
 
 def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus:
     """Return the status of one axis."""
-    findings = [*_change_findings(view), *_limit_findings(view)]
-    evidence = view.sums.elapsed_ns * 1e-9
+    findings = [*view.problems, *_change_findings(view), *_limit_findings(view)]
+    static_s = view.sums.elapsed_ns * 1e-9 if view.sums else 0.0
     pairs: list[tuple[str, object]] = []
     if view.result is not None:
         for units in ('si', 'datasheet'):
@@ -204,12 +209,12 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
-            ('next coefficient', _next_term(view, view.result, evidence) or None),
+            ('next coefficient', _next_term(view, view.result, static_s) or None),
         ]
     pairs += [
-        ('evidence [s]', evidence),
-        ('segments', view.sums.segment_count),
-        ('longest averaging time [s]', _longest_tau(view.sums)),
+        ('evidence [s]', static_s),
+        ('segments', view.sums.segment_count if view.sums else 0),
+        ('longest averaging time [s]', _longest_tau(view.sums) if view.sums else None),
     ]
     for c in view.comparisons:
         unit = shown_unit(view.axis, c.term, 'datasheet')
@@ -220,7 +225,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     return DiagnosticStatus(
         level=worst_level(findings),
         name=name,
-        message=message_of(findings, _summary(view, evidence)),
+        message=message_of(findings, _summary(view, static_s)),
         hardware_id=hardware_id,
         values=key_values(pairs),
     )
@@ -239,7 +244,7 @@ def _term_pairs(
 
 
 def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, object]]:
-    """Return the ends of what is known as bare numbers: plotters draw no ``low..high``."""
+    """Return the ends of the interval as bare numbers: plotters cannot draw ``low..high``."""
     low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
     ends = {'low': low, 'high': high}
     return [
@@ -282,11 +287,11 @@ def _change_findings(view: AxisView) -> list[Finding]:
     change = view.change
     if change is None:
         return []
-    term = _ruling_term(view.result, change.m)
+    term = _dominant_term(view.result, change.m)
     if term in ('N', 'Q'):
         what, unit = term, shown_unit(view.axis, term, 'datasheet')
         before, after = change.in_terms_of(term)
-    else:  # K and R live in the lifetime only, and B has no averaging time of its own
+    else:  # the window is too short for K and R, and B has no averaging time of its own
         what = f'the deviation at {significant(change.tau, 2)} s'
         unit = shown_unit(view.axis, 'B', 'datasheet')
         before, after = change.before, change.after
@@ -305,37 +310,37 @@ def _change_findings(view: AxisView) -> list[Finding]:
     ]
 
 
-def _ruling_term(result: AxisResult | None, m: int) -> str:
-    """Return the term that makes most of the fitted curve at a factor; '' before a fit."""
+def _dominant_term(result: AxisResult | None, m: int) -> str:
+    """Return the term that contributes most to the fitted curve at m; '' before a fit."""
     if result is None:
         return ''
     parts = result.part_adev(np.array([m]))
     return max(parts, key=lambda name: float(parts[name][0]), default='')
 
 
-def _summary(view: AxisView, evidence: float) -> str:
-    """Return the coefficients that are known, in the datasheets' units."""
-    if view.trouble:
-        return f'no coefficients yet: {view.trouble}'
+def _summary(view: AxisView, static_s: float) -> str:
+    """Return the known coefficients in the units of datasheets."""
+    if view.sums is None:
+        return 'no coefficients yet: no static data so far; keep the IMU still for a minute'
     if view.result is None:
-        return f'no coefficients yet, from {duration_text(evidence)} of evidence'
+        return f'no coefficients yet, from {duration_text(static_s)} of static data'
     shown = []
     for term in ('N', 'B', 'K'):
         unit = shown_unit(view.axis, term, 'datasheet')
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')
-    known = f'{", ".join(shown) or "no coefficient"} from {duration_text(evidence)} of evidence'
-    upcoming = _next_term(view, view.result, evidence)
+    known = f'{", ".join(shown) or "no coefficient"} from {duration_text(static_s)} of static data'
+    upcoming = _next_term(view, view.result, static_s)
     return f'{known}; {upcoming}' if upcoming else known
 
 
-def _next_term(view: AxisView, result: AxisResult, evidence: float) -> str:
+def _next_term(view: AxisView, result: AxisResult, static_s: float) -> str:
     """Return how long a rest resolves what is missing and matters; '' where nothing is."""
     if view.method != 'gls':
-        return ''  # the times are those of that fit
+        return ''  # the prediction holds for that fit only
     limits = {c.term: c.limit for c in view.comparisons if c.axis == view.axis}
-    advice = recommended_duration(result.fit, evidence, limits)
+    advice = recommended_duration(result.fit, static_s, limits)
     if advice is None:
         return ''
     seconds, terms = advice

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The part of a node that turns one IMU's sums into coefficients: when to fit, what to publish."""
+"""Turns the sums of one IMU into coefficients: when to fit, what to publish, what to withdraw."""
 
 from __future__ import annotations
 
@@ -9,58 +9,74 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ..core.allan.recent import Change, RecentCurve, RecentView
 from ..core.allan.sums import AllanSums
 from ..core.compare import Reference, compare, reference_of_run
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
+from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
 from ..io.datasheets import load_sensor
 from ..io.documents import results_from_document, results_to_document
 from ..io.results import Results, analyse_sums
 from ..io.text import read_json
 from .allan_plot import AllanPlot
-from .checkpointing import Total
-from .diagnostics import AxisView, axis_status, status_name
+from .diagnostics import AxisView, axis_status, key_values, message_of, status_name, worst_level
+from .node import AllanNode
 from .parameters import ParameterGroup
 from .qos import LATCHED
 from .settings import EstimatorSettings
 from .shell import Worker
+from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
 
 FIT_SHARE = 0.05
 """A fit may keep a core busy for at most this share of the time."""
 
+LONGEST_WAIT_S = 60.0
+"""The next fit waits at most this long for its share, however long a fit takes."""
+
+STALE_PERIODS = 3.0
+"""Sums are reported as missing after this many of their periods."""
+
+ALONE_S = 5.0
+"""Sums that nobody publishes are reported as missing after this time; less is discovery."""
+
 
 def load_references(settings: EstimatorSettings) -> tuple[Reference, ...]:
-    """Return what the coefficients are to be held against.
+    """Return the datasheet and the former results that coefficients are compared with.
 
     Raises
     ------
     AllanError
-        When the datasheet or the former run cannot be read.
+        When one of them cannot be read.
     """
     references = []
     if settings.sensor:
         references.append(load_sensor(settings.sensor).reference())
     if settings.baseline:
-        former = results_from_document(read_json(settings.baseline), settings.baseline)
+        path = str(Path(settings.baseline).expanduser())
+        former = results_from_document(read_json(path), path)
         noise = {name: axis.fit.noise for name, axis in former.axes.items()}
-        references.append(reference_of_run(settings.baseline, noise))
+        references.append(reference_of_run(path, noise))
     return tuple(references)
 
 
 class ImuEstimate:
-    """Fits the sums of one IMU when they have grown enough, and says how they stand.
+    """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
+
+    Sums that lost samples invalidate the model: it is withdrawn at once (a noise model without axes
+    is published), a warning replaces the coefficients, and the sums are fitted again.
 
     Parameters
     ----------
-    node : Node
+    node : AllanNode
     label : str
         '' where the node has only this IMU.
     settings : ParameterGroup of EstimatorSettings
@@ -68,12 +84,12 @@ class ImuEstimate:
     worker : Worker
         Where fits are computed.
     listener : callable, optional
-        Called with the results of every fit.
+        Called with the results of every fit, and with results without axes at a withdrawal.
     """
 
     def __init__(
         self,
-        node: Node,
+        node: AllanNode,
         label: str,
         settings: ParameterGroup[EstimatorSettings],
         references: Sequence[Reference],
@@ -82,11 +98,13 @@ class ImuEstimate:
     ) -> None:
         self._node, self._label, self._settings = node, label, settings
         self._references, self._worker, self._listener = references, worker, listener
-        self._total: Total | None = None
+        self._snapshot: Snapshot | None = None
         self._results: Results | None = None
         self._fitted: tuple[AllanSums, ...] = ()
-        self._trouble = ''
+        self._failed: Finding | None = None
+        self._withdrawn: Finding | None = None
         self._fitting: Future[tuple[Results, float]] | None = None
+        self._outdated = False  # whether the fit in progress is of sums that were replaced
         self._fit_ended = self._next_fit = 0.0
         self._recent: dict[tuple[str, ...], RecentView] = {}
         self._curves: dict[tuple[str, ...], RecentCurve | None] = {}
@@ -96,76 +114,125 @@ class ImuEstimate:
         self._plot = AllanPlot(node, home, lambda: settings.value.plot_period, worker)
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
-    def take(self, total: Total) -> None:
-        """Take the latest sums; fit them if they have grown enough."""
-        self._total = total
-        sums = total[0]
-        if not sums or not _same_imu(sums, self._fitted):
-            self._results, self._fitted, self._trouble, self._next_fit = None, (), '', 0.0
-        self._look_back(sums)
-        if self._fitting is None and time.monotonic() >= self._next_fit and self._has_grown(sums):
-            self._start(total)
+    def take(self, snapshot: Snapshot) -> None:
+        """Take the latest sums; fit them if they have grown enough or were replaced."""
+        self._snapshot = snapshot
+        lost = replaced_share(self._fitted, snapshot.sums)
+        if lost > REPLACED_SHARE:
+            self._withdraw(lost)
+        self._compare_recent(snapshot.sums)
+        self._fit_if_due()
 
     def tick(self, now: float) -> None:
-        """Learn what became of a fit, and show it to who looks."""
+        """Collect the result of a fit that has ended, and publish it."""
         self._plot.tick(now)
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
+        if self._outdated:
+            self._outdated = False
+            self._fit_if_due()
+            return
         try:
             self._results, took = fitting.result()
-        except AllanError as error:
-            self._trouble = str(error)
+        except Exception as error:
+            self._fail(error)
             return
-        except Exception as error:  # a fault of ours must not end the gathering of evidence
-            self._trouble = f'the fit failed ({error!r}); please report it with the log'
-            self._node.get_logger().error(''.join(traceback.format_exception(error)))
-            return
-        self._trouble = ''
-        self._fit_ended, self._next_fit = now, now + took * (1.0 / FIT_SHARE - 1.0)
-        if not _same_imu(self._fitted, self._total[0] if self._total else ()):
-            self._results = None  # it was of the IMU before
-            return
-        document = results_to_document(self._results, curves=False)
-        text = json.dumps(document, separators=(',', ':'), allow_nan=False)
-        self._publisher.publish(String(data=text))
-        self._plot.take(self._results)
-        if self._listener is not None:
-            self._listener(self._results)
+        self._failed = self._withdrawn = None
+        wait = min(took * (1.0 / FIT_SHARE - 1.0), LONGEST_WAIT_S)
+        self._fit_ended, self._next_fit = now, now + wait
+        self._publish(self._results)
+
+    def close(self) -> None:
+        """Do nothing: everything known is in the sums."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return one status for each axis that has sums."""
-        sums = self._total[0] if self._total else ()
-        margin = self._settings.value.margin
-        statuses = []
-        for s in sums:
-            for axis in s.axes:
-                fit = self._results.axes.get(axis) if self._results else None
-                noise = fit.fit.noise if fit else {}
-                change = self._changes.get(axis)
-                view = AxisView(
-                    axis=axis,
-                    sums=s,
-                    result=fit,
-                    method=self._results.method if self._results else '',
-                    fit_age_s=now - self._fit_ended if fit else None,
-                    trouble=self._trouble,
-                    comparisons=tuple(
-                        c for r in self._references if fit for c in compare(axis, noise, r, margin)
-                    ),
-                    margin=margin,
-                    recent=self._curves.get(s.axes),
-                    change=change if change and change.beyond(margin) else None,
-                )
-                name = status_name(
-                    self._node, self._label, s.identity.frame_id, axis.replace('_', ' ')
-                )
-                hardware_id = s.identity.hardware_id or s.identity.frame_id
-                statuses.append(axis_status(name, hardware_id, view))
-        return statuses
+        """Return one status per axis, from the first message on."""
+        if self._snapshot is None:
+            return []
+        known = [
+            (axis, s, s.identity.frame_id, s.identity.hardware_id)
+            for s in self._snapshot.sums
+            for axis in s.axes
+        ]
+        connected = self._snapshot
+        waiting = [
+            (axis, None, connected.frame_id, connected.hardware_id) for axis in connected.axes
+        ]
+        return [self._axis_status(now, *each) for each in known or waiting]
 
-    def _look_back(self, sums: tuple[AllanSums, ...]) -> None:
-        """Hold what came lately against what was before."""
+    def _axis_status(
+        self, now: float, axis: str, sums: AllanSums | None, frame_id: str, hardware_id: str
+    ) -> DiagnosticStatus:
+        margin = self._settings.value.margin
+        fit = self._results.axes.get(axis) if self._results else None
+        noise = fit.fit.noise if fit else {}
+        change = self._changes.get(axis)
+        view = AxisView(
+            axis=axis,
+            sums=sums,
+            result=fit,
+            method=self._results.method if self._results else '',
+            fit_age_s=now - self._fit_ended if fit else None,
+            problems=tuple(f for f in (self._failed, self._withdrawn) if f is not None),
+            comparisons=tuple(
+                c for r in self._references if fit for c in compare(axis, noise, r, margin)
+            ),
+            margin=margin,
+            recent=self._curves.get(sums.axes) if sums is not None else None,
+            change=change if change and change.beyond(margin) else None,
+        )
+        name = status_name(self._node, self._label, frame_id, axis.replace('_', ' '))
+        return axis_status(name, one_line(hardware_id or frame_id), view)
+
+    # --- fitting ----------------------------------------------------------------------------------
+
+    def _fit_if_due(self) -> None:
+        """Start a fit if the sums have changed enough and the last fit was long enough ago."""
+        if self._snapshot is None or self._fitting is not None:
+            return
+        if time.monotonic() >= self._next_fit and self._has_changed(self._snapshot.sums):
+            self._start(self._snapshot.total)
+
+    def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
+        samples, fitted = (max((s.samples for s in x), default=0) for x in (sums, self._fitted))
+        grown = samples >= fitted * (1.0 + self._settings.value.growth)
+        return samples > 0 and (grown or samples < fitted)
+
+    def _start(self, total: Total) -> None:
+        self._fitted, self._outdated = total[0], False
+        self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
+
+    def _fail(self, error: Exception) -> None:
+        """Report a fit that failed; the sums go on accumulating and are fitted again."""
+        if not isinstance(error, AllanError):
+            self._node.get_logger().error(''.join(traceback.format_exception(error)))
+        reason = str(error) if isinstance(error, AllanError) else repr(error)
+        self._failed = finding('fit_failed', reason=reason.rstrip('.'))
+        self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
+
+    def _withdraw(self, lost: float) -> None:
+        """Withdraw the model of replaced sums, and fit the present ones as soon as possible."""
+        self._outdated = self._fitting is not None
+        self._fitted, self._failed, self._next_fit = (), None, 0.0
+        results, self._results = self._results, None
+        if results is None:
+            return
+        self._withdrawn = finding('model_withdrawn', lost=lost)
+        self._node.get_logger().warning(str(self._withdrawn))
+        empty = replace(results, axes={}, samples=0, duration_s=0.0, segments=0, datasheet=None)
+        self._publish(replace(empty, findings=(self._withdrawn,)))
+
+    def _publish(self, results: Results) -> None:
+        document = results_to_document(results, curves=False)
+        text = json.dumps(document, separators=(',', ':'), allow_nan=False)
+        self._publisher.publish(String(data=text))
+        self._plot.take(results if results.axes else None)
+        if self._listener is not None:
+            self._listener(results)
+
+    def _compare_recent(self, sums: tuple[AllanSums, ...]) -> None:
+        """Compare the recent window with the time before it."""
         now = self._node.get_clock().now().nanoseconds * 1e-9
         self._recent = {s.axes: self._recent.get(s.axes) or self._new_recent() for s in sums}
         self._curves, self._changes = {}, {}
@@ -181,24 +248,74 @@ class ImuEstimate:
     def _new_recent(self) -> RecentView:
         return RecentView(self._settings.value.recent_window)
 
-    def _has_grown(self, sums: tuple[AllanSums, ...]) -> bool:
-        samples, fitted = (max((s.samples for s in x), default=0) for x in (sums, self._fitted))
-        return samples > 0 and samples >= fitted * (1.0 + self._settings.value.growth)
-
-    def _start(self, total: Total) -> None:
-        self._fitted = total[0]
-        self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
-
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._total is None or not self._total[0]:
+        if self._snapshot is None or not self._snapshot.sums:
             response.message = 'there are no sums yet'
         elif self._fitting is not None:
-            response.message = 'a fit is under way; its result comes on noise_model'
+            response.message = 'a fit is in progress; its result is published on noise_model'
         else:
-            self._start(self._total)
+            self._start(self._snapshot.total)
             response.success = True
-            response.message = 'fitting; the result comes on noise_model'
+            response.message = 'fitting; the result is published on noise_model'
         return response
+
+
+class SumsInput:
+    """Subscribes ``sums`` of an accumulator in another process.
+
+    Parameters
+    ----------
+    node : AllanNode
+    listener : callable
+        Called with every snapshot.
+    """
+
+    def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
+        self._node, self._listener = node, listener
+        self._last = time.monotonic()
+        self._problem = ''
+        self._subscription = node.create_subscription(String, 'sums', self._on_sums, LATCHED)
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic."""
+        return str(self._subscription.topic_name)
+
+    def tick(self, now: float) -> None:
+        """Do nothing: sums arrive in a callback."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def statuses(self, now: float) -> list[DiagnosticStatus]:
+        """Return whether sums arrive."""
+        age = now - self._last
+        patience = STALE_PERIODS * self._node.publish.value.sums_period
+        if not self._node.count_publishers(self.topic):
+            patience = min(patience, ALONE_S)
+        findings = [finding('no_sums', topic=self.topic, seconds=age)] if age > patience else []
+        status = DiagnosticStatus(
+            level=worst_level(findings),
+            name=status_name(self._node, 'sums'),
+            message=message_of(findings, f'sums arrive on {self.topic}'),
+            values=key_values([('topic', self.topic), ('sums age [s]', age)]),
+        )
+        if self._problem:
+            status.level, status.message = DiagnosticStatus.ERROR, self._problem
+        return [status]
+
+    def _on_sums(self, message: String) -> None:
+        self._last = time.monotonic()
+        try:
+            self._listener(Snapshot.from_json(message.data))
+        except AllanError as error:
+            self._problem = f'these sums cannot be read: {error}'
+            self._node.get_logger().warning(self._problem, throttle_duration_sec=60.0)
+        except Exception as error:  # a document must never end the node
+            self._problem = f'these sums cannot be used: {one_line(repr(error))}'
+            self._node.fault('sums', error)
+        else:
+            self._problem = ''
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
@@ -207,10 +324,5 @@ def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
     try:
         results = analyse_sums(*total, method)
     finally:
-        clear_cache()  # the next fit sees longer segments and needs other tables
+        clear_cache()  # the next fit has longer segments and needs other tables
     return results, time.monotonic() - began
-
-
-def _same_imu(a: tuple[AllanSums, ...], b: tuple[AllanSums, ...]) -> bool:
-    """Return whether both are of one IMU and one of them may be the other, later on."""
-    return [(s.identity, s.axes) for s in a] == [(s.identity, s.axes) for s in b]

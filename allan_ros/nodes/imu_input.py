@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Imu messages taken in lean: the queue of the subscription is drained by a timer, as raw bytes.
+"""Imu messages without a callback per message: a timer drains the queue of the subscription.
 
-One Python callback per message costs more than all the rest. So the subscription is kept out of
-the executor's wait set, and its queue is emptied by `ImuInput.drain` a few times a second with
-``take_message``, which is what rclpy's executors call, though undocumented. Where a client
-library lacks it, messages come by a plain raw callback instead: same bytes, same numbers.
+One Python callback per message costs more than everything else. So the subscription is kept out
+of the executor's wait set, and `ImuInput.drain` empties its queue a few times a second with
+``take_message``, an undocumented method that rclpy's executors call. Where a client library lacks
+it, a plain raw callback receives the same bytes.
 """
 
 from __future__ import annotations
@@ -19,29 +19,43 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
 
+from ..core.errors import one_line
+from ..core.findings import Finding, finding
 from ..core.imu import ImuBatch
 from ..core.stream.transport import TransportStatistics
 from ..io.readers.cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
-from .qos import NO_CALLBACKS, QosEvents
+from ..io.readers.recording import ACCEL_UNITS, GYRO_UNITS
+from .qos import NO_CALLBACKS, QosEvents, qos_text
 from .settings import InputSettings
 
+IMU_TYPE = 'sensor_msgs/msg/Imu'
+
 DRAIN_LIMIT = 50_000
-"""Messages taken in one drain: a publisher that outruns us must not lock the node in it."""
+"""Messages taken in one drain, so that a faster publisher cannot keep the node in it forever."""
+
+SUGGESTED_TOPICS = 5
+"""Imu topics that are named where the topic given has another type."""
 
 FIRST_NUMBER = 1
 """Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
 
 
 class DrainedGroup(CallbackGroup):
-    """A callback group that never executes: its subscription stays out of the wait set."""
+    """A callback group that never executes, so its subscription stays out of the wait set."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Return False: the queue is emptied by hand."""
+        """Return False: the queue is drained explicitly."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
@@ -49,7 +63,7 @@ class DrainedGroup(CallbackGroup):
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing: nothing begins."""
+        """Do nothing, because nothing is ever executed."""
 
 
 class ImuInput:
@@ -64,12 +78,16 @@ class ImuInput:
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
-        self._reception = TransportStatistics()
+        self._statistics = TransportStatistics()
         self._node = node
         self._payloads: list[bytes] = []
         self._received_ns: list[int] = []
         self._last_number: dict[bytes, int | None] = {}
         self._publisher_count, self._alone = 1, True
+        self._scale = np.repeat(
+            [GYRO_UNITS[settings.gyro_unit], ACCEL_UNITS[settings.accel_unit]], 3
+        )
+        """Size of the unit of each axis in SI units."""
         # Best effort connects to every publisher; reliable publishers still deliver in order.
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
@@ -100,8 +118,8 @@ class ImuInput:
         """Empty the queue of the subscription."""
         if not self.lean:
             return
-        # What the queue holds may still be of a publisher that has gone, so a change counts until
-        # the next time.
+        # The queue may still hold messages of a publisher that has gone, so a change counts until
+        # the next drain.
         count = self._node.count_publishers(self.topic)
         self._alone = max(count, self._publisher_count) <= 1
         self._publisher_count = count
@@ -116,14 +134,14 @@ class ImuInput:
                 self._collect(*taken)
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Yield what has been drained, decoded, in order; each batch has one frame_id."""
+        """Yield the drained messages in SI units and in order; each batch has one frame_id."""
         payloads, received = self._payloads, np.array(self._received_ns, np.int64)
         self._payloads, self._received_ns = [], []
         try:
             decoded = decode_imus(payloads, 'cdr')
         except MalformedMessage:
             well = [is_imu(payload, 'cdr') for payload in payloads]
-            self._reception.malformed += well.count(False)
+            self._statistics.malformed += well.count(False)
             decoded = decode_imus(list(compress(payloads, well)), 'cdr')
             received = received[np.array(well, bool)]
         if len(decoded.frames):
@@ -131,26 +149,58 @@ class ImuInput:
 
     def publishers(self) -> tuple[str, ...]:
         """Return the full names of the nodes that publish on the topic, one per publisher."""
+        return tuple(map(full_name, self._node.get_publishers_info_by_topic(self.topic)))
+
+    def graph_findings(self) -> tuple[Finding, ...]:
+        """Return why publishers on the topic do not match this subscription, by the graph."""
         known = self._node.get_publishers_info_by_topic(self.topic)
-        return tuple(f'{p.node_namespace.rstrip("/")}/{p.node_name}' for p in known)
+        imus = [p for p in known if p.topic_type == IMU_TYPE]
+        if known and not imus:
+            types = ', '.join(sorted({p.topic_type for p in known}))
+            topics = [
+                topic
+                for topic, kinds in self._node.get_topic_names_and_types()
+                if IMU_TYPE in kinds and topic != self.topic
+            ]
+            shown = ', '.join(sorted(topics)[:SUGGESTED_TOPICS])
+            candidates = f', such as {shown}' if shown else ''
+            return (finding('wrong_type', topic=self.topic, types=types, candidates=candidates),)
+        found = []
+        for publisher in imus:
+            fits, reason = qos_check_compatible(
+                publisher.qos_profile, self._subscription.qos_profile
+            )
+            if fits == QoSCompatibility.ERROR:
+                name, why = full_name(publisher), one_line(reason).removeprefix('ERROR: ')
+                found.append(
+                    finding(
+                        'qos_incompatible', names=name, topic=self.topic, reason=why.strip('; ')
+                    )
+                )
+        return tuple(found)
+
+    @property
+    def qos(self) -> str:
+        """Reliability and history of the subscription, overrides applied."""
+        return qos_text(self._subscription.qos_profile)
 
     @property
     def received(self) -> int:
         """Messages taken so far."""
-        return self._reception.received
+        return self._statistics.received
 
-    def reception(self) -> TransportStatistics:
-        """Return what happened to the messages so far."""
-        self._events.ask(self._reception)
-        return self._reception
+    def statistics(self) -> TransportStatistics:
+        """Return the transport statistics so far."""
+        self._events.poll(self._statistics)
+        return self._statistics
 
     def destroy(self) -> None:
-        """Leave the topic."""
+        """Destroy the subscription."""
         self._events.destroy()
         self._node.destroy_subscription(self._subscription)
 
     def _can_drain(self) -> bool:
-        """Return whether this client library lets a subscription be emptied by hand."""
+        """Return whether this client library can drain a subscription explicitly."""
         try:
             taken = self._subscription.handle.take_message(Imu, True)
         except (AttributeError, TypeError):
@@ -160,8 +210,8 @@ class ImuInput:
         return True
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Keep one payload and count what is missing before it."""
-        self._reception.received += 1
+        """Keep one payload and count the messages missing before it."""
+        self._statistics.received += 1
         self._payloads.append(payload)
         if info is None:  # the plain callback
             self._received_ns.append(time.time_ns())
@@ -173,20 +223,25 @@ class ImuInput:
         gid = info.get('publisher_gid')
         who = b'' if gid is None else gid['data']
         if who not in self._last_number:
-            self._reception.sent_before += number - FIRST_NUMBER
+            self._statistics.sent_before += number - FIRST_NUMBER
         before = self._last_number.get(who)
         self._last_number[who] = number
         # Before Kilted nothing tells the messages of two publishers apart.
         if before is not None and (gid is not None or self._alone):
-            self._reception.skipped_numbers += max(0, number - before - 1)
+            self._statistics.skipped_numbers += max(0, number - before - 1)
 
     def _split(self, decoded: DecodedImus, received: NDArray[np.int64]) -> Iterator[ImuBatch]:
-        """Yield the decoded messages in runs of one frame_id."""
+        """Yield the decoded messages in batches of one frame_id."""
         edges = np.flatnonzero(np.diff(decoded.frames)) + 1
         for start, stop in zip([0, *edges], [*edges, len(decoded.frames)]):
             yield ImuBatch(
                 decoded.stamps_ns[start:stop],
-                decoded.samples[start:stop],
+                decoded.samples[start:stop] * self._scale,
                 received[start:stop],
                 decoded.frame_ids[decoded.frames[start]],
             )
+
+
+def full_name(endpoint: Any) -> str:
+    """Return the full name of the node of an endpoint."""
+    return one_line(f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}')

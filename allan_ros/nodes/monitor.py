@@ -1,87 +1,132 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan_monitor`: accumulate, estimate and relay one or several IMUs in one process."""
+"""`allan_monitor`, and the three nodes it combines: accumulator, estimator and relay.
+
+Each node is a list of parts; the monitor has all of them in one process, for one or several IMUs.
+"""
 
 from __future__ import annotations
 
 import sys
-import time
-
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
+from collections.abc import Sequence
 
 from ..core.errors import AllanError
 from .accumulation import ImuWatch, Settings
-from .diagnostics import diagnostic_array
-from .estimation import ImuEstimate, load_references
+from .estimation import ImuEstimate, SumsInput, load_references
+from .node import AllanNode, Part
 from .parameter_push import ParameterPush
-from .parameters import ParameterGroup
 from .relaying import ImuRelay, RelayTopics
 from .settings import EstimatorSettings, RelaySettings
-from .shell import STEADY, Periodic, Worker, run
+from .shell import Worker, ros_parser, run
 
 
-class Monitor(Node):
-    """What the other nodes do, for every topic in ``input.topics``."""
+class Accumulator(AllanNode):
+    """Subscribes ``imu/data``; publishes ``~/sums`` and the status of its input."""
+
+    def __init__(self) -> None:
+        super().__init__('allan_accumulator')
+        settings = Settings(self)
+        watched = settings.watched()
+        if len(watched) != 1:
+            raise AllanError(
+                f'input.topics names {len(watched)} IMUs: allan_accumulator takes one, '
+                'use allan_monitor for several'
+            )
+        watch = ImuWatch(self, watched[0][0], settings, watched[0][1])
+        self.begin([watch], f'accumulates {watch.description}', settings.input.value.drain_period)
+
+
+class Estimator(AllanNode):
+    """Subscribes ``sums``; publishes ``~/noise_model`` and one diagnostic status per axis."""
+
+    def __init__(self) -> None:
+        super().__init__('allan_estimator')
+        settings = self.parameters.group('estimator', EstimatorSettings)
+        references = load_references(settings.value)
+        push = ParameterPush(self)
+        estimate = ImuEstimate(self, '', settings, references, Worker(), push.offer)
+        source = SumsInput(self, estimate.take)
+        self.begin([source, estimate, push], f'estimates from the sums on {source.topic}')
+
+
+class Relay(AllanNode):
+    """Subscribes ``imu/data`` and ``noise_model``; publishes ``imu/data_with_covariance``."""
+
+    def __init__(self) -> None:
+        super().__init__('allan_imu_relay')
+        topics = RelayTopics('imu/data', 'noise_model', 'imu/data_with_covariance')
+        relay = ImuRelay(self, topics, self.parameters.group('relay', RelaySettings))
+        self.begin([relay], relay.description)
+
+
+class Monitor(AllanNode):
+    """Accumulates, estimates and relays every IMU in ``input.topics``."""
 
     def __init__(self) -> None:
         super().__init__('allan_monitor')
-        self._settings = Settings(self)
-        estimator = ParameterGroup(self, 'estimator', EstimatorSettings)
+        settings = Settings(self)
+        estimator = self.parameters.group('estimator', EstimatorSettings)
         references, worker = load_references(estimator.value), Worker()
-        relay, self._push = ParameterGroup(self, 'relay', RelaySettings), ParameterPush(self)
-        watched = self._settings.watched()
-        if self._push.node and len(watched) > 1:
+        relay = self.parameters.group('relay', RelaySettings)
+        push = ParameterPush(self)
+        watched = settings.watched()
+        if push.node and len(watched) > 1:
             raise AllanError(
                 f'push.node with {len(watched)} IMUs: start an allan_monitor for the one that '
-                f'{self._push.node} uses'
+                f'{push.node} uses'
             )
-        self._watches: list[ImuWatch] = []
-        self._estimates: list[ImuEstimate] = []
-        self._relays: list[ImuRelay] = []
+        units = settings.input.value
+        if relay.value.enabled and (units.gyro_unit, units.accel_unit) != ('rad/s', 'm/s^2'):
+            raise AllanError(
+                'relay.enabled with input.gyro_unit or input.accel_unit: a filter takes the '
+                'relayed samples for rad/s and m/s^2; convert them in the driver'
+            )
+        watches: list[ImuWatch] = []
+        parts: list[Part] = []
         for imu, checkpoint_path in watched:
-            estimate = ImuEstimate(self, imu.label, estimator, references, worker, self._push.offer)
-            self._estimates.append(estimate)
-            self._watches.append(
-                ImuWatch(self, imu, self._settings, checkpoint_path, estimate.take)
-            )
+            estimate = ImuEstimate(self, imu.label, estimator, references, worker, push.offer)
+            watch = ImuWatch(self, imu, settings, checkpoint_path, estimate.take)
+            watches.append(watch)
+            parts += [watch, estimate]
             if relay.value.enabled:
                 model = f'~/{imu.label}/noise_model' if imu.label else '~/noise_model'
-                topics = RelayTopics(imu.topic, model, f'{imu.topic}_with_covariance', imu.label)
-                self._relays.append(ImuRelay(self, topics, relay))
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._diagnostics_due = Periodic(
-            lambda: self._settings.publish.value.diagnostics_period, time.monotonic()
-        )
-        self.create_timer(self._settings.input.value.drain_period, self._tick, clock=STEADY)
-
-    def close(self) -> None:
-        """Stop relaying, and write the checkpoints."""
-        for relay in self._relays:
-            relay.close()
-        for watch in self._watches:
-            watch.close()
-
-    def _tick(self) -> None:
-        now = time.monotonic()
-        for watch in self._watches:
-            watch.tick(now)
-        for estimate in self._estimates:
-            estimate.tick(now)
-        for relay in self._relays:
-            relay.tick()
-        self._push.tick(now)
-        if self._diagnostics_due.due(now):
-            statuses = [watch.status(now) for watch in self._watches]
-            for estimate in self._estimates:
-                statuses += estimate.statuses(now)
-            statuses += [*(relay.status() for relay in self._relays), *self._push.statuses()]
-            self._diagnostics.publish(diagnostic_array(self, statuses))
+                sink = f'{imu.topic}_with_covariance'
+                topics = RelayTopics(imu.topic, model, sink, imu.label, imu.hardware_id)
+                parts.append(ImuRelay(self, topics, relay))
+        does = 'monitors ' + ', '.join(watch.description for watch in watches)
+        self.begin([*parts, push], does, settings.input.value.drain_period)
 
 
-def main(args: list[str] | None = None) -> int:
+def accumulator(args: Sequence[str] | None = None) -> int:
+    """Run `allan_accumulator`."""
+    parser = ros_parser('allan_accumulator', 'Accumulate the Allan sums of one IMU.')
+    return run('allan_accumulator', lambda _stop, _options: Accumulator(), parser, args)
+
+
+def estimator(args: Sequence[str] | None = None) -> int:
+    """Run `allan_estimator`."""
+    parser = ros_parser(
+        'allan_estimator', 'Estimate noise coefficients from the sums of an allan_accumulator.'
+    )
+    return run('allan_estimator', lambda _stop, _options: Estimator(), parser, args)
+
+
+def relay(args: Sequence[str] | None = None) -> int:
+    """Run `allan_imu_relay`."""
+    parser = ros_parser(
+        'allan_imu_relay', 'Republish an Imu topic with covariances from its noise model.'
+    )
+    return run('allan_imu_relay', lambda _stop, _options: Relay(), parser, args)
+
+
+def main(args: Sequence[str] | None = None) -> int:
     """Run `allan_monitor`."""
-    return run('allan_monitor', lambda _stop: Monitor(), args)
+    parser = ros_parser(
+        'allan_monitor',
+        'Accumulate the Allan sums of one or several IMUs, estimate their noise coefficients on '
+        '/diagnostics, and relay them with covariances if relay.enabled is true.',
+    )
+    return run('allan_monitor', lambda _stop, _options: Monitor(), parser, args)
 
 
 if __name__ == '__main__':

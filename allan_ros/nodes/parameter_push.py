@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Set parameters of another node from the noise model, through its own parameter services.
+"""Sets parameters of another node from the noise model, through its parameter services.
 
-Each time it is due it first reads what the node has: so it learns the former values, sets nothing
-that is right already, and notices a node that was started anew. The node may refuse; its reason is
-shown, and the same value is not pressed upon it again.
+Each time it is due it first reads the values of the node: it keeps the former values, sets nothing
+that is already right, and recognizes a restarted node. The node may refuse; its reason is shown,
+and the same value is not sent again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -26,23 +25,23 @@ from ..core.filters.mapping import FilterMapping, Proposal, narrow_enough, propo
 from ..io.config_files import load_filter
 from ..io.results import Results
 from .diagnostics import key_values, status_name
-from .parameters import ParameterGroup
+from .node import AllanNode
 from .settings import PushSettings
 
 ANSWER_S = 5.0
-"""A node that has not answered by then is asked again a period later."""
+"""A node that has not answered within this time is asked again a period later."""
 
 RETRY_S = 1.0
-"""How often it is looked for while it is not there."""
+"""How often a missing node is looked for."""
 
 
 class ParameterPush:
-    """Keeps parameters of ``push.node`` equal to what the noise model says.
+    """Keeps parameters of ``push.node`` equal to the values of the noise model.
 
     Parameters
     ----------
-    owner : Node
-        Which has the parameters ``push.*`` and the service ``~/restore``.
+    owner : AllanNode
+        Gets the parameters ``push.*`` and the service ``~/restore``.
 
     Attributes
     ----------
@@ -55,9 +54,9 @@ class ParameterPush:
         When the mapping cannot be read.
     """
 
-    def __init__(self, owner: Node) -> None:
+    def __init__(self, owner: AllanNode) -> None:
         self._owner, self._log = owner, owner.get_logger()
-        self._settings = ParameterGroup(owner, 'push', PushSettings)
+        self._settings = owner.parameters.group('push', PushSettings)
         self.node = target = self._settings.value.node
         self._mapping = load_filter(self._settings.value.filter) if target else None
         self._results: Results | None = None
@@ -71,22 +70,24 @@ class ParameterPush:
         self._asked_at = self._due_at = 0.0
         owner.create_service(Trigger, '~/restore', self._on_restore)
         if target:
-            # its answers must come while ~/restore waits for them
+            # answers must be received while ~/restore waits for them
             group = ReentrantCallbackGroup()
             self._set = owner.create_client(
                 SetParameters, f'{target}/set_parameters', callback_group=group
             )
-            # made last: a node that answers to it knows the other client too (see `handshake`)
+            # created last: a node that answers it has discovered the other client, too
             self._get = owner.create_client(
                 GetParameters, f'{target}/get_parameters', callback_group=group
             )
 
     def offer(self, results: Results) -> None:
-        """Take the latest noise model."""
-        self._results = results
+        """Take the latest noise model; results without axes withdraw it."""
+        if not results.axes or self._results is None:
+            self._due_at = 0.0  # the first model, and the first after a withdrawal, is set at once
+        self._results = results if results.axes else None
 
     def tick(self, now: float) -> None:
-        """Begin to set parameters if it is time, and give up on answers that do not come."""
+        """Start to set parameters if it is due, and give up on late answers."""
         if self._asked is not None:
             if now - self._asked_at > ANSWER_S:
                 self._asked.cancel()
@@ -110,18 +111,21 @@ class ParameterPush:
         self._unread, self._wanted = ready, []
         self._proceed()
 
-    def statuses(self) -> list[DiagnosticStatus]:
-        """Return how the parameters stand; nothing where there is nothing to set."""
+    def close(self) -> None:
+        """Do nothing: the parameters stay as they are."""
+
+    def statuses(self, now: float) -> list[DiagnosticStatus]:
+        """Return the state of the parameters; no status where none are set."""
         if self._mapping is None:
             return []
         enabled = self._settings.value.enabled
-        troubles = [f'{name}: {note}' if name else note for name, note in self._notes.items()]
+        problems = [f'{name}: {note}' if name else note for name, note in self._notes.items()]
         refused = bool(self._refused) or '' in self._notes
         done = f'set {", ".join(self._former)}' if self._former else 'nothing set yet'
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if refused and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
-            message='; '.join([done if enabled else 'off: push.enabled is false', *troubles]),
+            message='; '.join([done if enabled else 'off: push.enabled is false', *problems]),
             values=key_values(
                 [
                     *((name, _numbers(value)) for name, value in self._current.items()),
@@ -136,7 +140,7 @@ class ParameterPush:
     def _proposals(
         self, mapping: FilterMapping, results: Results, settings: PushSettings
     ) -> list[Proposal]:
-        """Return what is known well enough, and note what is not."""
+        """Return the values that are known well enough, and note the others."""
         fits = {name: axis.fit for name, axis in results.axes.items()}
         made = []
         for parameter in mapping.parameters:
@@ -162,7 +166,7 @@ class ParameterPush:
     def _proceed(self) -> None:
         """Read the next parameter, or set those that differ once all are read.
 
-        They are read one by one: where one of several is not declared, a node tells of none.
+        They are read one by one: where one of several is not declared, a node returns none.
         """
         if self._unread:
             request = GetParameters.Request(names=[self._unread[0].name])
@@ -173,7 +177,7 @@ class ParameterPush:
             self._ask(self._set.call_async(request), self._on_set)
 
     def _on_read(self, future: Any) -> None:
-        """Remember what the node has, and whether it differs from what it should have."""
+        """Keep the value that the node has, and whether it differs from the proposal."""
         if future is not self._asked:
             return
         self._asked = None
@@ -201,7 +205,7 @@ class ParameterPush:
         return False
 
     def _on_set(self, future: Any) -> None:
-        """Say what became of it."""
+        """Log which values were accepted and refused."""
         if future is not self._asked:
             return
         self._asked = None
@@ -232,7 +236,7 @@ class ParameterPush:
     async def _on_restore(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Put the former values back, and set no more until push.enabled is true again."""
+        """Restore the former values; nothing is set until push.enabled is true again."""
         if self._mapping is not None:
             off = Parameter('push.enabled', Parameter.Type.BOOL, False)
             self._owner.set_parameters([off])
@@ -271,7 +275,7 @@ class ParameterPush:
 
 
 def _numbers(value: ParameterValue) -> tuple[float, ...]:
-    """Return what a parameter of one or of several numbers holds."""
+    """Return the values of a parameter of one or several numbers."""
     if value.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
         return tuple(value.double_array_value)
     return (value.double_value,)

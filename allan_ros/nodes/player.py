@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan_player`: play a recorded or simulated IMU into the graph, at any speed, losing nothing."""
+"""`allan_player`: publish a recorded or simulated IMU, at any speed and without loss."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import argparse
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -36,20 +36,20 @@ from ..io.readers.recording import ReadOptions, Recording
 from .shell import STEADY, run
 
 ASK_AGAIN_S = 1.0
-"""An answer may be lost, like any message, to a client that was not found in time."""
+"""Period of repeated questions: an answer to a client not yet discovered is lost."""
 
 
 PATIENCE_S = 10.0
-"""A subscriber that has not answered by then has no parameter services, or is stuck."""
+"""A subscriber that has not answered by then has no parameter services, or hangs."""
 
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
-"""What the graph calls the node of an endpoint that it does not know yet, or that has none."""
+"""Node name in the graph of an endpoint whose node is not known yet, or that has none."""
 
 
 @dataclass
 class _Asked:
-    """What was asked of the node of one subscriber."""
+    """State of the question to the node of one subscriber."""
 
     since: float
     name: str = ''
@@ -59,9 +59,12 @@ class _Asked:
 
 
 class Handshake:
-    """Asks every subscriber of a publisher for a sign that it has found the publisher.
+    """Waits until every subscriber has discovered a publisher.
 
-    Made after the publisher; `update` is called by whoever runs the node's executor.
+    A publisher knows a subscriber before that subscriber knows the publisher, and best effort
+    messages in between are lost. Endpoints are announced in order, so a node that answers a client
+    created after the publisher has discovered the publisher, too. Create the handshake after the
+    publisher, and call `update` from the thread that runs the node's executor.
 
     Parameters
     ----------
@@ -78,7 +81,7 @@ class Handshake:
         self._round = 0
 
     def update(self) -> bool:
-        """Ask on; return whether all there are have found the publisher, or will never say."""
+        """Return True once every subscriber has answered or timed out; ask the others again."""
         now = time.monotonic()
         known = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
         done = True
@@ -92,7 +95,7 @@ class Handshake:
         return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
 
     def again(self) -> None:
-        """Ask anew whoever is still there; who never answered is not waited for again."""
+        """Ask all remaining subscribers again, except those that never answered."""
         self._wanted, self._round = 0, self._round + 1
         for asked in self._asked.values():
             if asked.answered:
@@ -104,7 +107,7 @@ class Handshake:
         return tuple(sorted(silent))
 
     def close(self) -> None:
-        """Ask no more."""
+        """Destroy the clients."""
         for asked in self._asked.values():
             if asked.client is not None:
                 self._node.destroy_client(asked.client)
@@ -119,34 +122,34 @@ class Handshake:
             answer.add_done_callback(partial(self._on_answer, asked, self._round))
 
     def _on_answer(self, asked: _Asked, round_asked: int, _: Any) -> None:
-        """Note an answer, unless it is a late one to what was asked before `again`."""
+        """Record an answer, unless it belongs to a question before `again`."""
         asked.answered = asked.answered or round_asked == self._round
 
 
 CLOCK_PERIOD_S = 0.025
-"""`/clock` is published 40 times a second of wall time, as ``ros2 bag play`` does."""
+"""Period of `/clock` in wall time: 40 Hz, as ``ros2 bag play`` has it."""
 
 
 POLL_S = 0.05
-"""How often waiting for subscribers or acknowledgements looks whether it should stop."""
+"""Period at which a wait for subscribers or acknowledgements checks for the end."""
 
 
 LINGER_S = 0.5
-"""How long the publisher stays after the last answer, for subscribers to empty their queues."""
+"""The publisher stays this long after the last answer: subscribers empty their queues."""
 
 
 SIMULATED = (
     NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
     NoiseTerms(Q=0.0, N=8e-4, B=3e-4, K=2e-5, R=0.0),
 )
-"""Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU: a good MEMS one."""
+"""Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU, a good MEMS device."""
 
 
 class Player(Node):
     """Publishes the batches of a recording on ``imu/data``.
 
-    It is reliable and keeps all until they are acknowledged: with subscribers that are reliable
-    and keep all too, a full queue over there slows the player down instead of losing messages.
+    The publisher is reliable and keeps all messages until they are acknowledged. With subscribers
+    of the same QoS, a full queue slows the player down instead of losing messages.
     """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
@@ -167,33 +170,31 @@ class Player(Node):
         self._played = 0
         self._handshake = Handshake(self, self._publisher, options.wait)
         self._asking, self._answered = False, threading.Event()
-        self.create_timer(
-            POLL_S, self._tick, clock=STEADY
-        )  # signals, too, are heeded when it wakes
+        self.create_timer(POLL_S, self._tick, clock=STEADY)  # signals are handled at wake-ups, too
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop playing; raise what went wrong in the recording."""
+        """Stop playing; raise the error of the recording, if any."""
         self._stop.set()
         self._thread.join()
         if self._error is not None:
             raise self._error
 
     def _tick(self) -> None:
-        """Ask the subscribers, in the executor that their answers come to."""
+        """Run the handshake in the executor, which receives the answers."""
         if self._asking and self._handshake.update():
             self._asking = False
             self._answered.set()
 
     def _work(self) -> None:
-        """Play to the end (in a thread of its own), then end the node."""
+        """Play to the end in a separate thread, then end the node."""
         try:
-            self._wait_for_answers('misses the start')
+            self._wait_for_answers('has missed the start')
             self._play()
             self._wait_for_acknowledgements()
             self._handshake.again()
-            self._wait_for_answers('has the end')
+            self._wait_for_answers('has received the end')
             self._stop.wait(LINGER_S)
         except AllanError as error:
             self._error = error
@@ -220,7 +221,7 @@ class Player(Node):
         pace = None
         for batch in self._batches():
             if pace is None:
-                pace = _Pace(self._options.rate, batch)
+                pace = Schedule(self._options.rate, batch)
                 first_ns = int(batch.stamps_ns[0])
             shift = 0 if start_ns is None else start_ns - first_ns
             self._publish(replace(batch, stamps_ns=batch.stamps_ns + shift), pace.due(batch))
@@ -245,11 +246,11 @@ class Player(Node):
                 return
 
     def _send(self, payload: bytes) -> None:
-        """Publish one message, however long a subscriber's full queue makes it wait."""
+        """Publish one message; wait while the queue of a reliable subscriber is full."""
         while not self._stop.is_set():
             try:
                 self._publisher.publish(payload)
-            except rclpy_implementation.RCLError:  # the middleware waited 0.1 s in vain
+            except rclpy_implementation.RCLError:  # timeout of the middleware, 0.1 s
                 continue
             self._played += 1
             return
@@ -261,14 +262,14 @@ class Player(Node):
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
 
     def _wait_for_answers(self, unknown: str) -> None:
-        """Wait until the subscribers have answered; say of whom something is not known."""
+        """Wait until all subscribers have answered, and warn of those that did not."""
         self._answered.clear()
         self._asking = True
         while not (self._stop.is_set() or self._answered.wait(POLL_S)):
             pass
         for name in () if self._stop.is_set() else self._handshake.silent():
             self.get_logger().warning(
-                f'{name} subscribes and does not answer: whether it {unknown} is not known'
+                f'{name} subscribes but does not answer: it is unknown whether it {unknown}'
             )
 
     def _wait_for_acknowledgements(self) -> None:
@@ -287,8 +288,8 @@ class Player(Node):
             yield from recording.batches()
 
 
-class _Pace:
-    """When each sample is due, by its record time (header time where there is none)."""
+class Schedule:
+    """Schedule of the samples by record time, or header time where there is none."""
 
     def __init__(self, rate: float, first: ImuBatch) -> None:
         self._rate = rate
@@ -296,7 +297,7 @@ class _Pace:
         self._began = time.monotonic()
 
     def due(self, batch: ImuBatch) -> list[float] | None:
-        """Return the monotonic times at which the samples are due; None: at once."""
+        """Return the monotonic times at which the samples are due; None for immediately."""
         if self._rate == 0.0:
             return None
         due: list[float] = (
@@ -315,14 +316,14 @@ def _open(options: argparse.Namespace) -> list[Recording]:
     return open_recordings(options.input, ReadOptions(topic=options.topic))
 
 
-def parse(args: list[str]) -> argparse.Namespace:
-    """Return the options of the command line, ROS arguments taken out."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line without ROS arguments."""
     parser = argparse.ArgumentParser(prog='allan_player', description=__doc__)
     add = parser.add_argument
     add('input', nargs='*', help='recording: bag (mcap, sqlite3, ROS 1), CSV or npz')
     add('--topic', default='', help='Imu topic of the bag (default: the only one)')
     add('--rate', type=_factor, default=1.0, help='speed factor; 0: as fast as the subscribers can')
-    add('--loop', action='store_true', help='begin again at the end')
+    add('--loop', action='store_true', help='start again at the end')
     add(
         '--stamps',
         choices=('keep', 'rebase'),
@@ -330,11 +331,11 @@ def parse(args: list[str]) -> argparse.Namespace:
         help='keep: as recorded; rebase: shifted so that the first is now, and loops carry on',
     )
     add('--clock', action='store_true', help='publish /clock from the stamps')
-    add('--wait', type=int, default=1, help='wait for that many subscribers (default 1)')
+    add('--wait', type=int, default=1, help='number of subscribers to wait for (default 1)')
     add('--simulate', type=float, metavar='SECONDS', help='play a simulated IMU instead')
     add('--frequency', type=float, default=200.0, help='of the simulated IMU [Hz]')
     add('--seed', type=int, default=0, help='of the simulated IMU')
-    return parser.parse_args(args)
+    return parser
 
 
 def _factor(text: str) -> float:
@@ -344,13 +345,9 @@ def _factor(text: str) -> float:
     return value
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: Sequence[str] | None = None) -> int:
     """Run `allan_player`."""
-    from rclpy.utilities import remove_ros_args
-
-    argv = sys.argv if args is None else ['allan_player', *args]
-    options = parse(remove_ros_args(argv)[1:])
-    return run('allan_player', lambda stop: Player(options, stop), argv)
+    return run('allan_player', lambda stop, options: Player(options, stop), make_parser(), args)
 
 
 if __name__ == '__main__':

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the middleware says of a subscription, asked for instead of waited for.
+"""Latched QoS, and QoS event counts of a subscription that are polled instead of waited for.
 
-In the executor's wait set an event of a reader wakes it for every message that lies unread in that
-reader's queue: with the queue drained by a timer that is a busy loop (seen with Fast DDS). The
-counts are totals, so it is enough to ask for them when they are shown.
+With an event of a reader in its wait set, the executor wakes for every unread message in the
+queue of that reader (with Fast DDS), which is a busy loop where a timer drains the queue. The
+counts are totals, so it is enough to poll them before they are shown.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rclpy.subscription import Subscription
 from ..core.stream.transport import TransportStatistics
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Reliable, and the last one is kept for who comes late: sums and noise model."""
+"""Reliable, and late subscribers receive the last message: for sums and noise model."""
 
 
 try:
@@ -39,21 +39,28 @@ EVENTS = {
     'reported_lost': QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
     'incompatible_qos': QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
 }
-"""Field of `TransportStatistics` -> the event whose total it is."""
+"""Field of `TransportStatistics` -> the event that counts it."""
 
 
 NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""Keeps rclpy from putting events into the wait set."""
+"""Keeps rclpy from adding events to the wait set."""
 
 
 _EVENT_HANDLE: Any = getattr(
     rclpy_implementation, 'EventHandle', getattr(rclpy_implementation, 'QoSEvent', None)
 )
-"""rclpy's own handle of an event; the second name is Humble's."""
+"""rclpy's handle of an event; the second name is that of Humble."""
+
+
+def qos_text(qos: QoSProfile) -> str:
+    """Return the reliability and history of a QoS profile, for the log."""
+    history = qos.history.name.lower()
+    depth = f' {qos.depth}' if history == 'keep_last' else ''
+    return f'{qos.reliability.name.lower()}, {history}{depth}'
 
 
 class QosEvents:
-    """The totals of a subscription's events; those that the middleware lacks stay zero."""
+    """Event totals of a subscription; events that the middleware lacks stay zero."""
 
     def __init__(self, subscription: Subscription) -> None:
         self._events: dict[str, Any] = {}
@@ -64,16 +71,16 @@ class QosEvents:
             except UnsupportedEventTypeError:
                 continue
 
-    def ask(self, reception: TransportStatistics) -> None:
-        """Bring the counts up to date."""
+    def poll(self, statistics: TransportStatistics) -> None:
+        """Update the counts."""
         for name, event in self._events.items():
             with event:
-                told = event.take_event()
-            if told is not None:
-                setattr(reception, name, told.total_count)
+                data = event.take_event()
+            if data is not None:
+                setattr(statistics, name, data.total_count)
 
     def destroy(self) -> None:
-        """Let the handles go, before the subscription goes."""
+        """Release the handles; call it before the subscription is destroyed."""
         for event in self._events.values():
             event.destroy_when_not_in_use()
         self._events = {}

@@ -1,64 +1,72 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The part of a node that hands one Imu topic on, with covariances filled, as raw bytes.
+"""Republishes one Imu topic with covariances filled in, as raw bytes.
 
-A thread of its own waits for messages and hands each on at once: half the CPU of an executor's
-callback, and nothing else that the node does holds a message up. It uses the wait set as rclpy's
-own `wait_for_message` does. Where a client library lacks that, a plain callback does the same.
+A separate thread waits for messages and republishes each at once: it takes half the CPU of an
+executor's callback, and nothing else in the node delays a message. It uses a wait set as rclpy's
+`wait_for_message` does. Where a client library lacks that, a plain callback does the same.
 """
 
 from __future__ import annotations
 
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.filters.noise_parameters import Variances, measured_variances, white_variances
 from ..core.findings import Finding, finding
-from ..core.imu import SENSORS
+from ..core.imu import SENSORS, ImuIdentity
 from ..io.documents import results_from_document
 from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
 from ..io.results import Results
 from ..io.text import parse_json
 from .diagnostics import key_values, message_of, status_name, worst_level
-from .imu_input import DrainedGroup
+from .imu_input import DrainedGroup, full_name
+from .node import AllanNode
 from .parameters import ParameterGroup
-from .qos import LATCHED, NO_CALLBACKS
+from .qos import LATCHED, NO_CALLBACKS, qos_text
 from .settings import RelaySettings
 
 WAIT_NS = 100_000_000
-"""How long the thread sleeps without a message before it looks whether it should end."""
+"""How long the thread waits for a message before it checks whether it should end."""
 
 SWITCH_INTERVAL_S = 0.0005
-"""How long other Python threads, such as a fit, may keep the relay waiting (5 ms by default)."""
+"""How long other Python threads, such as a fit, may delay the relay (Python's default: 5 ms)."""
+
+MODEL_GRACE_S = 120.0
+"""Time at start without a noise model that needs no warning: N takes a minute at rest."""
+
+DISCOVERY_S = 5.0
+"""Time at start in which a missing publisher of the noise model may only be undiscovered."""
 
 SHOWN_UNIT = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
 
 class RelayTopics(NamedTuple):
-    """Where messages and noise model come from, where messages go, and a name for diagnostics."""
+    """Input, noise model and output topics, and how diagnostics name the IMU."""
 
     source: str
     model: str
     sink: str
     label: str = ''
+    hardware_id: str = ''
 
 
 @dataclass
 class RelayCounts:
-    """What became of the messages."""
+    """Numbers of messages."""
 
     received: int = 0
     patched: int = 0
@@ -70,7 +78,7 @@ class RelayCounts:
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    """Return the variances that the messages get, of each sensor that the model knows."""
+    """Return the variances to fill in, of each sensor that the noise model has."""
     if settings.variance == 'sample':
         stds = {name: axis.sample_std for name, axis in results.axes.items()}
         return measured_variances(stds, settings.inflate)
@@ -79,27 +87,29 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
 
 
 class ImuRelay:
-    """Hands on the messages of one Imu.
+    """Republishes the messages of one Imu with covariances.
 
     Parameters
     ----------
-    node : Node
+    node : AllanNode
     topics : RelayTopics
     settings : ParameterGroup of RelaySettings
 
     Raises
     ------
     AllanError
-        When it would read what it publishes.
+        When input and output are the same topic.
     """
 
     def __init__(
-        self, node: Node, topics: RelayTopics, settings: ParameterGroup[RelaySettings]
+        self, node: AllanNode, topics: RelayTopics, settings: ParameterGroup[RelaySettings]
     ) -> None:
-        self._node, self._label, self._settings = node, topics.label, settings
+        self._node, self._topics, self._settings = node, topics, settings
+        self._began = time.monotonic()
+        self._withdrawn = False
         self.counts = RelayCounts()
         self._results: Results | None = None
-        self._trouble: tuple[Finding, ...] = ()
+        self._problem: tuple[Finding, ...] = ()
         self._variances: dict[str, Variances] = {}
         self._patch = CovariancePatch({})
         self._made_of: tuple[Results, RelaySettings] | None = None
@@ -123,10 +133,21 @@ class ImuRelay:
             node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe(topics.source, True)
 
-    def tick(self) -> None:
-        """Take changed parameters over."""
+    @property
+    def description(self) -> str:
+        """What is relayed, for the log at start."""
+        source = self._subscription
+        return (
+            f'relays {source.topic_name} ({qos_text(source.qos_profile)}) to '
+            f'{self._publisher.topic_name} with the noise model on {self._model.topic_name}'
+        )
+
+    def tick(self, now: float) -> None:
+        """Apply a changed model or changed parameters."""
         results, settings = self._results, self._settings.value
         if results is None:
+            if self._made_of is not None:
+                self._variances, self._patch, self._made_of = {}, CovariancePatch({}), None
             return
         if self._made_of and self._made_of[0] is results and self._made_of[1] is settings:
             return
@@ -135,9 +156,9 @@ class ImuRelay:
         self._patch = CovariancePatch(self._variances, settings.overwrite, frame_id)
         self._made_of = (results, settings)
 
-    def status(self) -> DiagnosticStatus:
-        """Return what the relay does."""
-        c, findings = self.counts, self._findings()
+    def statuses(self, now: float) -> list[DiagnosticStatus]:
+        """Return the status of the relay."""
+        c, findings = self.counts, self._findings(now)
         pairs: list[tuple[str, object]] = [
             ('from', self._subscription.topic_name),
             ('to', self._publisher.topic_name),
@@ -154,17 +175,20 @@ class ImuRelay:
             for axis, variance in zip('xyz', variances):
                 pairs.append((f'variance of {sensor} {axis} [{SHOWN_UNIT[sensor]}]', variance))
         pairs += [(f'finding: {f.id}', f) for f in findings]
-        filled = ' and '.join(self._variances)
-        return DiagnosticStatus(
+        filled = f'covariances of {" and ".join(self._variances)} are filled'
+        identity = self._results.identity if self._results else ImuIdentity()
+        hardware_id = self._topics.hardware_id or identity.hardware_id or identity.frame_id
+        status = DiagnosticStatus(
             level=worst_level(findings),
-            name=status_name(self._node, self._label, 'relay'),
-            message=message_of(findings, f'covariances of {filled} are filled'),
-            hardware_id=self._results.identity.frame_id if self._results else '',
+            name=status_name(self._node, self._topics.label, 'relay'),
+            message=message_of(findings, filled if self._variances else str(findings[0])),
+            hardware_id=one_line(hardware_id),
             values=key_values(pairs),
         )
+        return [status]
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -172,7 +196,7 @@ class ImuRelay:
     # --- the messages -----------------------------------------------------------------------------
 
     def _hand_on(self, payload: bytes) -> None:
-        """Publish one message, with what is known filled in."""
+        """Publish one message with the known covariances filled in."""
         counts = self.counts
         counts.received += 1
         if not self._made_of and self._settings.value.until_model == 'hold':
@@ -195,7 +219,7 @@ class ImuRelay:
             counts.unpublished += 1
 
     def _note_frame(self, payload: bytes) -> None:
-        """Count a message that is of another frame than the model."""
+        """Count a message with another frame_id than the noise model."""
         results = self._results
         try:
             frame_id = frame_id_of(payload)
@@ -224,7 +248,7 @@ class ImuRelay:
         )
 
     def _start(self) -> bool:
-        """Start the thread; return False where this client library does not let us wait."""
+        """Start the thread; return False where this client library has no wait set."""
         try:
             wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
             wait_set.clear_entities()
@@ -240,7 +264,7 @@ class ImuRelay:
         return True
 
     def _work(self, wait_set: rclpy_implementation.WaitSet) -> None:
-        """Hand messages on as they come, until the node is closed."""
+        """Republish messages until the node is closed."""
         handle = self._subscription.handle
         with handle, wait_set:
             while not self._stop.is_set():
@@ -248,7 +272,10 @@ class ImuRelay:
                 wait_set.add_subscription(handle)
                 wait_set.wait(WAIT_NS)
                 while (taken := handle.take_message(Imu, True)) is not None:
-                    self._hand_on(taken[0])
+                    try:
+                        self._hand_on(taken[0])
+                    except Exception as error:  # one message must not end the thread
+                        self._node.fault('relay', error)
 
     # --- the noise model --------------------------------------------------------------------------
 
@@ -257,19 +284,39 @@ class ImuRelay:
             results = results_from_document(parse_json(message.data, 'noise model'), 'noise model')
         except AllanError as error:
             topic = self._model.topic_name
-            self._trouble = (finding('relay_model_unreadable', topic=topic, reason=error),)
-            self._node.get_logger().warning(str(self._trouble[0]), throttle_duration_sec=60.0)
+            self._problem = (finding('relay_model_unreadable', topic=topic, reason=error),)
+            self._node.get_logger().warning(str(self._problem[0]), throttle_duration_sec=60.0)
             return
-        self._results, self._trouble = results, ()
-        self.tick()
+        self._withdrawn = not results.axes
+        self._results, self._problem = (results if results.axes else None), ()
+        self.tick(time.monotonic())
 
-    def _findings(self) -> list[Finding]:
+    def _without_model(self, now: float) -> Finding:
+        """Return why there is no noise model, and what happens to the messages meanwhile."""
+        topic, seconds = self._model.topic_name, now - self._began
+        passed = self._settings.value.until_model == 'pass'
+        done = 'passed on unchanged' if passed else 'held back'
+        if self._withdrawn:
+            return finding('relay_withdrawn', topic=topic, done=done)
+        if seconds > DISCOVERY_S and not self._node.count_publishers(topic):
+            return finding('relay_without_model', topic=topic, done=done)
+        if seconds > MODEL_GRACE_S:
+            return finding('relay_late_model', topic=topic, seconds=seconds, done=done)
+        return finding('relay_waits', topic=topic, done=done)
+
+    def _findings(self, now: float) -> list[Finding]:
+        """Return the present problems, causes before their effects."""
         c, results = self.counts, self._results
-        found = list(self._trouble)
+        found = list(self._problem)
+        sink = self._publisher.topic_name
+        others = self._node.get_publishers_info_by_topic(sink)
+        if len(others) > 1:
+            names = ', '.join(sorted(map(full_name, others)))
+            found.append(
+                finding('relay_several_publishers', count=len(others), topic=sink, names=names)
+            )
         if results is None:
-            passed = self._settings.value.until_model == 'pass'
-            done = 'passed on as they are' if passed else 'held back'
-            found.append(finding('relay_without_model', topic=self._model.topic_name, done=done))
+            found.append(self._without_model(now))
         else:
             for sensor in SENSORS:
                 known = any(name.startswith(sensor) for name in results.axes)

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
-from ..core.settings import SegmenterSettings, check, parameter
+from ..core.settings import CheckedSettings, SegmenterSettings, parameter
+from ..io.readers.recording import ACCEL_UNITS, GYRO_UNITS
 
 
 @dataclass(frozen=True)
-class InputSettings:
+class InputSettings(CheckedSettings):
     """How the Imu messages are taken in (group ``input``)."""
 
     topics: tuple[str, ...] = parameter(('imu/data',), 'Imu topics to watch.', read_only=True)
@@ -53,6 +54,18 @@ class InputSettings:
         low=0.1,
         high=3600.0,
     )
+    gyro_unit: str = parameter(
+        'rad/s',
+        'Unit of angular_velocity as the driver publishes it; ROS asks for rad/s.',
+        choices=tuple(GYRO_UNITS),
+        read_only=True,
+    )
+    accel_unit: str = parameter(
+        'm/s^2',
+        'Unit of linear_acceleration as the driver publishes it; ROS asks for m/s^2.',
+        choices=tuple(ACCEL_UNITS),
+        read_only=True,
+    )
     plain_callback: bool = parameter(
         False,
         'Receive each message in a callback of its own (more CPU) instead of draining the queue.',
@@ -60,7 +73,7 @@ class InputSettings:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if not self.topics or not all(self.topics):
             raise AllanError('input.topics names no topic: give at least one, such as imu/data')
         for name in ('labels', 'hardware_ids'):
@@ -91,7 +104,7 @@ class InputSettings:
 
 
 @dataclass(frozen=True)
-class PublishSettings:
+class PublishSettings(CheckedSettings):
     """How often the nodes speak (group ``publish``)."""
 
     sums_period: float = parameter(
@@ -107,7 +120,7 @@ class PublishSettings:
 
 
 @dataclass(frozen=True)
-class CheckpointSettings:
+class CheckpointSettings(CheckedSettings):
     """Where the sums survive a restart (group ``checkpoint``)."""
 
     path: str = parameter(
@@ -120,12 +133,9 @@ class CheckpointSettings:
         60.0, 'How often the checkpoint is written.', unit='s', low=0.5, high=86400.0
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True)
-class EstimatorSettings:
+class EstimatorSettings(CheckedSettings):
     """When the sums are fitted and what the coefficients are held against (group ``estimator``)."""
 
     method: str = parameter(
@@ -166,7 +176,7 @@ class EstimatorSettings:
 
 
 @dataclass(frozen=True)
-class RelaySettings:
+class RelaySettings(CheckedSettings):
     """What the relayed Imu messages get (group ``relay``)."""
 
     enabled: bool = parameter(
@@ -209,12 +219,9 @@ class RelaySettings:
         read_only=True,
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True)
-class PushSettings:
+class PushSettings(CheckedSettings):
     """Whose parameters follow the coefficients, and how (group ``push``)."""
 
     node: str = parameter(
@@ -242,7 +249,7 @@ class PushSettings:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.node and not (self.node.startswith('/') and self.filter):
             raise AllanError(
                 f'push.node is {self.node!r}, push.filter {self.filter!r}: give a full name such '

@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start, spin and stop a node: the only place that knows of signals and exit codes."""
+"""Start, spin and stop a node: command line, signals, exit codes and the worker thread."""
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import queue
 import signal
@@ -20,14 +21,15 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from ..core.errors import AllanError, one_line
 
 
 class Periodic:
-    """Comes due once a period; the period may change while it runs.
+    """Becomes due once per period; the period may change at run time.
 
-    One timer that asks several of these costs a third of as many timers in the executor.
+    One timer that polls several of these costs a third of as many timers in the executor.
     """
 
     def __init__(self, period: Callable[[], float], now: float) -> None:
@@ -35,10 +37,10 @@ class Periodic:
         self._last = now
 
     def due(self, now: float) -> bool:
-        """Return whether a period has passed since it last was due (steady clock, s)."""
+        """Return whether a period has passed since it was last due (steady clock, s)."""
         if now - self._last < self._period():
             return False
-        # late by less than a period: keep the beat; by more: start it anew
+        # Less than one period late: keep the phase. More: restart it.
         self._last = max(self._last + self._period(), now - self._period())
         return True
 
@@ -50,7 +52,7 @@ _TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linu
 
 
 class Worker:
-    """A daemon thread with a queue: a fit under way does not hold up the end of the node."""
+    """A daemon thread with a task queue; an unfinished task does not delay the end of the node."""
 
     def __init__(self) -> None:
         self._tasks: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = queue.SimpleQueue()
@@ -67,16 +69,16 @@ class Worker:
             future, task = self._tasks.get()
             try:
                 future.set_result(task())
-            except BaseException as error:  # it belongs to whoever asks for the result
+            except BaseException as error:  # raised again by future.result()
                 future.set_exception(error)
-            del task, future  # or they would keep what they hold until the next task
+            del task, future  # release what they refer to before the next task
             _give_memory_back()
 
 
 def _give_memory_back() -> None:
-    """Return freed memory to the system: glibc keeps what lies below anything still in use.
+    """Return freed heap memory to the system with ``malloc_trim`` (glibc only).
 
-    A fit leaves some 20 MB of holes. Other C libraries have nothing of the kind.
+    A fit leaves about 20 MB of free blocks below memory that is still in use.
     """
     if _TRIM is not None:
         _TRIM(0)
@@ -86,57 +88,75 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""All timers run on it, so neither a paused ``/clock`` nor a wall-clock step stops them."""
+"""Clock of all timers: neither a paused ``/clock`` nor a wall-clock step stops them."""
+
+USAGE_ERROR = 2
+"""Exit code for a wrong command line."""
 
 
-class Closable(Protocol):
-    """A node that has something to finish before it goes."""
+class Runnable(Protocol):
+    """What `run` needs of a node."""
 
     def close(self) -> None:
-        """Finish: called once, while the graph is still there, and not interrupted by signals."""
+        """Finish work before the node is destroyed; called once, not interrupted by signals."""
 
     def destroy_node(self) -> None:
         """Destroy the node, as `rclpy.node.Node` does."""
 
 
+def ros_parser(name: str, description: str) -> argparse.ArgumentParser:
+    """Return the command line parser of an executable that is configured by ROS arguments."""
+    return argparse.ArgumentParser(
+        prog=name,
+        description=description,
+        epilog='Parameters are set by ROS arguments: --ros-args -p NAME:=VALUE, '
+        '--params-file FILE, -r TOPIC:=OTHER. All parameters: config/allan_ros.yaml, or '
+        'ros2 param describe.',
+    )
+
+
 def run(
-    name: str, make_node: Callable[[Event], Closable], args: Sequence[str] | None = None
+    name: str,
+    make_node: Callable[[Event, argparse.Namespace], Runnable],
+    parser: argparse.ArgumentParser,
+    args: Sequence[str] | None = None,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or its own end, and return the exit code.
 
-    A reason not to start (bad parameters, a missing file) is logged in one line: exit 1. After
-    any number of signals the node is closed in peace: exit 0.
+    A reason not to start (bad parameters, a missing file) is logged in one line: exit code 1.
+    After any number of signals the node is closed: exit code 0. An exception in a callback of the
+    node is passed to ``node.fault``, if it has one, and the node goes on.
 
     Parameters
     ----------
     name : str
-        Of the executable.
+        Name of the executable.
     make_node : callable
-        Makes the node; it gets an event that ends the node when set. The node must have a timer:
-        a signal is heeded when the executor next wakes.
+        Makes the node from an event that ends the node when set, and the parsed options. The node
+        must have a timer: signals are handled when the executor next wakes.
+    parser : argparse.ArgumentParser
+        Parses what is left of the command line without the ROS arguments.
     args : sequence of str, optional
-        Command line, by default that of the process.
+        Arguments without the program name; those of the process by default.
     """
+    argv = sys.argv if args is None else [name, *args]
+    options = parser.parse_args(remove_ros_args(list(argv))[1:])
     stop = Event()
     # Python's default handler would raise KeyboardInterrupt in the middle of an update or of the
     # writing of a checkpoint, and rclpy's would shut the graph down before the node has finished.
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stop.set())
-    given = None if args is None else list(args)
     try:
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # of rcl: a missing keystore, an argument it does not know
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # from rcl: a missing keystore, an unknown ROS argument
         get_logger(name).fatal(f'{name} stops: {one_line(str(error))}')
         return 1
     executor = SingleThreadedExecutor()
     try:
-        node = make_node(stop)
+        node = make_node(stop, options)
         executor.add_node(node)
         try:
-            while not stop.is_set():
-                executor.spin_once()
-        except ExternalShutdownException:
-            pass
+            _spin(executor, node, stop)
         finally:
             node.close()
             node.destroy_node()
@@ -148,6 +168,20 @@ def run(
         executor.shutdown()
         if rclpy.ok():
             rclpy.shutdown()
-        # Python puts back the deadly default when it ends, but leaves ignored signals ignored.
+        # Python restores the default handlers at its end, but leaves ignored signals ignored.
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+
+
+def _spin(executor: SingleThreadedExecutor, node: Runnable, stop: Event) -> None:
+    """Execute callbacks until the event is set or the context is shut down."""
+    fault: Callable[[str, Exception], None] | None = getattr(node, 'fault', None)
+    while not stop.is_set():
+        try:
+            executor.spin_once()
+        except ExternalShutdownException:
+            return
+        except Exception as error:
+            if fault is None:
+                raise
+            fault('callback', error)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`allan_watch`: `/diagnostics` of the allan_ros nodes as a live table in the terminal.
 
-The gravest comes first, each with what to do. Where the output is no terminal, a line is printed
-whenever a status changes.
+The most severe status comes first. If the output is not a terminal, a line is printed whenever
+the level of a status changes.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
+from ..core.errors import one_line
 from ..core.imu import DATASHEET_UNITS
 from .shell import STEADY, run
 
@@ -35,28 +35,28 @@ WORDS = {
     DiagnosticStatus.WARN: 'WARN',
     DiagnosticStatus.ERROR: 'ERROR',
 }
-"""Level -> how it is written."""
+"""Level -> its text."""
 
 
-GRAVITY = ('ERROR', 'STALE', 'WARN', 'ok')
-"""The order in which statuses are shown: silence may hide an error."""
+SEVERITY = ('ERROR', 'STALE', 'WARN', 'ok')
+"""Order of the levels in the table; STALE comes early, because silence may hide an error."""
 
 
 STYLES = {'ok': 'cyan', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ERROR': 'bold reverse'}
-"""Level -> its style in rich. The words say the same without colours; cyan, magenta, yellow and
-reverse differ in lightness, so that the colour-blind tell them apart."""
+"""Level -> its style in rich. The text carries the same information without colours; the colours
+differ in lightness, for colour-blind readers."""
 
 
 STALE_S = 5.0
-"""A status that has not been repeated for so long is shown as stale."""
+"""A status that has not been repeated for this time is shown as stale."""
 
 
 SHOWN_TERMS = ('N', 'B', 'K')
-"""Terms with a column of their own where there is room; all five are among the values."""
+"""Terms that have their own columns in a wide terminal; the values hold all five."""
 
 
 WIDE, NARROW = 120, 60
-"""Columns from which the terms have columns of their own, and below which nothing is in columns."""
+"""Terminal widths: from WIDE on terms have columns; below NARROW there is a list, no table."""
 
 
 _UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
@@ -64,22 +64,22 @@ _UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
 
 @dataclass(frozen=True)
 class Row:
-    """One status as it is shown.
+    """One status as it is displayed.
 
     Attributes
     ----------
     level : str
-        One of `GRAVITY`.
+        One of `SEVERITY`.
     node, name : str
-        Who says it, and of what.
+        Name of the node, and the rest of the status name.
     terms : mapping
-        Term -> value and unit, of those in `SHOWN_TERMS` that are known.
+        Term -> value and unit, of the known ones in `SHOWN_TERMS`.
     message : str
-        What is so, and what to do.
+        Text of the status.
     age_s : float
-        Time since it was said last, s.
+        Time since it was last received, s.
     values : mapping
-        All that the status tells.
+        All key-value pairs of the status.
     """
 
     level: str
@@ -93,39 +93,40 @@ class Row:
 
     @property
     def remark(self) -> str:
-        """The message without what stands in the columns of the terms."""
+        """The message without the text that the term columns show."""
         if self.level == 'ok' and self.terms:
             return self.message.partition(' from ')[2]
         return self.message
 
     @property
     def age(self) -> str:
-        """The age in whole seconds; '' for what is repeated as it should be."""
+        """The age in whole seconds; '' for a status that is repeated in time."""
         return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
 
 
 def row(status: DiagnosticStatus, age_s: float) -> Row:
-    """Return what is shown of a status that came so many seconds ago."""
-    values = {v.key: v.value for v in status.values}
+    """Return the row of a status that was received ``age_s`` seconds ago."""
+    values = {one_line(v.key): one_line(v.value) for v in status.values}
     terms = {}
     for term in SHOWN_TERMS:
         for key, value in values.items():
             head, _, unit = key.partition(' ')
             if head == term and unit.strip('[]') in _UNITS and value != '-':
                 terms[term] = f'{value} {unit.strip("[]")}'
-    node, _, name = status.name.rpartition(': ')
+    node, _, name = one_line(status.name).rpartition(': ')
     level = 'STALE' if age_s > STALE_S else WORDS.get(status.level, 'STALE')
-    return Row(level, node, name, terms, status.message, age_s, status.hardware_id, values)
+    message, hardware_id = one_line(status.message), one_line(status.hardware_id)
+    return Row(level, node, name, terms, message, age_s, hardware_id, values)
 
 
 def most_severe_first(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows in the order in which they are to be read."""
-    return sorted(rows, key=lambda r: (GRAVITY.index(r.level), r.node, r.name))
+    """Return the rows sorted by level, then by name."""
+    return sorted(rows, key=lambda r: (SEVERITY.index(r.level), r.node, r.name))
 
 
 def headline(rows: Sequence[Row]) -> str:
-    """Return how many statuses there are of each level, and how old the latest is."""
-    counts = {level: sum(r.level == level for r in rows) for level in GRAVITY}
+    """Return the number of statuses per level, and the age of the latest."""
+    counts = {level: sum(r.level == level for r in rows) for level in SEVERITY}
     told = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
     age = min(r.age_s for r in rows)
     return f'allan_ros: {told}; last message {age:.1f} s ago'
@@ -155,7 +156,7 @@ def plain_line(row: Row) -> str:
 
 
 def picture(rows: Sequence[Row], columns: int) -> RenderableType:
-    """Return the rows as rich draws them: a table, or a list where there is no room for one."""
+    """Return the rows for rich: a table, or a list in a narrow terminal."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Group
     from rich.padding import Padding
@@ -176,7 +177,7 @@ def picture(rows: Sequence[Row], columns: int) -> RenderableType:
     table.add_column('status', overflow='fold', ratio=3 if wide else 2)
     for term in SHOWN_TERMS if wide else ():
         table.add_column(term, no_wrap=True)
-    table.add_column('what is so, and what to do', overflow='fold', ratio=5)
+    table.add_column('status and next step', overflow='fold', ratio=5)
     for r in rows:
         terms = [Text(r.terms.get(term, '')) for term in SHOWN_TERMS] if wide else []
         remark = Text(r.remark if wide else r.message)
@@ -187,7 +188,7 @@ def picture(rows: Sequence[Row], columns: int) -> RenderableType:
 
 
 def _name(row: Row) -> str:
-    """Return the name with its node, where that is not the usual one."""
+    """Return the status name, with the node unless it is allan_monitor."""
     return row.name if row.node == 'allan_monitor' else f'{row.node}: {row.name}'
 
 
@@ -197,19 +198,19 @@ TOPIC = '/diagnostics'
 
 
 SETTLE_S = 1.5
-"""Every status is repeated once a second by default: so long after the first, all have come."""
+"""Time after the first status until all were received: each is repeated once a second."""
 
 
 PATIENCE_S = 10.0
-"""How long ``--once`` waits for a first status."""
+"""Time that ``--once`` waits for a first status."""
 
 
-LONELY_S = 8.0
-"""Silence after which it says what to check: a node started at the same time needs some seconds."""
+HINT_S = 8.0
+"""Silence after which the hint is shown: a node started at the same time needs some seconds."""
 
 
 EXIT_NOTHING = 1
-"""Nothing was heard of any node."""
+"""Exit code: no status was received."""
 
 
 DISCOVERY = (
@@ -218,21 +219,21 @@ DISCOVERY = (
     'ROS_LOCALHOST_ONLY',
     'RMW_IMPLEMENTATION',
 )
-"""Variables that decide whom a node finds."""
+"""Environment variables that decide which nodes are discovered."""
 
 
 class Display(Protocol):
-    """Where the rows go."""
+    """Output of the rows."""
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Show how things are; the hint says what to check where there are no rows."""
+        """Show the rows, or the hint where there are none."""
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Leave the last state."""
+        """Show the final state."""
 
 
 class Watch(Node):
-    """Keeps the latest status of each name and shows it."""
+    """Keeps the latest status of each name and displays it."""
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
         super().__init__('allan_watch')
@@ -246,17 +247,17 @@ class Watch(Node):
 
     @property
     def heard(self) -> bool:
-        """Whether any status came."""
+        """Whether any status was received."""
         return bool(self._latest)
 
     def close(self) -> None:
-        """Leave the last state on the screen."""
+        """Show the final state."""
         self._display.end(self._rows(), self._hint())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            if 'allan' in status.name or self._options.all:
+            if self._options.all or 'allan' in status.name or _is_ours(status):
                 self._latest[status.name] = now, status
                 self._first = self._first or now
 
@@ -266,7 +267,7 @@ class Watch(Node):
             settled = self._first is not None and now - self._first >= SETTLE_S
             done = settled or now - self._began >= (self._options.seconds or PATIENCE_S)
         else:
-            lonely = not self.heard and now - self._began >= LONELY_S
+            lonely = not self.heard and now - self._began >= HINT_S
             self._display.show(self._rows(), self._hint() if lonely else 'listening ...')
             done = 0.0 < self._options.seconds <= now - self._began
         if done:
@@ -277,26 +278,31 @@ class Watch(Node):
         return most_severe_first(row(status, now - at) for at, status in self._latest.values())
 
     def _hint(self) -> str:
-        """Return what to check when nothing comes."""
+        """Return what to check when no status is received."""
         speakers = self.get_publishers_info_by_topic(TOPIC)
-        others = f', though {len(speakers)} publish there' if speakers else ''
+        others = f', although {len(speakers)} publish there' if speakers else ''
         given = [f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)]
         return (
-            f'no allan_ros node speaks on {TOPIC}{others}. Start one: ros2 launch allan_ros '
-            'allan_ros.launch.py imu:=/your/imu; or, if one runs, see whether it has the same '
-            f'discovery: here {" ".join(given) or "all variables are at their defaults"}.'
+            f'no allan_ros node publishes on {TOPIC}{others}. Start one: ros2 launch allan_ros '
+            'allan_ros.launch.py imu:=/your/imu. If one runs, compare its discovery settings: '
+            f'here {" ".join(given) or "all variables are at their defaults"}.'
         )
 
 
+def _is_ours(status: DiagnosticStatus) -> bool:
+    """Return whether it is the status of an axis or input of a renamed node."""
+    return {'evidence [s]', 'segments'} <= {v.key for v in status.values}
+
+
 class Lines:
-    """A line for every status that comes or changes its level."""
+    """Prints a line for every new status and every change of level."""
 
     def __init__(self) -> None:
         self._levels: dict[tuple[str, str], str] = {}
         self._hinted = False
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Print what is new; ages and amounts, which change all the time, are not."""
+        """Print new statuses and changed levels; ages and values change all the time."""
         for each in rows:
             if self._levels.get((each.node, each.name)) != each.level:
                 self._levels[each.node, each.name] = each.level
@@ -306,7 +312,7 @@ class Lines:
             print(hint, file=sys.stderr, flush=True)
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Print all once more, or what to check."""
+        """Print all statuses once more, or the hint."""
         for line in [headline(rows), *map(plain_line, rows)] if rows else []:
             print(line)
         if not rows and not self._hinted:
@@ -314,25 +320,25 @@ class Lines:
 
 
 class Document:
-    """One JSON document at the end, and nothing before."""
+    """Prints one JSON document at the end."""
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Wait."""
+        """Do nothing."""
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Print the document; the hint goes to stderr."""
+        """Print the document, and the hint to stderr."""
         print(json.dumps(document(rows), indent=1))
         if not rows:
             print(hint, file=sys.stderr)
 
 
 class Screen:
-    """A table that rich draws anew; it honours NO_COLOR and the width and charset of the terminal.
+    """A table redrawn by rich; respects NO_COLOR, the width and the charset of the terminal.
 
     Parameters
     ----------
     live : bool
-        Whether to draw before the end.
+        Whether to draw repeatedly, or only once at the end.
     """
 
     def __init__(self, live: bool) -> None:
@@ -345,13 +351,13 @@ class Screen:
             self._live.start()
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Draw the table, or the hint."""
+        """Draw the table or the hint."""
         if self._live:
             drawn = picture(rows, self._console.width) if rows else hint
             self._live.update(drawn, refresh=True)
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Leave the last table on the screen."""
+        """Draw the final table."""
         if self._live:
             self.show(rows, hint)
             self._live.stop()
@@ -360,7 +366,7 @@ class Screen:
 
 
 def make_display(options: argparse.Namespace) -> Display:
-    """Return where the rows go: what the options say, else what the output can show."""
+    """Return the display that the options select, else the best one for the output."""
     if options.json:
         return Document()
     if not options.plain and sys.stdout.isatty() and os.environ.get('TERM') != 'dumb':
@@ -371,37 +377,40 @@ def make_display(options: argparse.Namespace) -> Display:
     return Lines()
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run `allan_watch`."""
-    argv = sys.argv if args is None else ['allan_watch', *args]
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line without ROS arguments."""
     parser = argparse.ArgumentParser(
         prog='allan_watch',
         description=__doc__,
-        epilog='exit codes: 0 done; 1 nothing was heard; 2 wrong words on the command line. '
+        epilog='exit codes: 0 done; 1 no status was received; 2 wrong command line. '
         'NO_COLOR turns colours off, COLUMNS sets the width.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('--once', action='store_true', help='show how things are, and end')
+    parser.add_argument('--once', action='store_true', help='show the present state and exit')
     parser.add_argument(
-        '--json', action='store_true', help='the same as one JSON document on stdout, and end'
+        '--json', action='store_true', help='print the present state as one JSON document and exit'
     )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument('--plain', action='store_true', help='lines of text instead of a table')
     parser.add_argument(
-        '--seconds', type=float, default=0.0, metavar='S', help='end after that time'
+        '--seconds', type=float, default=0.0, metavar='S', help='exit after this time'
     )
-    options = parser.parse_args(remove_ros_args(argv)[1:])
-    options.once = options.once or options.json
+    return parser
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run `allan_watch`."""
     made: list[Watch] = []
 
-    def make(stop: threading.Event) -> Watch:
+    def make(stop: threading.Event, options: argparse.Namespace) -> Watch:
+        options.once = options.once or options.json
         made.append(Watch(options, stop))
         return made[0]
 
     try:
-        code = run('allan_watch', make, argv)
+        code = run('allan_watch', make, make_parser(), args)
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader (head, less) has left
+    except BrokenPipeError:  # the reader (head, less) has exited
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return code or (0 if made[0].heard else EXIT_NOTHING)

@@ -40,16 +40,10 @@ PATIENCE_S = 60.0
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give the graphs to one worker, for two at a time starve each other, and a second chance.
-
-    What failed at random met a subscription of the test before, or judged a fit that was on its
-    way, and was mended. Still one of a hundred may fail on a machine with ten times the work it can
-    do, and that would throw away the work of all. It is told as a rerun, and fails the third time.
-    """
+    """Run all tests of ROS graphs in one worker: two graphs at a time starve each other."""
     for item in items:
         if item.path.parent == Path(__file__).parent:
             item.add_marker(pytest.mark.xdist_group('graphs'))
-            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 def _domains_of_processes() -> set[int]:
@@ -90,7 +84,7 @@ class Process:
         self._log = log
         with log.open('wb') as out:
             self.popen = subprocess.Popen(
-                [sys.executable, '-m', f'allan_ros.nodes.{module}', *arguments],
+                [sys.executable, '-m', 'allan_ros.nodes', module, *arguments],
                 env={
                     **os.environ,
                     'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),

@@ -180,7 +180,8 @@ def test_troubles_with_the_checkpoint_are_said_and_survived(graph, still_imu, tm
     assert (tmp_path / 'corrupt.json.corrupt').exists() and not corrupt.exists()
 
     graph.statuses.clear()
-    nowhere = tmp_path / 'missing' / 'sums.json'
+    (tmp_path / 'file').write_text('')
+    nowhere = tmp_path / 'file' / 'sums.json'  # root may write in every folder, but not in a file
     node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(nowhere)})
     publisher = graph.publisher()
     graph.send(publisher, still_imu(1500))

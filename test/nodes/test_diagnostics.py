@@ -44,7 +44,7 @@ def fit(**noise: Coefficient) -> AxisResult:
 
 
 def status_of(sums, **changes) -> DiagnosticStatus:
-    view = AxisView('gyro_z', sums, fit(), 'gls', 3.0, '', (), 0.2, None, None)
+    view = AxisView('gyro_z', sums, fit(), 'gls', 3.0, (), (), 0.2, None, None)
     return axis_status('node: imu gyro z', 'imu', replace(view, **changes))
 
 
@@ -57,7 +57,7 @@ def test_the_coefficients_stand_in_both_unit_systems(sums):
     told = values(status)
     assert status.level == DiagnosticStatus.OK and status.hardware_id == 'imu'
     assert status.message.startswith('N 0.2000 deg/sqrt(h), B < 0.206 deg/h')
-    assert 'from 25.0 s of evidence; K needs 2 h at rest' in status.message
+    assert 'from 25.0 s of static data; K needs 2 h at rest' in status.message
     assert float(told['N [rad/s/sqrt(Hz)]']) == pytest.approx(N, rel=1e-3)
     assert told['N [deg/sqrt(h)]'] == '0.2000'
     assert told['N 95 % [deg/sqrt(h)]'] == '0.190..0.210'
@@ -75,7 +75,20 @@ def test_what_is_known_can_be_plotted(sums):
 
 def test_before_a_fit_it_says_so(sums):
     assert status_of(sums, result=None).message.startswith('no coefficients yet, from 25.0 s')
-    assert 'why' in status_of(sums, result=None, trouble='why').message
+    assert status_of(None, result=None).message.startswith('no coefficients yet: no static data')
+
+
+def test_a_failed_fit_is_an_error_with_its_reason(sums):
+    failed = status_of(sums, problems=(finding('fit_failed', reason='the numbers are damaged'),))
+    assert failed.level == DiagnosticStatus.ERROR
+    assert failed.message.startswith('The fit failed: the numbers are damaged.')
+
+
+def test_foreign_text_is_escaped(sums):
+    frame = 'imu\x1b[2J\u202e'
+    health = StreamHealth(Counts(), 'still', 200.0, frame_id=frame)
+    status = input_status('n', frame, view(health=health, publishers=(f'/{frame}',)))
+    assert all(v.value.isprintable() for v in status.values)
 
 
 def test_it_advises_for_what_matters_only(sums):
@@ -95,7 +108,7 @@ def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):
     assert status.level == DiagnosticStatus.WARN
     assert status.message.startswith(
         'N is 0.2000 deg/sqrt(h) (0.190..0.210), above the 0.100 deg/sqrt(h) of ADIS by more than '
-        '20%; look for vibration'
+        '20%. Check vibration'
     )
     assert values(status)['N against ADIS'] == 'beyond, limit 0.100 deg/sqrt(h)'
     assert values(status)['B against ADIS'].startswith('within')
@@ -119,8 +132,8 @@ def test_a_change_is_told_in_the_coefficient_that_rules_there(sums):
 
 def view(**changes) -> InputView:
     health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'still', 200.0)
-    reception = TransportStatistics(received=9000)
-    given = InputView('/imu', health, reception, (), (), (), ('/driver',), 0.0, 'draining')
+    statistics = TransportStatistics(received=9000)
+    given = InputView('/imu', health, statistics, (), (), (), ('/driver',), 0.0, 'draining')
     return replace(given, **changes)
 
 
@@ -129,16 +142,18 @@ def test_the_input_is_told_by_its_gravest_finding():
     several = finding('several_publishers', topic='/imu', count=2, names='/a, /b')
     status = input_status('node: imu input', 'imu', view(findings=(silent, several)))
     assert status.level == DiagnosticStatus.ERROR
-    assert status.message.startswith('no message on /imu for 3.2 s')
+    assert status.message.startswith('No message on /imu for 3.2 s')
     assert status.message.endswith('(and 1 more)')
     assert values(status)['finding: several_publishers'].startswith('2 publishers')
 
 
-def test_moving_is_ok_and_says_that_evidence_waits():
+def test_moving_is_ok_and_its_samples_are_not_used():
     health = StreamHealth(Counts(), 'moving', 100.0)
     status = input_status('node: imu input', 'imu', view(health=health))
     assert status.level == DiagnosticStatus.OK
-    assert status.message == 'moving at 100 Hz: evidence waits, 0 s of evidence so far'
+    assert status.message == (
+        'moving at 100 Hz: samples in motion are not used, 0 s of static data so far'
+    )
 
 
 def test_the_share_of_still_time_is_a_number():

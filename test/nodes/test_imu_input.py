@@ -41,8 +41,8 @@ def test_messages_come_whole_and_in_order(graph, still_imu, settings):
     assert {b.frame_id for b in got} == {'imu'}
     received = np.concatenate([b.record_ns for b in got])
     assert np.all(np.diff(received) >= 0) and received[0] > 10**18
-    assert imu_input.reception().received == len(sent)
-    assert imu_input.reception().lost == 0
+    assert imu_input.statistics().received == len(sent)
+    assert imu_input.statistics().lost == 0
     assert imu_input.publishers() == ('/test_client',)
 
 
@@ -60,9 +60,9 @@ def test_the_executor_never_runs_a_drained_subscription(graph, still_imu):
     publisher = graph.publisher()
     graph.send(publisher, still_imu(20))
     graph.spin(0.5)
-    assert imu_input.reception().received == 0
+    assert imu_input.statistics().received == 0
     imu_input.drain()
-    assert imu_input.reception().received == 20
+    assert imu_input.statistics().received == 20
 
 
 def test_what_a_full_queue_lost_is_counted(graph, still_imu):
@@ -75,7 +75,7 @@ def test_what_a_full_queue_lost_is_counted(graph, still_imu):
     imu_input.drain()
     graph.send(publisher, still_imu(1))
     receive(graph, imu_input, 11)
-    reception = imu_input.reception()
+    reception = imu_input.statistics()
     assert reception.received + reception.lost == 102
     assert reception.lost >= 80
 
@@ -98,7 +98,7 @@ def test_an_incompatible_publisher_is_counted(graph):
 
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     graph.node.create_publisher(Imu, 'imu/data', qos)
-    graph.until(lambda: imu_input.reception().incompatible_qos == 1)
+    graph.until(lambda: imu_input.statistics().incompatible_qos == 1)
 
 
 def test_absent_sensor_bad_payload_and_frames(graph, still_imu):
@@ -112,4 +112,4 @@ def test_absent_sensor_bad_payload_and_frames(graph, still_imu):
     got = receive(graph, imu_input, 5)
     assert [(b.frame_id, len(b)) for b in got] == [('left', 3), ('right', 2)]
     assert np.isnan(got[0].samples[:, 3:]).all() and not np.isnan(got[0].samples[:, :3]).any()
-    assert imu_input.reception().malformed == 1
+    assert imu_input.statistics().malformed == 1

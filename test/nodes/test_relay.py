@@ -14,6 +14,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from std_msgs.msg import String
+
 from allan_ros.core.filters.noise_parameters import white_variances
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
@@ -47,7 +49,6 @@ def results() -> Results:
 def publish_model(graph: Any, results: Results) -> Any:
     """Publish a noise model, latched, as the estimator does."""
     from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import String
 
     qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publisher = graph.node.create_publisher(String, 'noise_model', qos)
@@ -69,7 +70,9 @@ def raw(graph: Any, topic: str = OUT) -> list[bytes]:
 
 
 def filled(graph: Any) -> Any:
-    return graph.until(lambda: (s := graph.status('relay')) and s.level == OK and s)
+    return graph.until(
+        lambda: (s := graph.status('relay')) and s.message.startswith('covariances') and s
+    )
 
 
 def payloads(batch: ImuBatch) -> list[bytes]:
@@ -123,15 +126,44 @@ def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results)
     graph.until(lambda: len(received) == 10)
     assert received == payloads(batch)
     status = graph.until(lambda: graph.status('relay'))
-    assert status.level == WARN and status.name == 'allan_imu_relay: relay'
+    assert status.level == OK and status.name == 'allan_imu_relay: relay'
     assert 'There is no noise model on /noise_model yet' in status.message
-    assert 'Start allan_estimator' in status.message
+    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
+    assert 'Start allan_estimator' in status.message  # nothing publishes a model
     publish_model(graph, results)
     filled(graph)
     graph.send(publisher, batch)
     graph.until(lambda: len(received) == 20)
     assert received[10:] != payloads(batch)
     assert relay.stop() == 0, relay.output
+
+
+def test_a_withdrawn_model_ends_the_filling_at_once(graph, still_imu, results: Results):
+    graph.start('relay', **QUICK)
+    received = raw(graph)
+    publisher = graph.publisher()
+    model = publish_model(graph, results)
+    filled(graph)
+    withdrawn = replace(results, axes={}, samples=0)
+    model.publish(String(data=json.dumps(results_to_document(withdrawn, curves=False))))
+    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
+    assert status.message.startswith('The noise model on /noise_model was withdrawn')
+    batch = still_imu(10)
+    graph.send(publisher, batch)
+    graph.until(lambda: len(received) == 10)
+    assert received == payloads(batch)
+
+
+def test_two_relays_to_one_topic_are_reported(graph):
+    graph.start('relay', **QUICK)
+    graph.start('relay', **QUICK, remap={'__node': 'other_relay'})
+    status = graph.until(
+        lambda: next(
+            (s for s in graph.statuses.values() if s.message.startswith('2 publishers')), None
+        )
+    )
+    assert status.level == WARN
+    assert '/imu/data_with_covariance (/allan_imu_relay, /other_relay)' in status.message
 
 
 def test_it_holds_back_until_there_is_a_model(graph, still_imu, results: Results):
@@ -227,8 +259,6 @@ def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
 
 
 def test_a_model_that_cannot_be_read_is_survived(graph, still_imu, results: Results):
-    from std_msgs.msg import String
-
     graph.start('relay', **QUICK)
     publisher = publish_model(graph, results)
     filled(graph)

@@ -103,7 +103,7 @@ def test_without_its_enclave_a_node_says_which_and_ends(ros_domain: int, tmp_pat
         'ROS_SECURITY_KEYSTORE': str(tmp_path),
         'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
     }
-    command = [sys.executable, '-m', 'allan_ros.nodes.relay']
+    command = [sys.executable, '-m', 'allan_ros.nodes', 'relay']
     command += ['--ros-args', '--enclave', '/allan_ros/allan_imu_relay']
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **secured})
     said = done.stdout + done.stderr

@@ -93,5 +93,5 @@ def test_when_nobody_speaks_it_says_what_to_check(graph):
     watch = graph.start('watch', '--once', '--seconds', '1')
     assert watch.wait() == 1
     said = ' '.join(watch.output.split())
-    assert 'no allan_ros node speaks on /diagnostics. Start one: ros2 launch' in said
+    assert 'no allan_ros node publishes on /diagnostics. Start one: ros2 launch' in said
     assert 'ROS_DOMAIN_ID=' in said

@@ -32,6 +32,10 @@ LEAP_S = 2.0
 wait in a queue come later, never earlier."""
 
 
+STARTUP_S = 5.0
+"""Silence before the first message is no error for this long: discovery takes seconds."""
+
+
 LIVE_FINDINGS = (
     'stamps_unusable',
     'stamps_from_rate',
@@ -105,6 +109,7 @@ class TransportMonitor:
 
     def __init__(self, topic: str, time_s: float) -> None:
         self._topic = topic
+        self._began = time_s
         self._last_message = self._last_usable = time_s
         self._messages = self._usable = 0
         self._tallies: deque[_Tally] = deque()
@@ -133,8 +138,9 @@ class TransportMonitor:
         publishers: tuple[str, ...],
         stale_after: float,
         stream: tuple[Finding, ...] = (),
+        graph: tuple[Finding, ...] = (),
     ) -> tuple[Finding, ...]:
-        """Return what is wrong now, the gravest first.
+        """Return what is wrong now, the most severe first and causes before their effects.
 
         Parameters
         ----------
@@ -148,12 +154,11 @@ class TransportMonitor:
             Silence in s that is an error.
         stream : tuple of Finding
             What is known of the whole stream.
+        graph : tuple of Finding
+            Why the publishers and the subscription do not match; it explains silence.
         """
         self._follow(time_s, reception, health)
-        found = self._silence(time_s, reception, publishers, stale_after)
-        if reception.incompatible_qos:
-            count = reception.incompatible_qos
-            found.append(finding('qos_incompatible', count=count, topic=self._topic))
+        found = [*graph] or self._silence(time_s, reception, publishers, stale_after)
         if len(publishers) > 1:
             names = ', '.join(publishers)
             count = len(publishers)
@@ -224,7 +229,10 @@ class TransportMonitor:
         stale_after: float,
     ) -> list[Finding]:
         topic, seconds = self._topic, self.silence_s(time_s)
+        starting = not reception.received and time_s - self._began < STARTUP_S
         if seconds > stale_after:
+            if starting:
+                return []
             if publishers:
                 count = len(publishers)
                 return [finding('input_silent', topic=topic, seconds=seconds, publishers=count)]
@@ -237,20 +245,15 @@ class TransportMonitor:
         return []
 
     def _lately(self, health: StreamHealth) -> list[Finding]:
+        """Return what happened in the last minute, causes before their effects."""
         then, now = self._tallies[0], self._tallies[-1]
         more = {id: count - then.run.get(id, 0) for id, count in now.run.items()}
         found = []
-        received, lost = now.received - then.received, now.lost - then.lost
-        if lost and lost >= TOLD_LOST_SHARE * (received + lost):
-            found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
-        absent = now.absent - then.absent
-        if absent and absent >= TOLD_LOST_SHARE * (received + absent):
-            share = absent / (received + absent)
-            found.append(finding('samples_missing', count=absent, share=share))
         if now.leapt > then.leapt and health.rate_hz:
             seconds = (now.leapt - then.leapt) / health.rate_hz
             found.append(finding('stamps_leapt', seconds=seconds))
         if more['clock_jumps'] > 0:
+            found.append(finding('clock_jumps', when=LATELY, count=more['clock_jumps']))
             # the first stamps after such a step are dropped as backward ones
             more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
         if more['frame_changed'] > 0:
@@ -261,7 +264,15 @@ class TransportMonitor:
         if more['rate_changed'] > 0 and health.rate_hz:
             times = more['rate_changed']
             found.append(finding('rate_changed', when=LATELY, times=times, rate=health.rate_hz))
-        for id in ('stuck', 'not_finite', 'duplicates', 'clock_jumps', 'backward_stamps'):
+        received, lost = now.received - then.received, now.lost - then.lost
+        if lost and lost >= TOLD_LOST_SHARE * (received + lost):
+            found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
+        absent = now.absent - then.absent
+        # Until a lower rate is recognized, the samples between look as if they were missing.
+        if absent >= TOLD_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
+            share = absent / (received + absent)
+            found.append(finding('samples_missing', count=absent, share=share))
+        for id in ('stuck', 'not_finite', 'duplicates', 'backward_stamps'):
             if more[id] > 0:
                 found.append(finding(id, when=LATELY, count=more[id]))
         if health.frame_id != health.evidence_frame_id:

@@ -1,0 +1,107 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters are checked at start and at run time, and set atomically across groups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+import rclpy
+from rclpy.parameter import Parameter
+
+from allan_ros.core.errors import AllanError
+from allan_ros.nodes.parameters import Parameters
+from allan_ros.nodes.settings import GROUPS, EstimatorSettings, PublishSettings
+
+
+@pytest.fixture
+def make_node(ros_domain: int) -> Iterator[Any]:
+    """Return a maker of a node with given parameters."""
+    from rclpy.node import Node
+
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    nodes: list[Node] = []
+
+    def make(**given: Any) -> Node:
+        overrides = [Parameter(name.replace('__', '.'), value=v) for name, v in given.items()]
+        node = Node('test', context=context, parameter_overrides=overrides)
+        nodes.append(node)
+        return node
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    context.shutdown()
+
+
+def set_all(node: Any, **values: Any) -> Any:
+    made = [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
+    return node.set_parameters_atomically(made)
+
+
+@pytest.mark.parametrize('group', GROUPS)
+def test_every_settings_class_checks_its_values(group: str) -> None:
+    """A choice that does not exist, or a number beyond its range, is refused by every class."""
+    from allan_ros.core.settings import describe
+
+    for name, info in describe(GROUPS[group]).items():
+        bad = 'nonsense' if info.choices else None if info.high is None else info.high * 2 + 1
+        if bad is not None:
+            with pytest.raises(AllanError, match=name):
+                GROUPS[group](**{name: bad})
+
+
+def test_an_unknown_method_is_refused_at_start_and_at_run_time(make_node: Any) -> None:
+    with pytest.raises(AllanError, match="method is 'guess': choose one of gls"):
+        Parameters(make_node(estimator__method='guess')).group('estimator', EstimatorSettings)
+    node = make_node()
+    group = Parameters(node).group('estimator', EstimatorSettings)
+    result = set_all(node, estimator__method='guess')
+    assert not result.successful and 'choose one of gls' in result.reason
+    assert group.value.method == 'gls'
+    assert set_all(node, estimator__method='paper').successful and group.value.method == 'paper'
+
+
+def test_a_set_that_spans_two_groups_is_atomic(make_node: Any) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+    publish = parameters.group('publish', PublishSettings)
+    estimator = parameters.group('estimator', EstimatorSettings)
+    for bad in ({'estimator__method': 'guess'}, {'use_sim_time': 'yes'}):
+        assert not set_all(node, publish__sums_period=2.0, estimator__growth=0.5, **bad).successful
+        assert (publish.value.sums_period, estimator.value.growth) == (10.0, 0.1)
+        assert node.get_parameter('publish.sums_period').value == 10.0
+    assert set_all(node, publish__sums_period=2.0, estimator__growth=0.5).successful
+    assert (publish.value.sums_period, estimator.value.growth) == (2.0, 0.5)
+    assert parameters.changes() == ['publish.sums_period=2.0', 'estimator.growth=0.5']
+
+
+@pytest.mark.parametrize(
+    ('name', 'suggestion'),
+    [
+        ('checkpoint.pth', '; did you mean checkpoint.path?'),
+        ('sensor', '; did you mean estimator.sensor?'),
+        ('checkpoint', '; did you mean checkpoint.path?'),
+        ('wheel_radius', ''),
+    ],
+)
+def test_an_unknown_parameter_is_named_with_a_suggestion(
+    make_node: Any, name: str, suggestion: str
+) -> None:
+    parameters = Parameters(
+        make_node(
+            **{
+                name: 'x',
+                'use_sim_time': False,
+                'relay__enabled': True,  # of another node, in a file that all share
+                'qos_overrides__/imu/data__subscription__reliability': 'reliable',
+            }
+        )
+    )
+    assert parameters.unknown() == [f'parameter {name!r} is unknown{suggestion}']

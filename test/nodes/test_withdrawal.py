@@ -1,0 +1,136 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A model of sums that are gone is withdrawn, and no document of sums ends the estimator."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from std_msgs.msg import String
+
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.recorded import Provenance
+from allan_ros.nodes.qos import LATCHED
+from allan_ros.nodes.snapshot import Snapshot, replaced_share
+
+OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
+
+
+def sums_of(*batches: ImuBatch) -> tuple[Any, ...]:
+    stream = ImuStream()
+    for batch in batches:
+        stream.update(batch)
+    return stream.result().sums
+
+
+def sums_text(*batches: ImuBatch) -> str:
+    """Return a message of ``~/sums``."""
+    return json.dumps(Snapshot((sums_of(*batches), Provenance())).to_document())
+
+
+def estimator(graph: Any, method: str = 'relative') -> tuple[Any, Any, list[dict[str, Any]]]:
+    """Start an estimator; return its process, a publisher of its sums, and the models."""
+    process = graph.start(
+        'estimator', **{'publish.diagnostics_period': 0.2, 'estimator.method': method}
+    )
+    publisher = graph.node.create_publisher(String, 'sums', LATCHED)
+    models = graph.latched('/allan_estimator/noise_model')
+    graph.introduce(publisher)
+    return process, publisher, models
+
+
+def test_growing_sums_are_not_replaced(still_imu) -> None:
+    batch = still_imu(12_000)
+    batch.samples[6000:6040] += np.random.default_rng(5).normal(0.0, 1.0, (40, 6))  # a knock
+    pieces = [sums_of(batch[:n]) for n in range(1000, 12_001, 500)]
+    assert max(map(replaced_share, pieces, pieces[1:])) < 0.1
+    assert replaced_share((), pieces[0]) == 0.0
+    assert replaced_share(pieces[-1], pieces[0]) > 0.8
+    assert replaced_share(pieces[0], ()) == 1.0
+    other = sums_of(still_imu(12_000, start_ns=10**18 + 10**12))
+    assert replaced_share(pieces[0], other) == 1.0  # more samples, but of another time
+
+
+def test_replaced_sums_withdraw_the_model_at_once_and_are_fitted(graph, still_imu) -> None:
+    """The sums of a robot that was driven at boot are discarded when it comes to rest."""
+    _, publisher, models = estimator(graph)
+    publisher.publish(String(data=sums_text(still_imu(8000))))
+    graph.until(lambda: models and models[-1]['samples'] == 8000)
+    rest = still_imu(2000, start_ns=10**18 + 10**11, seed=2)
+    publisher.publish(String(data=sums_text(rest)))
+    graph.until(lambda: models[-1]['samples'] == 2000)
+    assert [model['samples'] for model in models] == [8000, 0, 2000]
+    withdrawn = models[1]
+    assert withdrawn['axes'] == {} and withdrawn['findings'][-1]['id'] == 'model_withdrawn'
+    assert '100%' in withdrawn['findings'][-1]['message']
+    status = graph.until(
+        lambda: (s := graph.status('imu gyro x')) and s.message.startswith('N') and s
+    )
+    assert status.level == OK
+
+
+def test_a_looped_recording_gets_new_coefficients(graph, still_imu) -> None:
+    """The second pass has the same stamps and other noise; it must not keep the first's model."""
+    _, publisher, models = estimator(graph)
+    publisher.publish(String(data=sums_text(still_imu(4000))))
+    graph.until(lambda: models and models[-1]['samples'] == 4000)
+    publisher.publish(String(data=sums_text(still_imu(1000, seed=2))))
+    graph.until(lambda: models[-1]['samples'] == 1000)
+    assert [model['samples'] for model in models] == [4000, 0, 1000]
+
+
+def test_a_failed_fit_is_an_error_with_the_reason(graph, still_imu) -> None:
+    """Sums whose numbers no fit can use, or no reader accepts, are an error in either case."""
+    process, publisher, models = estimator(graph, 'gls')
+    document = json.loads(sums_text(still_imu(4000)))
+    for key in ('sum_sq', 'group_sum_sq'):
+        document['sums'][0][key] = [[1e140] * 6 for _ in document['sums'][0][key]]
+    publisher.publish(String(data=json.dumps(document)))
+    error = graph.until(lambda: next((s for _, s in graph.history if s.level == ERROR), None))
+    assert 'The fit failed: ' in error.message or 'cannot be read: ' in error.message
+    publisher.publish(String(data=sums_text(still_imu(4000))))
+    graph.until(lambda: models and models[-1]['samples'] == 4000)
+    assert process.popen.poll() is None
+
+
+HOSTILE = {
+    'elapsed_ns': 0,
+    'samples': 1,
+    'phase': [[0.0] * 6],
+    'signed': [],
+    'intervals': 0,
+    'count': [1],
+    'sum_sq': [],
+}
+
+
+def test_no_sums_document_ends_the_estimator(graph, still_imu) -> None:
+    """The topic is latched: what ends a node once would end it at every start."""
+    process, publisher, models = estimator(graph)
+    good = sums_text(still_imu(4000))
+    for key, value in HOSTILE.items():
+        document = json.loads(good)
+        for record in (document['sums'][0], *document['sums'][0]['segments']):
+            if key in record:
+                record[key] = value
+        assert json.dumps(document) != good, key
+        publisher.publish(String(data=json.dumps(document)))
+        graph.spin(0.3)
+    publisher.publish(String(data=good))
+    graph.until(lambda: models and models[-1]['samples'] == 4000)
+    assert process.popen.poll() is None, process.output
+
+
+def test_the_axes_have_a_status_from_the_first_message(graph, still_imu) -> None:
+    """An aggregator takes a missing status for an error."""
+    graph.start('monitor', **{'publish.diagnostics_period': 0.2})
+    graph.send(graph.publisher(), still_imu(3))
+    status = graph.until(lambda: graph.status('imu accel z'))
+    assert status.level == OK and status.message.startswith('no coefficients yet')
