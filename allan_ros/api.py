@@ -31,6 +31,8 @@ from .core.stream.pipeline import joined
 from .io.comparison import DOCUMENTS, RunComparison, Subject, compare_runs, labels_of
 from .io.datasheets import load_sensor
 from .io.documents import SUMS_SCHEMA, results_from_document, sums_file_from_document
+from .io.inflation import Inflation
+from .io.inflation import inflate as inflation_of
 from .io.readers.memory import recording_in_memory, without_absent
 from .io.readers.recording import ReadOptions
 from .io.reading import Observer, Silent, add_recordings, read_in_processes, read_in_turn
@@ -183,13 +185,16 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
 
 
 def results_of(
-    path: str | os.PathLike[str], method: str = 'gls', observer: Observer = Silent()
+    path: str | os.PathLike[str],
+    method: str = 'gls',
+    observer: Observer = Silent(),
+    segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> Results:
     """Return the results of a document, as `load` does, or of a recording, which is analyzed."""
     place = Path(path)
     if place.suffix.lower() == '.json' or any((place / name).is_file() for name in DOCUMENTS):
         return load(path, method)
-    (recorded,) = read_in_turn([ReadJob(str(path))], observer)
+    (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
     return analyse_recorded(recorded, method)
 
 
@@ -375,6 +380,46 @@ def compare(
     names = [*labels, *labels_of(paths)[len(labels) :]]
     sheets = [load_sensor(name) for name in ([sensor] if isinstance(sensor, str) else sensor)]
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
+
+
+def inflate(
+    rest: Results | str | os.PathLike[str],
+    running: Results | str | os.PathLike[str],
+    *,
+    horizon: float = 30.0,
+    observer: Observer = Silent(),
+) -> Inflation:
+    """Return what running motors add to the noise of a robot at rest.
+
+    Parameters
+    ----------
+    rest : Results or path
+        The robot at rest with its motors off: results, a document, a folder, or a recording.
+    running : Results or path
+        The same with its motors on. Vibration of a recording does not count as motion.
+    horizon : float
+        Longest time in s that the filter integrates without correction.
+
+    Raises
+    ------
+    AllanError
+        When an input cannot be read, or the two have no axis in common.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> off = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1, gyro={'N': 0.25}))
+    >>> on = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+    >>> round(ar.inflate(off, on).axes['gyro_x'].white.factor, 1)
+    2.0
+    """
+    quiet = rest if isinstance(rest, Results) else results_of(rest, observer=observer)
+    if isinstance(running, Results):
+        loud = running
+    else:
+        still = SegmenterSettings(motion_gate=False)
+        loud = results_of(running, observer=observer, segmenter=still)
+    return inflation_of(quiet, loud, horizon)
 
 
 def simulate(

@@ -28,6 +28,7 @@ VERBS = {
     'compare': 'runs side by side, or beside a datasheet: which differences are more than chance',
     'sensors': 'datasheets of IMUs: list them, or show one with its sources',
     'export': 'write what was measured as the file a filter reads',
+    'inflate': 'what running motors add to the noise of a robot at rest',
     'simulate': 'write a recording of an IMU whose noise is known',
 }
 """Verb -> what it does. Each is the module of that name beside this file, which has

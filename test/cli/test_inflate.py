@@ -1,0 +1,63 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`allan inflate`: factors of a robot at rest with motors on over motors off."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from allan_ros.cli.main import main
+
+RATE, SECONDS = 50.0, 600
+
+
+@pytest.fixture(scope='module')
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """Return two tables of samples: motors off, and on, with 4 times the noise of the gyro."""
+    folder = tmp_path_factory.mktemp('recordings')
+    rng = np.random.default_rng(3)
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    paths = []
+    for name, factor in (('rest', 1.0), ('running', 4.0)):
+        samples = rng.normal(size=(len(t), 6)) * [*[factor * 1e-3] * 3, *[1e-2] * 3]
+        # idling first, then running: without the first part the gate would learn the level anyway
+        samples[: len(t) // 3, :3] *= 1.0 if name == 'rest' else 0.25
+        samples[:, 5] += 9.81
+        table = np.column_stack([t, samples])
+        path = folder / f'{name}.csv'
+        header = 't,gx,gy,gz,ax,ay,az'
+        np.savetxt(path, table, delimiter=',', header=header, comments='', fmt='%.9g')
+        paths.append(str(path))
+    return paths[0], paths[1]
+
+
+def test_the_factor_is_measured_with_vibration_included(
+    recordings: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two thirds of the time at factor 4: N is sqrt(1/3 + 16 2/3) = 3.3 times that at rest."""
+    assert main(['inflate', *recordings, '-o', str(tmp_path / 'out')]) == 0
+    shown = capsys.readouterr().out
+    assert 'N and K for a filter, over 1 to 30 s' in shown
+    assert 'motors on over motors off' in shown
+    assert 'in motion' not in shown
+    document = json.loads((tmp_path / 'out' / 'inflation.json').read_text())
+    gyro, accel = document['axes']['gyro_x'], document['axes']['accel_y']
+    assert gyro['N']['factor'] == pytest.approx(3.32, rel=0.1)
+    assert gyro['N']['use'] == gyro['N']['running']
+    assert accel['N']['factor'] == pytest.approx(1.0, abs=0.1)
+    assert document['factor'] == pytest.approx(3.32, rel=0.1)
+    at_1s = min(gyro['deviation'], key=lambda d: abs(d['tau_s'] - 1.0))
+    assert at_1s['ci95'][0] < 3.32 < at_1s['ci95'][1]
+    names = {path.name for path in (tmp_path / 'out').iterdir()}
+    assert {'inflation.json', 'compare_gyro.png'} <= names
+
+
+def test_a_horizon_of_nothing_is_one_line(
+    recordings: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['inflate', *recordings, '--horizon', '0']) == 1
+    assert 'give a time above 0 s' in capsys.readouterr().err
