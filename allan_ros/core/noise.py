@@ -122,7 +122,7 @@ def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
     return np.asarray(_gauss_markov_growth(x) / x**2)
 
 
-def sampled_gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
+def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[np.float64]:
     """Return the Allan variance of sampled first-order Gauss-Markov noise of unit variance.
 
     (4 D(m) - D(2m)) / (2 m^2) with D(n) the variance of the sum of n samples
@@ -132,14 +132,15 @@ def sampled_gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.fl
     ----------
     m : (factors,) array
         Averaging factors in samples.
-    correlation : float
-        Correlation time T in samples.
+    correlation : float or (processes,) array
+        Correlation times T in samples.
 
     Returns
     -------
-    (factors,) float64 array
+    (factors,) or (factors, processes) float64 array
     """
-    x = np.asarray(m, float) / correlation
+    correlation = np.asarray(correlation, float)
+    x = np.asarray(m, float).reshape(-1, *(1,) * correlation.ndim) / correlation
     slope, step = gauss_markov_sums(correlation)
     step /= 2.0 * correlation**2
     excess = slope / (2.0 * correlation) - step
@@ -151,7 +152,9 @@ def _gauss_markov_growth(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x))
 
 
-def gauss_markov_sums(correlation: float) -> tuple[float, float]:
+def gauss_markov_sums(
+    correlation: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return A and B of D(n) = A n - B (1 - exp(-n/T)), the variance of the sum of n samples.
 
     Of a sampled first-order Gauss-Markov process of unit variance, whose autocovariance is
@@ -159,13 +162,19 @@ def gauss_markov_sums(correlation: float) -> tuple[float, float]:
 
     Parameters
     ----------
-    correlation : float
-        Correlation time T in samples.
+    correlation : (processes,) array
+        Correlation times T in samples.
+
+    Returns
+    -------
+    A, B : (processes,) float64 arrays
     """
-    half = 0.5 / correlation
-    if half < 1e-4:  # 1/half + half/3 and so on: the difference of both is of the size of half
-        return 1.0 / half + half / 3.0, 0.5 / half**2 - 1.0 / 6.0
-    return 1.0 / math.tanh(half), 0.5 / math.sinh(half) ** 2
+    half = np.atleast_1d(0.5 / np.asarray(correlation, float))
+    # The difference of A and B/T is of the size of half: series where it would be rounding.
+    small = half < 1e-4
+    slope = np.where(small, 1.0 / half + half / 3.0, 1.0 / np.tanh(half))
+    step = np.where(small, 0.5 / half**2 - 1.0 / 6.0, 0.5 / np.sinh(np.minimum(half, 300.0)) ** 2)
+    return slope, step
 
 
 def sinusoid_avar(m: ArrayLike, frequency: float) -> NDArray[np.float64]:

@@ -174,7 +174,7 @@ class _Lags:
             walk_from_cubic(white, cubic * norm / 12.0),
         ]
         for e, time in zip(exponentials, times):
-            slope, step = gauss_markov_sums(time)
+            slope, step = (float(x[0]) for x in gauss_markov_sums(time))
             out.append(slope * white - 0.5 * step * norm * e)
         return np.stack(out)
 
@@ -190,7 +190,7 @@ class _Lags:
         at_ends = self._end_weights()
         kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: of w, b, k
         for time in times:
-            slope, step = gauss_markov_sums(time)
+            slope, step = (float(x[0]) for x in gauss_markov_sums(time))
             kink.append(slope - step / time)
         twelfth = np.where(self.dense, 0.0, self.stride / 12.0)[:, None]
         at_ends[self.dense] = 0.0

@@ -38,18 +38,9 @@ class GaussMarkovTerm:
         """Averaging factor at which it is largest relative to white noise."""
         return 1.89 * self.shape
 
-    def column(self, table: Table) -> Floats:
-        """Return its Allan variance at unit variance, (factors,).
-
-        Removing the ramps takes from it what it takes from white noise of the same long-term
-        level.
-        """
-        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
-        return sampled_gauss_markov_avar(table.m, self.shape) - self.white() * taken
-
     def white(self) -> float:
         """Return the variance per sample of white noise of the same long-term level."""
-        return gauss_markov_sums(self.shape)[0]
+        return float(gauss_markov_sums(self.shape)[0][0])
 
 
 @dataclass(frozen=True)
@@ -62,10 +53,6 @@ class SinusoidTerm:
     def scale(self) -> float:
         """Averaging factor at which it is largest."""
         return LINE_PEAK / self.shape
-
-    def column(self, table: Table) -> Floats:
-        """Return its Allan variance at unit squared amplitude, (factors,)."""
-        return sinusoid_avar(table.m, self.shape)
 
     def white(self) -> float:
         """Return 0: it has no long-term level."""
@@ -95,9 +82,9 @@ def with_extras(
     if not extras:
         return table
     drifts = [e for e in extras if isinstance(e, GaussMarkovTerm)]
-    columns = [table.terms, *(e.column(table) for e in extras)]
+    columns = [table.terms, columns_of(table, extras)]
     if tangents:
-        columns += [_tangent(table, e) for e in extras]
+        columns.append(_tangents(table, extras))
     squares = table.squares
     if drifts:
         raw = pooled.process_squares(tuple(e.shape for e in drifts), np.isin(pooled.m, table.m))
@@ -112,10 +99,31 @@ def with_extras(
     )
 
 
-def _tangent(table: Table, extra: Extra) -> Floats:
-    """Return the derivative of a column by the logarithm of its shape."""
+def columns_of(table: Table, extras: Sequence[Extra]) -> Floats:
+    """Return the Allan variance of processes of unit variance or amplitude, (factors, processes).
+
+    Removing the ramps takes from a Gauss-Markov process what it takes from white noise of the same
+    long-term level.
+    """
+    drift = np.array([isinstance(e, GaussMarkovTerm) for e in extras], bool)
+    shapes = np.array([e.shape for e in extras])
+    out = np.empty((len(table.m), len(extras)))
+    if drift.any():
+        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
+        white = gauss_markov_sums(shapes[drift])[0]
+        out[:, drift] = sampled_gauss_markov_avar(table.m, shapes[drift]) - np.outer(taken, white)
+    if not drift.all():
+        out[:, ~drift] = sinusoid_avar(table.m[:, None], shapes[~drift])
+    return out
+
+
+def _tangents(table: Table, extras: Sequence[Extra]) -> Floats:
+    """Return the derivatives of the columns by the logarithms of their shapes."""
     half = SHAPE_STEP**0.5
-    above, below = (replace(extra, shape=extra.shape * f).column(table) for f in (half, 1 / half))
+    above, below = (
+        columns_of(table, [replace(e, shape=e.shape * factor) for e in extras])
+        for factor in (half, 1.0 / half)
+    )
     return np.asarray((above - below) / np.log(SHAPE_STEP))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from .goodness import Z_FAIL
 from .model import RANDOM_TERMS, Floats
-from .processes import Extra, GaussMarkovTerm, SinusoidTerm
+from .processes import Extra, GaussMarkovTerm, SinusoidTerm, columns_of
 from .solve import B, K, Q, Whitening, nonnegative_least_squares
 from .table import Table
 
@@ -25,6 +25,9 @@ SHAPES_PER_OCTAVE = 6
 
 SHORTEST_CORRELATION = 0.3
 """Samples. White noise behind a first-order filter is such a process: found, it unmasks it."""
+
+SHORTEST_BEYOND_CUT = 4.0
+"""The same in units of the smallest averaging factor, where shorter averages are left out."""
 
 LONGEST_CORRELATION = 8
 """A correlation time over this part of the longest segment cannot be told from a random walk."""
@@ -47,6 +50,9 @@ none of some hundred shapes (3.5 standard deviations)."""
 
 SURE_GAIN = 21.0
 """The same for one more process in a model that passes: one in 2000 records."""
+
+COMPARED_GAIN = 6.0
+"""The same in a model without a walk, which is compared with one that has a walk as a whole."""
 
 SWEEPS = 4
 """Bound on the rounds in which all shapes are adjusted in turn."""
@@ -90,16 +96,28 @@ class ProcessSearch:
         Length of the longest segment.
     signed : bool
         Whether q may be negative.
+    walk : bool
+        Whether k may be other than 0.
     """
 
     def __init__(
-        self, table: Table, whitening: Whitening, freedom: float, samples: int, signed: bool
+        self,
+        table: Table,
+        whitening: Whitening,
+        freedom: float,
+        samples: int,
+        *,
+        signed: bool,
+        walk: bool,
     ) -> None:
         self.table, self.freedom, self.signed = table, freedom, signed
-        self._whitening = whitening
-        white = whitening.apply(np.column_stack([table.terms, table.avar]))
-        self._terms, self._target = white[:, :-1], white[:, -1]
-        least = SHORTEST_CORRELATION * float(table.m[0])
+        self._to_white = whitening.apply(np.eye(len(table.m)))
+        self._terms, self._target = self._to_white @ table.terms, self._to_white @ table.avar
+        if not walk:
+            self._terms[:, K] = 0.0
+        self._walk = walk
+        shortest = SHORTEST_CORRELATION if table.m[0] == 1 else SHORTEST_BEYOND_CUT
+        least = shortest * float(table.m[0])
         drifts = _spaced(least, samples / LONGEST_CORRELATION)
         lines = _spaced(LINE_CYCLES / samples, FASTEST_LINE / float(table.m[0]))
         self._grid: list[Extra] = [GaussMarkovTerm(float(t)) for t in drifts]
@@ -114,7 +132,7 @@ class ProcessSearch:
         """Return the whitened columns of some processes, (rows, processes)."""
         if not extras:
             return np.zeros((len(self._target), 0))
-        return self._whitening.apply(np.column_stack([e.column(self.table) for e in extras]))
+        return self._to_white @ columns_of(self.table, extras)
 
     def fitted(self, extras: Sequence[Extra]) -> Found:
         """Return the fit of some processes beside the four terms."""
@@ -144,7 +162,7 @@ class ProcessSearch:
         while True:
             more = self._with_one_more(found)
             if more is None or found.chi_squared - more.chi_squared < self._needed(found):
-                return found
+                return self._adjusted(found, SWEEPS)
             found = more
 
     def z(self, found: Found) -> float:
@@ -153,6 +171,8 @@ class ProcessSearch:
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
     def _needed(self, found: Found) -> float:
+        if not self._walk:
+            return COMPARED_GAIN
         return NEEDED_GAIN if self.z(found) >= Z_FAIL else SURE_GAIN
 
     def _with_one_more(self, found: Found) -> Found | None:
@@ -173,9 +193,9 @@ class ProcessSearch:
             return None
         return self._adjusted(self.fitted(_sorted([*found.extras, self._grid[at[best]]])))
 
-    def _adjusted(self, found: Found) -> Found:
+    def _adjusted(self, found: Found, sweeps: int = 1) -> Found:
         """Return the fit with the shapes of all processes adjusted in turn."""
-        for _ in range(SWEEPS):
+        for _ in range(sweeps):
             before = found.chi_squared
             for k in range(len(found.extras)):
                 found = self._with_best_shape(found, k)
@@ -217,7 +237,7 @@ class ProcessSearch:
         certain = [c for c in range(known.shape[1]) if c not in (Q, B, K)]
         if self.signed or power[Q] != 0.0:
             certain.append(Q)
-        for some in ((), (B,), (K,), (B, K)):
+        for some in ((), (B,), (K,), (B, K)) if self._walk else ((), (B,)):
             active = sorted((*certain, *some))
             basis, upper = np.linalg.qr(known[:, active] / self._scale(known[:, active]))
             rest = self._target - basis @ (basis.T @ self._target)

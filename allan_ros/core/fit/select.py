@@ -10,6 +10,7 @@ import numpy as np
 
 from .goodness import (
     DEFICIT_LIMIT,
+    Z_FAIL,
     Goodness,
     best_case_goodness,
     degrees_of_freedom,
@@ -24,6 +25,7 @@ from .search import ProcessSearch
 from .solve import (
     NO_MISFIT,
     FitOptions,
+    K,
     N,
     PointFit,
     Q,
@@ -56,6 +58,16 @@ SAME_SHAPE = 0.05
 FILTER_SHARE = 0.05
 """Where white noise is a smaller part of the long-term white level than this, a short Gauss-Markov
 process has taken its place: the samples are filtered."""
+
+Z_SLACK = 1.0
+"""A model of processes may be worse than one that passes by this much."""
+
+HOPELESS = 30.0
+"""A search that fails by so much is not repeated with its own covariance."""
+
+CLEAR_OF_CUT = 2.0
+"""Processes that stand out at factors above this many times the smallest are kept when the
+shortest averages are left out."""
 
 FILTER_LONGEST = 32.0
 """Correlation time in samples of such a filter at most."""
@@ -127,20 +139,57 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
     best = _searched(pooled, axis, plain)
     if _fits(best) and not _replaces_white(best):
+        best = _bounded(pooled, axis, best)
         return replace(selected, fit=best, filtered=False)
+    filtered = selected.filtered or _replaces_white(best)
+    tried = [] if _replaces_white(best) else [best]
     if selected.filtered:
-        signed = _searched(pooled, axis, selected.fit)
-        if _fits(signed) and not _replaces_white(signed):
-            return replace(selected, fit=signed)
-    if selected.filtered or _replaces_white(best) or _z(best) > Z_CUT:
-        shorter = _without_the_shortest(pooled, axis, selected.fit)
-        if shorter is not None:
-            lines = [e.shape for e in best.options.extras if isinstance(e, SinusoidTerm)]
-            hidden = [f for f in lines if 1.0 / f < 2.0 * shorter.options.m_min]
-            filtered = selected.filtered or _replaces_white(best)
-            hint = hidden[0] if hidden else None
-            return replace(selected, fit=shorter, filtered=filtered, hint=hint)
-    return _with_misfit(pooled, axis, replace(selected, fit=best))
+        tried.append(_searched(pooled, axis, selected.fit))
+    if filtered or _z(best) > Z_CUT:
+        start = replace(selected.fit, options=replace(best.options, signed=True))
+        tried += _without_the_shortest(pooled, axis, start, tried)
+    good = [fit for fit in tried if _fits(fit) and not _replaces_white(fit)]
+    sure = [fit for fit in good if _z(fit) < Z_LOOK]
+    whole = [fit for fit in good if fit.options.m_min == 1]
+    if good:
+        chosen = (whole or sure or good)[0]
+    else:
+        chosen = min(tried, key=lambda fit: (_replaces_white(fit), _z(fit)))
+    chosen = _bounded(pooled, axis, chosen)
+    lines = [e.shape for e in best.options.extras if isinstance(e, SinusoidTerm)]
+    hidden = [f for f in lines if 1.0 / f < 2.0 * chosen.options.m_min]
+    hint = hidden[0] if hidden and chosen.options.m_min > 1 else None
+    selected = replace(selected, fit=chosen, filtered=filtered, hint=hint)
+    if good and _z(chosen) < Z_FAIL + Z_SLACK:
+        return selected
+    return _with_misfit(pooled, axis, selected)
+
+
+def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Return the fit with a long Gauss-Markov process for its random walk, if that is likelier.
+
+    Both describe the precise part of the curve where they look alike. The long averages, though
+    few, tell whether the drift goes on.
+    """
+    if not fit.power[K] > 0.0:
+        return fit
+    without = replace(fit, options=replace(fit.options, walk=False))
+    other = _searched(pooled, axis, without)
+    z = _z(fit)
+    # What fails anyway gets a model error, and z counts for little.
+    if _z(other) > (max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z):
+        return fit
+    return other if _criterion(other) < _criterion(fit) else fit
+
+
+def _criterion(fit: PointFit) -> float:
+    """Return -2 log likelihood of the table if it were Gaussian, plus twice the parameters."""
+    covariance = weights_at(fit.table, fit.power, NO_MISFIT)
+    whitening = Whitening.of(covariance)
+    rest = whitening.apply((fit.table.avar - fit.table.terms @ fit.power)[:, None])
+    size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
+    parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
+    return float(np.sum(rest**2) + 2.0 * size + 2.0 * parameters)
 
 
 def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
@@ -157,14 +206,14 @@ def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selecti
     return replace(selected, fit=loose, levels_off=levels_off)
 
 
-def _searched(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = np.inf) -> PointFit:
     """Return the fit with the processes that its table asks for, if any.
 
     The first covariance is that of the five terms scaled to the measured curve: that of a fit that
-    fails would be wrong where it fails.
+    fails would be wrong where it fails. A search that fails by more than ``hopeless`` ends there.
     """
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
-    table = options.table(pooled, axis, fit.power[: len(RANDOM_TERMS)])
+    table = options.table(pooled, axis, fit.options.noise(fit.power))
     covariance = _scaled_covariance(table)
     samples = pooled.segments[0].samples
     extras: tuple[Extra, ...] = fit.options.extras
@@ -174,7 +223,8 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
             Whitening.of(covariance),
             degrees_of_freedom(covariance),
             samples,
-            options.signed,
+            signed=options.signed,
+            walk=options.walk,
         )
         found = search.search(extras)
         settled = _same_shapes(found.extras, extras)
@@ -182,7 +232,7 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
         if not extras and settled:
             break
         fit = point_fit(pooled, axis, replace(options, extras=extras), found.power)
-        if settled:
+        if settled or search.z(found) > hopeless:
             break
         table = options.table(pooled, axis, fit.options.noise(fit.power))
         covariance = weights_at(fit.table, fit.power, NO_MISFIT)
@@ -208,13 +258,15 @@ def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
 
 def _replaces_white(fit: PointFit) -> bool:
     """Return whether a short Gauss-Markov process stands for filtered white noise."""
-    white = max(float(fit.power[N]), 0.0)
+    longest = FILTER_LONGEST * fit.options.m_min
+    powers = fit.power[len(RANDOM_TERMS) :]
     short = sum(
         float(p) * e.white()
-        for e, p in zip(fit.options.extras, fit.power[len(RANDOM_TERMS) :])
-        if isinstance(e, GaussMarkovTerm) and e.shape < FILTER_LONGEST * fit.options.m_min
+        for e, p in zip(fit.options.extras, powers)
+        if isinstance(e, GaussMarkovTerm) and e.shape < longest
     )
-    return white < FILTER_SHARE * (white + short)
+    white = max(float(fit.power[N]), 0.0)
+    return short > 0.0 and white < FILTER_SHARE * (white + short)
 
 
 def _z(fit: PointFit) -> float:
@@ -222,26 +274,34 @@ def _z(fit: PointFit) -> float:
     return best_case_goodness(fit.table, fit.power).z
 
 
-def _without_the_shortest(pooled: PooledTable, axis: int, free: PointFit) -> PointFit | None:
-    """Return the fit from the smallest factor on from which the table is described, if any.
+def _without_the_shortest(
+    pooled: PooledTable, axis: int, start: PointFit, tried: list[PointFit]
+) -> list[PointFit]:
+    """Return fits from larger and larger smallest factors on, until one passes well.
 
-    A table that just passes may still be bent at its short end, so one that passes well is
-    preferred.
+    A table that just passes may still be bent at its short end. None if ``tried`` has one that
+    passes.
     """
-    passing: PointFit | None = None
+    out: list[PointFit] = []
+    if any(_fits(fit) and not _replaces_white(fit) for fit in tried):
+        return out
     for m_min in M_MIN:
-        if np.count_nonzero(free.table.m >= m_min) <= 2 * len(RANDOM_TERMS):
+        if np.count_nonzero(start.table.m >= m_min) <= 2 * len(RANDOM_TERMS):
             break
         options = FitOptions(m_min=m_min, signed=True)
-        fit = point_fit(pooled, axis, options, free.power[: len(RANDOM_TERMS)])
-        z = _z(fit)
-        if z >= Z_LOOK or not _fits(fit):
-            more = _searched(pooled, axis, fit)
-            if more.options.extras and not _replaces_white(more):
-                fit, z = more, _z(more)
+        fit = point_fit(pooled, axis, options, start.power[: len(RANDOM_TERMS)])
         if not _fits(fit):
-            continue
-        if z < Z_LOOK:
-            return fit
-        passing = passing or fit
-    return passing
+            kept = tuple(e for e in start.options.extras if e.scale > CLEAR_OF_CUT * m_min)
+            known = replace(start, power=fit.power, options=replace(options, extras=kept))
+            fit = _searched(pooled, axis, _resized(known), HOPELESS)
+        out.append(fit)
+        if _fits(fit) and _z(fit) < Z_LOOK and not _replaces_white(fit):
+            break
+    return out
+
+
+def _resized(fit: PointFit) -> PointFit:
+    """Return a fit whose powers of processes are 0: a search finds them again."""
+    power = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
+    power[: len(RANDOM_TERMS)] = fit.power[: len(RANDOM_TERMS)]
+    return replace(fit, power=power)

@@ -304,13 +304,16 @@ class FitOptions:
     misfit : Misfit
         Fractional error of the model.
     extras : tuple of Extra
-        Terms beside the five.
+        Processes beside the five terms.
+    walk : bool
+        Whether k may be other than 0.
     """
 
     m_min: int = 1
     signed: bool = False
     misfit: Misfit = NO_MISFIT
     extras: tuple[Extra, ...] = ()
+    walk: bool = True
 
     def table(
         self,
@@ -368,7 +371,8 @@ def point_fit(
     power = np.concatenate([power, np.zeros(len(RANDOM_TERMS) + len(options.extras) - len(power))])
     table = options.table(pooled, axis, power)
     for _ in range(RAMP_ROUNDS):
-        new = solve(table, power, signed=options.signed, misfit=options.misfit)
+        columns = tuple(c for c in range(len(power)) if options.walk or c != K)
+        new = solve(table, power, columns=columns, signed=options.signed, misfit=options.misfit)
         settled = np.all(np.abs(new - power) <= RAMP_TOLERANCE * np.abs(power))
         power = new
         if settled:

@@ -22,7 +22,7 @@ def direct(power, times):
     def phase(t):
         out = power[:4] @ phase_covariance(t.astype(float))
         for p, time in zip(power[4:], times):
-            slope, step = gauss_markov_sums(time)
+            slope, step = (float(x[0]) for x in gauss_markov_sums(time))
             out -= 0.5 * p * (slope * np.abs(t) + step * np.expm1(-np.abs(t) / time))
         return out
 
