@@ -339,14 +339,30 @@ CATALOGUE = {
     # --- the recording: what the readers could not read -------------------------------------------
     'table_cut': Wording(
         'warning',
-        '{path}: line {line}, the last one, is incomplete and was dropped.',
+        '{path}: line {line}, the last one, has no line end, may be truncated and was dropped.',
         'Compare with the original if more is missing.',
     ),
     'bag_cut': Wording(
         'warning',
-        '{path}: the file ends after {read} of {size} bytes (the recorder was not stopped '
-        'cleanly); complete messages were read.',
+        '{path}: {read} of {size} bytes could be read: the file is truncated or damaged.',
         'Stop the recorder with Ctrl-C and wait for it to exit; "mcap recover" repairs the file.',
+    ),
+    'count_differs': Wording(
+        'warning',
+        '{path} states {stated} messages, {read} were read.',
+        'Copy the recording again, or repair it with "mcap recover", "ros2 bag reindex" or '
+        '"sqlite3 FILE .recover".',
+    ),
+    'covariance_ignored': Wording(
+        'warning',
+        '{count} of {read} messages declare the {sensor} absent (covariance[0] is -1 or NaN), but '
+        'contain valid data, which were used.',
+        'Set the covariance in the driver, or drop the data with --trust-covariance.',
+    ),
+    'unit_assumed': Wording(
+        'warning',
+        '{path}: the header states no unit for the {sensor}; {unit} was assumed.',
+        'State it with --{sensor}-unit, or in the header as in "{name} [{unit}]".',
     ),
     'recording_lost': Wording(
         'error',

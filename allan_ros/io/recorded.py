@@ -193,7 +193,11 @@ def read_recording(
     counts = known.health.counts
     if not known.sums:
         raise AllanError(_no_data(job, counts, findings))
-    settings = {**asdict(job.segmenter), **asdict(job.reading), 'hardware_id': job.hardware_id}
+    settings = {
+        **asdict(job.segmenter),
+        **asdict(recording.options),
+        'hardware_id': job.hardware_id,
+    }
     provenance = Provenance((recording.info,), known.spans, findings, counts, settings)
     if not job.with_context:
         return RecordingSums(job.path, known.sums, provenance)

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""numpy files: ``.npz`` with ``imu`` (and more), or a bare ``.npy`` of the same columns.
+"""numpy files: ``.npz`` with the array ``imu``, or ``.npy`` with the same columns.
 
 ``imu`` is float64 with columns t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2). ``stamps_ns`` (int64)
-takes the place of t where it is given; ``record_ns`` (int64) and ``frame_id`` (one text) may be
-there. Arrays are read in blocks, never whole.
+replaces t; ``record_ns`` (int64) and ``frame_id`` (one text) are optional. Arrays are read in
+blocks, never as a whole.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any
@@ -25,24 +26,19 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from ...core.errors import AllanError
-from ...core.imu import AXES, SENSORS, ImuBatch
-from .recording import (
-    ACCEL_UNITS,
-    BATCH,
-    GYRO_UNITS,
-    STAMP_UNITS,
-    ReadOptions,
-    Recording,
-    Report,
-    SourceInfo,
-)
+from ...core.imu import AXES, ImuBatch
+from ..files import open_regular
+from .recording import BATCH, STAMP_UNITS, ReadOptions, Recording, Report, SourceInfo
 
 COLUMNS = 't, gx, gy, gz, ax, ay, az'
 
 SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 MAX_FRAME_BYTES = 4096
-"""A frame_id longer than this is no frame_id."""
+"""Size of the longest frame_id that is accepted."""
+
+MAX_HEADER_BYTES = 1 << 16
+"""Size in which the header of an array ends."""
 
 
 class _Column:
@@ -74,7 +70,7 @@ class _Column:
     def _block(self, file: IO[bytes], count: int) -> NDArray[Any]:
         data = file.read(count * self.dtype.itemsize)
         if len(data) != count * self.dtype.itemsize:
-            raise AllanError(f'{self.where} ends early: the file is cut off; copy it again')
+            raise AllanError(f'{self.where} ends early: the file is truncated; copy it again')
         return np.frombuffer(data, self.dtype)
 
 
@@ -84,9 +80,9 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
     Raises
     ------
     AllanError
-        When the file is no such thing, or its arrays do not fit each other.
+        When it is not such a file, or its arrays are inconsistent.
     """
-    with path.open('rb') as file:
+    with open_regular(path) as file:
         zipped = file.read(4) == b'PK\x03\x04'
     try:
         members = _members(path) if zipped else ('',)
@@ -96,7 +92,7 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
         raise _unreadable(path, error) from error
     storage = 'npz' if zipped else 'npy'
     info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', storage)
-    return Recording(info, n, lambda report: _read(path, members, options, report))
+    return Recording(info, n, lambda report: _read(path, members, options, report), options=options)
 
 
 _LIBRARY_ERRORS = (
@@ -114,7 +110,7 @@ _LIBRARY_ERRORS = (
     TokenError,
     TypeError,
 )
-"""What zipfile and numpy raise on files that are not what they seem."""
+"""What zipfile and numpy raise on damaged files."""
 
 
 def _unreadable(path: Path, error: Exception) -> AllanError:
@@ -123,7 +119,7 @@ def _unreadable(path: Path, error: Exception) -> AllanError:
 
 
 def _members(path: Path) -> tuple[str, ...]:
-    with zipfile.ZipFile(path) as archive:
+    with open_regular(path) as file, zipfile.ZipFile(file) as archive:
         members = tuple(name[:-4] for name in archive.namelist() if name.endswith('.npy'))
     if SAMPLES not in members:
         raise AllanError(
@@ -134,17 +130,18 @@ def _members(path: Path) -> tuple[str, ...]:
 
 
 def _opener(path: Path, name: str) -> Any:
-    """Return what opens the bytes of that array (of the whole file if it is not a zip)."""
+    """Return a function that opens that array (the file itself if it is not a zip)."""
     if not name:
-        return lambda: path.open('rb')
+        return lambda: open_regular(path)
     return lambda: _Member(path, name)
 
 
 class _Member:
-    """A member of a zip that closes its archive too."""
+    """A member of a zip; closing it closes the archive."""
 
     def __init__(self, path: Path, name: str) -> None:
-        self._archive = zipfile.ZipFile(path)
+        self._file = open_regular(path)
+        self._archive = zipfile.ZipFile(self._file)
         self._name = f'{name}.npy'
 
     def __enter__(self) -> IO[bytes]:
@@ -152,32 +149,37 @@ class _Member:
 
     def __exit__(self, *_: object) -> None:
         self._archive.close()
+        self._file.close()
 
 
 def _read_header(file: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    version = npy.read_magic(file)
+    head = BytesIO(file.read(MAX_HEADER_BYTES))
+    version = npy.read_magic(head)
     if version == (1, 0):
-        return npy.read_array_header_1_0(file)
-    if version == (2, 0):
-        return npy.read_array_header_2_0(file)
-    raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')
+        header = npy.read_array_header_1_0(head)
+    elif version == (2, 0):
+        header = npy.read_array_header_2_0(head)
+    else:
+        raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')
+    file.seek(head.tell())
+    return header
 
 
 def _open_columns(
     path: Path, members: tuple[str, ...], options: ReadOptions, stack: ExitStack
 ) -> tuple[_Column, _Column | None, _Column | None]:
-    """Open samples, stamps and record times, and check that they fit each other."""
+    """Open samples, stamps and record times, and check their shapes."""
     name = SAMPLES if SAMPLES in members else ''
     samples = _Column(path, name, stack)
     stamps = _Column(path, STAMPS, stack) if STAMPS in members else None
     record = _Column(path, RECORD, stack) if RECORD in members else None
     if len(samples.shape) != 2 or samples.shape[1] not in (len(AXES), len(AXES) + 1):
         raise AllanError(
-            f'{samples.where} has shape {samples.shape}: give one row a sample with columns '
+            f'{samples.where} has shape {samples.shape}: give one row per sample with columns '
             f'{COLUMNS}'
         )
     if not samples.shape[0]:
-        raise AllanError(f'{samples.where} holds no sample: record or export it again')
+        raise AllanError(f'{samples.where} contains no sample: record or export it again')
     if samples.shape[1] == len(AXES) and stamps is None and not options.rate_hz:
         raise AllanError(
             f'{samples.where} has six columns and no time: add {STAMPS!r}, put t first, '
@@ -197,10 +199,8 @@ def _open_columns(
 def _read(
     path: Path, members: tuple[str, ...], options: ReadOptions, report: Report
 ) -> Iterator[ImuBatch]:
-    del report  # an array is whole or not at all
-    scale = np.ones(len(AXES))
-    scale[SENSORS['gyro']] = GYRO_UNITS[options.gyro_unit]
-    scale[SENSORS['accel']] = ACCEL_UNITS[options.accel_unit]
+    del report  # an array is complete or refused
+    scale = options.scale()
     try:
         frame_id = _frame_id(path) if FRAME in members else ''
         with ExitStack() as stack:
@@ -217,7 +217,7 @@ def _read(
                     rows_of = np.arange(first, first + rows)
                     stamps_ns = np.rint(rows_of * (1e9 / options.rate_hz)).astype(np.int64)
                 values = block[:, -len(AXES) :].astype(np.float64)
-                if (scale != 1.0).any():
+                if scale is not None:
                     values *= scale
                 record_ns = None if record is None else record.take(rows).astype(np.int64)
                 yield ImuBatch(stamps_ns, values, record_ns, frame_id)
@@ -228,13 +228,13 @@ def _read(
 def _to_nanoseconds(
     times: NDArray[np.float64], unit: int, where: str, first: int
 ) -> NDArray[np.int64]:
-    with np.errstate(over='ignore'):  # what overflows is refused below
+    with np.errstate(over='ignore'):  # refused below
         times = times * unit
     bad = ~(np.abs(times) < np.iinfo(np.int64).max)
     if bad.any():
         raise AllanError(
-            f'{where}: the time of row {first + int(np.argmax(bad))} is no stamp: mend it, or '
-            'state the unit of t (s, ms, us, ns)'
+            f'{where}: the time of row {first + int(np.argmax(bad))} is not a stamp: '
+            'correct it, or state the unit of t with --stamp-unit (s, ms, us, ns)'
         )
     return np.rint(times).astype(np.int64)
 
@@ -248,15 +248,15 @@ def _frame_id(path: Path) -> str:
 
 
 def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
-    """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, if there are, ``record_ns``.
+    """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, where known, ``record_ns``.
 
     Column t is in seconds, for readers that do not know ``stamps_ns``. Memory stays constant: the
-    arrays are collected in temporary files, as their length is known only at the end.
+    arrays are collected in temporary files, because their length is known only at the end.
 
     Raises
     ------
     AllanError
-        When the batches name several frames, or only some of them have record times.
+        When the batches have several frames, or only some of them have record times.
     """
     frames: list[str] = []
     counts = {SAMPLES: 0, STAMPS: 0, RECORD: 0}

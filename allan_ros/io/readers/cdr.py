@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`sensor_msgs/Imu` on the wire: whole batches of payloads to arrays and back, no message objects.
+"""Serialized `sensor_msgs/Imu` messages: whole batches to arrays and back, and covariances.
 
-Behind ``header.frame_id`` the message has a fixed layout, so payloads of equal length are one
-numpy array of records. Two wire forms are known:
+After ``header.frame_id`` the message has a fixed layout, so payloads of equal length are one numpy
+array of records. Two serializations are supported:
 
-- ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second says the byte order),
-  then fields aligned to their size counted from there (OMG DDSI-RTPS 2.3, section 10;
+- ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second is the byte order),
+  then fields aligned to their size, counted from there (OMG DDSI-RTPS 2.3, section 10;
   CORBA 3.4 part 2, section 9.3).
 - ``ros1``: packed little-endian, with ``header.seq`` (https://wiki.ros.org/msg).
 """
@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,18 +28,18 @@ Encoding = Literal['cdr', 'ros1']
 
 
 Rows = slice | NDArray[np.intp]
-"""Places of messages in their batch; a slice where they are all of it."""
+"""Positions of messages in their batch; a slice where these are all messages."""
 
 
 NANOSECONDS = 10**9
 
 ABSENT = -1.0
-"""covariance[0] of a sensor that is not there (sensor_msgs/Imu.msg)."""
+"""covariance[0] of an absent sensor (sensor_msgs/Imu.msg)."""
 
 ENCAPSULATION_BYTES = 4
 
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
-"""How the encapsulation begins: CDR_BE and CDR_LE."""
+"""First two bytes of the encapsulation: CDR_BE and CDR_LE."""
 
 _DOUBLE = 8
 
@@ -54,7 +54,7 @@ _VECTORS = (
 
 
 class MalformedMessage(Exception):
-    """A payload is not an Imu: ``index`` says which of the batch, the message why."""
+    """A payload is not an Imu message; ``index`` is its position in the batch."""
 
     def __init__(self, index: int, reason: str) -> None:
         super().__init__(reason)
@@ -63,37 +63,71 @@ class MalformedMessage(Exception):
 
 @dataclass(frozen=True)
 class DecodedImus:
-    """The messages of one batch: stamps, axes, and which frame each names.
+    """The messages of one batch.
 
     Attributes
     ----------
     stamps_ns : (n,) int64 array
     samples : (n, 6) float64 array
-        rad/s and m/s^2 in the order of `AXES`; NaN where the message says the sensor is absent.
+        rad/s and m/s^2 in the order of `AXES`; NaN where the sensor is absent.
     frame_ids : list of str
         The distinct frames of the batch.
     frames : (n,) integer array
         The frame of each message, as an index into ``frame_ids``.
+    kept : dict of str to int
+        Sensor -> number of messages that declare it absent by covariance[0] = -1 or NaN, and yet
+        contain valid data, which are kept.
     """
 
     stamps_ns: NDArray[np.int64]
     samples: NDArray[np.float64]
     frame_ids: list[str]
     frames: NDArray[np.intp]
+    kept: dict[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, n: int) -> DecodedImus:
+        """Return room for n messages."""
+        return cls(np.empty(n, np.int64), np.empty((len(AXES), n)).T, [], np.zeros(n, np.intp))
+
+    def drop_absent(
+        self, sensor: str, rows: Rows, first: NDArray[np.float64], trust_covariance: bool
+    ) -> None:
+        """Set a sensor to NaN where it is absent.
+
+        Parameters
+        ----------
+        sensor : 'gyro' or 'accel'
+        rows : slice or array
+            The messages in question.
+        first : (n,) array
+            Their covariance[0].
+        trust_covariance : bool
+            Whether -1 and NaN always count as absent; otherwise only without valid data (finite
+            numbers of which one is not zero), as many drivers do not know what -1 means.
+        """
+        declared = np.arange(len(self.frames))[rows][(first == ABSENT) | np.isnan(first)]
+        if not trust_covariance:
+            values = self.samples[declared, SENSORS[sensor]]
+            valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
+            if valid.any():
+                self.kept[sensor] = self.kept.get(sensor, 0) + int(np.count_nonzero(valid))
+            declared = declared[~valid]
+        self.samples[declared, SENSORS[sensor]] = np.nan
 
 
 @lru_cache(maxsize=256)
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
-    """Return the record layout of an Imu whose frame_id takes that many bytes on the wire.
+    """Return the record layout of an Imu message with a frame_id of that serialized size.
 
     Parameters
     ----------
     encoding : 'cdr' or 'ros1'
     order : '<' or '>'
     frame_bytes : int
-        As the length field says: with the closing NUL in CDR, without in ROS 1.
+        As in the length field: with the final NUL in CDR, without in ROS 1.
     itemsize : int, optional
-        Length of the payload where it is longer than the message (padding at the end).
+        Length of the payload where it is longer than the message, by padding at the end.
 
     Raises
     ------
@@ -128,23 +162,29 @@ def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 
 
 
 def decode_imus(
-    payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
+    payloads: Sequence[bytes | memoryview] | NDArray[np.void],
+    encoding: Encoding,
+    trust_covariance: bool = False,
 ) -> DecodedImus:
     """Decode serialized Imu messages, all at once where their layout is the same.
 
-    ``payloads`` are any bytes, or one array of them where all have the same length.
+    Parameters
+    ----------
+    payloads : sequence of bytes, or an array where all have the same length
+    encoding : 'cdr' or 'ros1'
+    trust_covariance : bool
+        Whether a sensor with covariance[0] = -1 or NaN is absent even if its data are valid.
 
     Raises
     ------
     MalformedMessage
-        Naming the first payload that cannot be an Imu.
+        For the first payload that is not an Imu message.
     """
     n = len(payloads)
-    decoded = DecodedImus(
-        np.empty(n, np.int64), np.empty((len(AXES), n)).T, [], np.zeros(n, dtype=np.intp)
-    )
+    decoded = DecodedImus.empty(n)
+    wire = _Wire(encoding, trust_covariance)
     if isinstance(payloads, np.ndarray):
-        _decode_equal(payloads, encoding, slice(0, n), decoded)
+        _decode_equal(payloads, wire, slice(0, n), decoded)
         return decoded
     lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
     for length in np.unique(lengths):
@@ -153,12 +193,17 @@ def decode_imus(
         if not length:
             raise _too_few(int(rows[0]), 0)
         joined = np.frombuffer(b''.join(same), np.dtype((np.void, int(length))))
-        _decode_equal(joined, encoding, slice(0, n) if len(rows) == n else rows, decoded)
+        _decode_equal(joined, wire, slice(0, n) if len(rows) == n else rows, decoded)
     return decoded
 
 
+class _Wire(NamedTuple):
+    encoding: Encoding
+    trust_covariance: bool
+
+
 def is_imu(payload: bytes, encoding: Encoding) -> bool:
-    """Tell whether one payload can be decoded."""
+    """Return whether a payload can be decoded."""
     try:
         decode_imus([payload], encoding)
     except MalformedMessage:
@@ -170,31 +215,31 @@ def _too_few(index: int, length: int) -> MalformedMessage:
     return MalformedMessage(index, f'{length} bytes are too few for an Imu')
 
 
-def _decode_equal(
-    payloads: NDArray[np.void], encoding: Encoding, rows: Rows, into: DecodedImus
-) -> None:
-    """Decode payloads of one length; those of another byte order or frame length apart."""
+def _decode_equal(payloads: NDArray[np.void], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
+    """Decode payloads of one length, grouped by byte order and length of the frame_id."""
     length = payloads.itemsize
+    encoding = wire.encoding
     if length < imu_dtype(encoding, '<', 0).itemsize:
         raise _too_few(_first(rows), length)
     head = payloads.view(imu_dtype(encoding, '<', 0, length))
-    # What decides the layout, as one integer: the byte order and the raw length field.
+    # byte order and raw length field, which decide the layout, as one integer
     kind = head['frame_bytes'].astype(np.int64)
     if encoding == 'cdr':
         kind += head['representation'].astype(np.int64) << 32
     if (kind == kind[:1]).all():
-        _decode_alike(payloads, int(kind[0]), encoding, rows, into)
+        _decode_alike(payloads, int(kind[0]), wire, rows, into)
         return
     places = np.arange(len(into.frames))[rows]
     for value in np.unique(kind):
         chosen = kind == value
-        _decode_alike(payloads[chosen], int(value), encoding, places[chosen], into)
+        _decode_alike(payloads[chosen], int(value), wire, places[chosen], into)
 
 
 def _decode_alike(
-    payloads: NDArray[np.void], kind: int, encoding: Encoding, rows: Rows, into: DecodedImus
+    payloads: NDArray[np.void], kind: int, wire: _Wire, rows: Rows, into: DecodedImus
 ) -> None:
     """Decode payloads of one layout."""
+    encoding = wire.encoding
     order, frame_bytes = _order_and_frame_bytes(kind, encoding, _first(rows))
     try:
         dtype = imu_dtype(encoding, order, frame_bytes, payloads.itemsize)
@@ -202,12 +247,14 @@ def _decode_alike(
         reason = f'its frame_id of {frame_bytes} bytes does not fit {payloads.itemsize} bytes'
         raise MalformedMessage(_first(rows), reason) from error
     if frame_bytes > MAX_NAME:
-        raise MalformedMessage(_first(rows), f'its frame_id of {frame_bytes} bytes is no name')
-    _fill(payloads.view(dtype), encoding, rows, into)
+        raise MalformedMessage(
+            _first(rows), f'its frame_id has {frame_bytes} bytes, more than {MAX_NAME}'
+        )
+    _fill(payloads.view(dtype), wire, rows, into)
 
 
 def _first(rows: Rows) -> int:
-    """Return the place of the first message of some rows."""
+    """Return the position of the first message."""
     return int(rows.start if isinstance(rows, slice) else rows[0])
 
 
@@ -223,20 +270,19 @@ def _order_and_frame_bytes(kind: int, encoding: Encoding, index: int) -> tuple[s
     raise MalformedMessage(index, f'its encapsulation {representation:#06x} is not plain CDR')
 
 
-def _fill(records: NDArray[Any], encoding: Encoding, rows: Rows, into: DecodedImus) -> None:
-    """Write the records of one layout to their rows."""
+def _fill(records: NDArray[Any], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
+    """Copy the records of one layout to their rows."""
     into.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
     for name, axes in SENSORS.items():
         for i, axis in enumerate(range(len(AXES))[axes]):
             into.samples[rows, axis] = records[name][:, i]
         first = records[f'{name}_covariance'][:, 0].copy()
         if not first.min() >= 0.0:  # NaN is neither
-            absent = (first == ABSENT) | np.isnan(first)
-            into.samples[np.arange(len(into.frames))[rows][absent], axes] = np.nan
+            into.drop_absent(name, rows, first, wire.trust_covariance)
 
     distinct, which = _distinct(records['frame_id'])
     texts = [
-        name.rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+        name.rstrip(b'\0' if wire.encoding == 'cdr' else b'').decode(errors='replace')
         for name in distinct
     ]
     for text in texts:
@@ -247,7 +293,7 @@ def _fill(records: NDArray[Any], encoding: Encoding, rows: Rows, into: DecodedIm
 
 
 def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
-    """Return the distinct items of an array, and which of them each item is."""
+    """Return the distinct items of an array, and the number of that of each item."""
     if not names.itemsize:
         return [b''], np.zeros(len(names), np.intp)
     size, flat = names.itemsize, names.copy().view(np.uint8)
@@ -259,11 +305,18 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
 
 
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
-    """Serialize a batch to one payload a sample, in one go.
+    """Serialize a batch to one payload per sample.
 
-    Axes of a sensor that are all NaN are written as an absent sensor (zeros, covariance[0] -1), the
-    orientation always is.
+    A sensor whose axes are all NaN is written as absent (zeros, covariance[0] = -1), and so is the
+    orientation always.
     """
+    joined = memoryview(encode_records(batch, encoding, order).tobytes())
+    size = len(joined) // max(len(batch), 1)
+    return [joined[start : start + size] for start in range(0, len(joined), size or 1)]
+
+
+def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDArray[Any]:
+    """Serialize a batch to an array of records, as `encode_imus` does."""
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
     dtype = imu_dtype(encoding, order, len(frame))
     records = np.zeros(len(batch), dtype)
@@ -279,13 +332,42 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
         absent = np.asarray(np.isnan(values).all(axis=1))
         records[name] = np.where(absent[:, None], 0.0, values)
         records[f'{name}_covariance'][absent, 0] = ABSENT
-    joined = memoryview(records.tobytes())
-    size = dtype.itemsize
-    return [joined[start : start + size] for start in range(0, len(joined), size)]
+    return records
+
+
+def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
+    """Decode a serialized sensor_msgs/Temperature.
+
+    Returns
+    -------
+    int, str, float
+        Header stamp in ns, frame_id, and temperature in degC.
+
+    Raises
+    ------
+    MalformedMessage
+        When the payload is no such message.
+    """
+    try:
+        if encoding == 'cdr':
+            order, frame_bytes = _order_and_frame_size(payload)
+            sec, nanosec = struct.unpack_from(f'{order}iI', payload, ENCAPSULATION_BYTES)
+            start = _FRAME_AT
+            end = start + frame_bytes
+            value_at = end + (ENCAPSULATION_BYTES - end) % _DOUBLE
+        else:
+            order, start = '<', 16
+            sec, nanosec, frame_bytes = struct.unpack_from('<III', payload, 4)
+            value_at = end = start + frame_bytes
+        (celsius,) = struct.unpack_from(f'{order}d', payload, value_at)
+    except struct.error as error:
+        raise MalformedMessage(0, f'{len(payload)} bytes are too few') from error
+    frame_id = payload[start:end].rstrip(b'\0').decode(errors='replace')
+    return sec * NANOSECONDS + nanosec, frame_id, celsius
 
 
 PATCHED_SENSORS = ('gyro', 'accel')
-"""Of these the covariance is written; that of the orientation never is."""
+"""Sensors whose covariance is written; that of the orientation never is."""
 
 
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
@@ -293,19 +375,19 @@ _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 
 
 _FRAME_BYTES_AT = ENCAPSULATION_BYTES + 8
-"""Where the length of frame_id stands, behind sec and nanosec."""
+"""Offset of the length of frame_id, after sec and nanosec."""
 
 
 _FRAME_AT = _FRAME_BYTES_AT + 4
 
 _COVARIANCE = 9
-"""Numbers in a covariance, row by row."""
+"""Numbers in a covariance."""
 
 
 _COVARIANCE_BYTES = 8 * _COVARIANCE
 
 _UNKNOWN = bytes(_COVARIANCE_BYTES)
-"""All zeros say that the covariance is not known (sensor_msgs/Imu.msg)."""
+"""All zeros: the covariance is unknown (sensor_msgs/Imu.msg)."""
 
 
 _LENGTH = {order: struct.Struct(f'{order}I') for order in '<>'}
@@ -316,16 +398,16 @@ _NUMBERS = {order: struct.Struct(f'{order}{_COVARIANCE}d') for order in '<>'}
 class CovariancePatch:
     """Writes known variances into the covariances of CDR payloads.
 
-    A covariance whose first number is -1 (or NaN) says that the sensor is absent and stays; one
-    that is not all zeros is the driver's and stays, too, unless ``overwrite``.
+    A covariance that begins with -1 or NaN marks an absent sensor and is never changed. One that
+    is not all zeros comes from the driver and is changed only with ``overwrite``.
 
     Parameters
     ----------
     variances : mapping of 'gyro' and 'accel' to (x, y, z)
-        (rad/s)^2 and (m/s^2)^2; a sensor that is left out stays as it is.
+        (rad/s)^2 and (m/s^2)^2; the covariance of a missing sensor is not changed.
     overwrite : bool
     frame_id : str
-        Only messages of this frame are patched; '' for all.
+        Change only messages with this frame_id; '' for all messages.
     """
 
     def __init__(
@@ -345,12 +427,12 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with its covariances filled; the same object if nothing was to fill.
+        """Return the message with its covariances filled; the same object if none was filled.
 
         Raises
         ------
         MalformedMessage
-            When the payload is no Imu in plain CDR.
+            When the payload is not an Imu message in plain CDR.
         """
         order, frame_bytes = _order_and_frame_size(payload)
         offsets = _covariance_offsets(order, frame_bytes, len(payload))
@@ -370,7 +452,7 @@ class CovariancePatch:
         return payload if patched is None else bytes(patched)
 
     def _is_free(self, covariance: bytes, order: str) -> bool:
-        """Return whether this covariance may be written."""
+        """Return whether this covariance may be changed."""
         if covariance == _UNKNOWN:
             return True
         numbers = _NUMBERS[order].unpack(covariance)
@@ -385,7 +467,7 @@ def frame_id_of(payload: bytes) -> str:
     Raises
     ------
     MalformedMessage
-        When the payload is no Imu in plain CDR.
+        When the payload is not an Imu message in plain CDR.
     """
     order, frame_bytes = _order_and_frame_size(payload)
     _covariance_offsets(order, frame_bytes, len(payload))
@@ -405,7 +487,7 @@ def _order_and_frame_size(payload: bytes) -> tuple[str, int]:
 
 @lru_cache(maxsize=256)
 def _covariance_offsets(order: str, frame_bytes: int, length: int) -> dict[str, int]:
-    """Return where the covariances begin in a payload of that length."""
+    """Return the offsets of the covariances in a payload of that length."""
     try:
         fields = imu_dtype('cdr', order, frame_bytes, length).fields
     except ValueError as error:

@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which storage files make up a bag, in which order; and opening one, whatever its kind."""
+"""The storage files of a bag in order, what its metadata states, and how to open one of them."""
 
 from __future__ import annotations
 
+import os
 import re
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,14 +14,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ...core.errors import AllanError
+from ..files import read_bounded
 from .open import first_bytes
 from .storage import (
     Storage,
     damaged,
-    decompression_errors,
+    decompress_file,
     frame_compression,
     normal_type,
-    open_decompressed,
     translated,
 )
 
@@ -30,7 +30,7 @@ METADATA = 'metadata.yaml'
 METADATA_KEY = 'rosbag2_bagfile_information'
 
 MAX_METADATA = 16 * 2**20
-"""Bytes of a metadata.yaml that is read: one of 50 000 splits is smaller."""
+"""Largest metadata.yaml that is read; one of 50,000 splits is smaller."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 
@@ -43,7 +43,7 @@ STORAGES = (
 
 @dataclass(frozen=True)
 class Described:
-    """What metadata.yaml says of a topic."""
+    """What metadata.yaml states about a topic."""
 
     count: int
     encoding: str
@@ -51,9 +51,9 @@ class Described:
 
 @dataclass(frozen=True)
 class BagFiles:
-    """The storage files of one bag in order, and what metadata.yaml says of their topics.
+    """The storage files of one bag in order, and what metadata.yaml states about its topics.
 
-    ``described`` maps (topic, type) to it; None without metadata.
+    ``described`` maps (topic, type) to that; None without metadata.
     """
 
     path: Path
@@ -67,7 +67,7 @@ def bag_files(path: Path) -> BagFiles:
     Raises
     ------
     AllanError
-        When the folder holds no bag, or one of its files is missing or no file of data.
+        When the folder contains no bag, or one of its files is missing or not a regular file.
     """
     if not path.is_dir():
         return BagFiles(path, (path,))
@@ -76,7 +76,7 @@ def bag_files(path: Path) -> BagFiles:
 
 
 def _folder_files(path: Path) -> BagFiles:
-    bag = _described(path) if (path / METADATA).exists() else None
+    bag = _described(path) if os.path.lexists(path / METADATA) else None
     if bag is None or not bag.files:
         splits = [child for child in path.iterdir() if child.name.endswith(SPLITS)]
         if not splits:
@@ -88,7 +88,7 @@ def _folder_files(path: Path) -> BagFiles:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sort key in which split 10 comes after split 9."""
+    """Return a sort key that puts split 10 after split 9."""
     parts = re.split(r'(\d+)', path.name)
     return [(int(part), '') if part.isdigit() else (-1, part) for part in parts]
 
@@ -111,7 +111,7 @@ def _no_bag_in(path: Path) -> AllanError:
 
 
 def _described(path: Path) -> BagFiles:
-    """Return what metadata.yaml says."""
+    """Return what metadata.yaml states."""
     import yaml
 
     from ..text import parse_yaml
@@ -119,18 +119,16 @@ def _described(path: Path) -> BagFiles:
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     first_bytes(path / METADATA)
     try:
-        if (path / METADATA).stat().st_size > MAX_METADATA:
-            raise ValueError(f'it has more than {MAX_METADATA} bytes')
-        text = (path / METADATA).read_text(encoding='utf-8')
+        text = read_bounded(path / METADATA, MAX_METADATA).decode()
         info: dict[str, Any] = parse_yaml(text)[METADATA_KEY]
-        # Older bags name the files with the folder they were recorded to.
+        # Older bags include the folder that they were recorded to in the file names.
         files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
         described: dict[tuple[str, str], Described] = {}
         for entry in info.get('topics_with_message_count') or []:
             topic = entry['topic_metadata']
             key = (_text(topic['name']), normal_type(_text(topic['type'])))
             before = described[key].count if key in described else 0
-            count = before + int(entry['message_count'])
+            count = before + _count(entry['message_count'])
             described[key] = Described(count, _text(topic['serialization_format']))
     except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
         raise damaged(path / METADATA, error, remedy) from error
@@ -143,20 +141,28 @@ def _described(path: Path) -> BagFiles:
 
 
 def _text(value: object) -> str:
-    """Return a text; a list of lists of lists would be a long one."""
+    """Return a printable text; a damaged file may contain anything else."""
     if not isinstance(value, str):
-        raise TypeError(f'a text is expected, not a {type(value).__name__}')
+        raise TypeError(f'a text is expected, not {type(value).__name__}')
+    if not value.isprintable():
+        raise ValueError('a name contains control characters')
+    return value
+
+
+def _count(value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
+        raise ValueError(f'message_count is {str(value)[:40]!r}, not a number of messages')
     return value
 
 
 @contextmanager
 def open_storage(path: Path) -> Iterator[tuple[Storage, str]]:
-    """Open one storage file and name its kind; a compressed file is decompressed beforehand.
+    """Open one storage file, decompressed if necessary, and return it with its format.
 
     Raises
     ------
     AllanError
-        When it is missing, no storage file, or damaged.
+        When it is missing, not a storage file, or damaged.
     """
     compression = frame_compression(first_bytes(path))
     if not compression:
@@ -165,15 +171,7 @@ def open_storage(path: Path) -> Iterator[tuple[Storage, str]]:
         return
     with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
         plain = Path(folder, path.stem)
-        try:
-            with open_decompressed(path, compression) as source, plain.open('wb') as target:
-                shutil.copyfileobj(source, target, 1 << 20)
-        except decompression_errors() as error:
-            raise damaged(
-                path,
-                f'{compression}: {error}',
-                'copy it again; check the space for temporary files',
-            ) from error
+        decompress_file(path, compression, plain)
         with _open_plain(plain, path) as storage:
             yield storage
 
@@ -195,6 +193,4 @@ def _open_plain(path: Path, shown: Path) -> Iterator[tuple[Storage, str]]:
             with openers[kind](path, shown) as storage:
                 yield storage, kind
             return
-    raise damaged(
-        shown, 'it does not begin like a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag'
-    )
+    raise damaged(shown, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """An mcap file, with or without its summary (https://mcap.dev/spec).
 
-A file whose recorder was killed has no footer: its chunks are then found one by one, and what is
-whole is read. Whole chunks are decompressed at a time, so memory does not grow with the file.
+The summary at the end lists the chunks. The rest of the file is searched too: for messages outside
+chunks, for chunks the summary does not list, and, where a killed recorder left no summary, for
+everything. One chunk is decompressed at a time, so memory does not grow with the file.
 """
 
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -32,13 +34,13 @@ from .storage import (
 MESSAGE, MESSAGE_INDEX = 0x05, 0x07
 
 RECORD = struct.Struct('<BQ')
-"""Opcode and length in front of every record."""
+"""Opcode and length at the start of every record."""
 
 MESSAGE_HEAD = struct.Struct('<HIQQ')
 """Channel, sequence, log time, publish time."""
 
 INDEX_HEAD = struct.Struct('<HI')
-"""Channel, and bytes of the pairs (log time, offset) that follow."""
+"""Channel, and size of the pairs (log time, offset) that follow."""
 
 HEAD = np.dtype(
     [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
@@ -46,8 +48,9 @@ HEAD = np.dtype(
 )
 """A message record up to its payload."""
 
-MOST_GAPS = 64
-"""Stretches of a chunk that hold other records than messages: beyond, walking is as fast."""
+MAX_GAPS = 64
+"""With more stretches of other records than messages in a chunk, reading record by record is as
+fast."""
 
 
 def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:
@@ -56,14 +59,16 @@ def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = byte
     Parameters
     ----------
     data : bytes
-        The records of the chunk, decompressed; or a run of records outside of chunks.
+        The records of the chunk, decompressed; or consecutive records outside chunks.
+    ids : set of int
+        The channels.
     index : callable
-        Reads the MessageIndex records that belong to it, empty where there are none.
+        Returns the MessageIndex records of the chunk, empty where there are none.
 
     Raises
     ------
     struct.error
-        When a record is longer than what holds it.
+        When a record extends beyond the end of the data.
     """
     return _uniform(data, ids) or _by_index(data, ids, index()) or _one_by_one(data, ids)
 
@@ -76,12 +81,12 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         start = at + RECORD.size
         at = start + length
         if at > size:
-            raise struct.error('a record is longer than what holds it')
+            raise struct.error('a record extends beyond the end of its chunk')
         yield opcode, start, at
 
 
 def _uniform(data: bytes, ids: Collection[int]) -> Block | None:
-    """Take the messages of a chunk as one array, if behind its first all are of one length."""
+    """Return the messages as one array if all records after the first message have its length."""
     found = next((record for record in records(data) if record[0] == MESSAGE), None)
     if found is None:
         return None
@@ -100,7 +105,7 @@ def _uniform(data: bytes, ids: Collection[int]) -> Block | None:
 
 
 def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
-    """Take the messages from where the index says they are; None if that is not true."""
+    """Return the messages at the offsets in the index; None if the index is wrong."""
     start = np.sort(_offsets(index))
     if not len(start) or start[0] < 0 or start[-1] > len(data) - HEAD.itemsize:
         return None
@@ -108,10 +113,10 @@ def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
     end = start + (RECORD.size + head['length'].astype(np.int64))
     if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
         return None
-    # The index is complete if what lies between its messages holds no other.
+    # The index is complete if there is no message between those it lists.
     before, behind = np.append(0, end), np.append(start, len(data))
     gaps = np.flatnonzero(before != behind)
-    if (before > behind).any() or len(gaps) > MOST_GAPS:
+    if (before > behind).any() or len(gaps) > MAX_GAPS:
         return None
     for gap in gaps:
         between = data[before[gap] : behind[gap]]
@@ -123,7 +128,7 @@ def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
 
 
 def _offsets(index: bytes) -> NDArray[np.int64]:
-    """Return where the messages of all channels begin in the chunk, by its index."""
+    """Return the offsets of the messages of all channels in the chunk, from its index."""
     found = [np.empty(0, np.int64)]
     for opcode, at, _ in records(index):
         if opcode == MESSAGE_INDEX:
@@ -134,7 +139,7 @@ def _offsets(index: bytes) -> NDArray[np.int64]:
 
 
 def _payloads(data: bytes, start: NDArray[np.int64], end: NDArray[np.int64]) -> Payloads:
-    """Return the payloads of message records: one array where they are of one length."""
+    """Return the payloads of message records: one array where they have one length."""
     lengths = end - start
     if len(lengths) and (lengths == lengths[0]).all():
         dtype = _message_dtype(int(lengths[0]) - RECORD.size)
@@ -146,14 +151,14 @@ def _payloads(data: bytes, start: NDArray[np.int64], end: NDArray[np.int64]) -> 
 
 @lru_cache(maxsize=64)
 def _message_dtype(length: int) -> np.dtype[np.void] | None:
-    """Return the layout of message records of that length, or None when they hold nothing."""
+    """Return the layout of message records of that length, or None when they are empty."""
     if length <= MESSAGE_HEAD.size:
         return None
     return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
 
 
 def _one_by_one(data: bytes, ids: Collection[int]) -> Block:
-    """Take the messages of a chunk, whatever their lengths."""
+    """Return the messages record by record, whatever their lengths."""
     view = memoryview(data)
     times: list[int] = []
     payloads: list[bytes | memoryview] = []
@@ -172,130 +177,165 @@ FOOTER, SCHEMA, CHANNEL, CHUNK = 0x02, 0x03, 0x04, 0x06
 
 CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
+FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
+"""Opcode -> length of a record that has only one. Another length is another, damaged record."""
+
 CHUNK_HEAD = struct.Struct('<QQQI')
 """First and last log time, uncompressed size, CRC-32 (0: none)."""
 
 CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
-"""First and last log time, start and length of the chunk, bytes of the map that follows."""
+"""First and last log time, start and length of the chunk, size of the map that follows."""
 
-FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
+STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
+"""Message, schema, channel, attachment, metadata and chunk count, first and last log time, and
+size of the map channel -> messages that follows."""
+
+FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 
 LOOSE_BYTES = 1 << 20
-"""Messages outside of chunks are read in runs of about this many bytes."""
+"""Messages outside chunks are read in stretches of about this size."""
 
 
 @dataclass(frozen=True, order=True)
-class ChunkSpan(Stretch):
-    """A chunk record, or a run of loose messages.
+class McapStretch(Stretch):
+    """A chunk record, or consecutive messages outside chunks.
 
-    Behind a chunk lie ``index_length`` bytes of records that say where its messages begin.
+    The ``index_length`` bytes after a chunk contain the records that list its messages.
     """
 
     is_chunk: bool
     index_length: int = 0
 
+    @property
+    def end(self) -> int:
+        """Offset of the first byte after the stretch and its index."""
+        return self.offset + self.length + self.index_length
 
-class McapStorage(ChunkStorage[ChunkSpan]):
+
+class McapStorage(ChunkStorage[McapStretch]):
     """An open .mcap file."""
 
     DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
-    REMEDY = 'copy it again, or mend it with "mcap recover"'
+    REMEDY = 'copy it again, or repair it with "mcap recover"'
 
     def _survey(self) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._indexed: Counter[int] = Counter()  # messages by MessageIndex records, and loose ones
         if self._read(0, len(MAGIC)) != MAGIC:
-            raise damaged(self._path, 'it does not begin like an mcap file', 'give a recording')
-        if not self._read_summary():
-            self._scan()
+            raise damaged(self._path, 'it is not an mcap file', 'give a recording')
+        listed, end = self._read_summary()
+        at = len(MAGIC)
+        for chunk in listed:
+            at = max(self._scan(at, chunk.offset - RECORD.size), chunk.end)
+            self._chunks.append(chunk)
+        at = self._scan(at, end)
+        if listed:
+            self._counts = Counter(self._stated)
+            return
+        if not self._stated:
+            self._stated = self._counts | self._indexed
+        magic_at = end - len(MAGIC)
+        ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
+        if not self.cut and not ended:
+            self.cut = Cut(at, end)
 
-    def _messages(self, chunk: ChunkSpan, ids: set[int]) -> Block:
+    def _messages(self, chunk: McapStretch, ids: set[int]) -> Block:
         index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
         return chunk_messages(self._data(chunk), ids, index)
 
-    def _data(self, span: ChunkSpan) -> bytes:
-        """Return the records of a span, decompressed."""
-        data = self._read(span.offset, span.length)
-        if not span.is_chunk:
+    def _data(self, stretch: McapStretch) -> bytes:
+        """Return the records of a stretch, decompressed."""
+        data = self._read(stretch.offset, stretch.length)
+        if not stretch.is_chunk:
             return data
         _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
         compression, at = _text(data, CHUNK_HEAD.size)
         (stored,) = struct.unpack_from('<Q', data, at)
         packed = memoryview(data)[at + 8 : at + 8 + stored]
-        return self._unpacked(span.offset, packed, compression, size, checksum)
+        return self._unpacked(stretch.offset, packed, compression, size, checksum)
 
-    def _read_summary(self) -> bool:
-        """Take schemas, channels, chunks and counts from the end; False if they are not there."""
+    def _read_summary(self) -> tuple[list[McapStretch], int]:
+        """Take schemas, channels and counts from the summary.
+
+        Returns
+        -------
+        list of McapStretch
+            The chunks it lists, in the order of the file; empty where it cannot be used.
+        int
+            Where the summary begins; the end of the file where it cannot be used.
+        """
+        unusable: tuple[list[McapStretch], int] = ([], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
         if not footer.endswith(MAGIC) or footer[0] != FOOTER:
-            return False
+            return unusable
         (start,) = struct.unpack_from('<Q', footer, RECORD.size)
         end = self._size - FOOTER_BYTES
         if not 0 < start <= end:
-            return False
+            return unusable
+        chunks: dict[int, McapStretch] = {}
         data = self._read(start, end - start)
-        has_counts = False
         for opcode, at, stop in records(data):
             self._learn(opcode, data, at, stop)
             if opcode == CHUNK_INDEX:
-                self._chunks.append(_chunk_span(data, at))
-            elif opcode == STATISTICS:
-                has_counts = True
-                (size,) = struct.unpack_from('<I', data, at + 42)
-                pairs = data[at + 46 : at + 46 + size]
-                self._counts.update(dict(struct.iter_unpack('<HQ', pairs)))
-        if (
-            has_counts
-            and set(self._counts) <= set(self._topics)
-            and (self._chunks or not sum(self._counts.values()))
-        ):
-            return True
-        self._chunks.clear()
-        self._counts.clear()
-        return False
+                chunk = _listed_chunk(data, at)
+                chunks[chunk.offset] = chunk
+        if not self._stated or not set(self._stated) <= set(self._topics):
+            return unusable
+        return [chunks[offset] for offset in sorted(chunks)], start if chunks else self._size
 
-    def _scan(self) -> None:
-        """Walk over the whole file to learn what a summary would say, up to where it is cut."""
-        at = len(MAGIC)
-        whole = False
-        while at + RECORD.size <= self._size:
-            opcode, length = RECORD.unpack(self._read(at, RECORD.size))
+    def _scan(self, at: int, stop: int) -> int:
+        """Read the records from one offset to another, and return where that ended.
+
+        It ends early at a record that extends beyond ``stop``.
+        """
+        skipped = 0
+        while at + RECORD.size <= stop:
+            head = self._read(at, RECORD.size)
+            if head.startswith(MAGIC):  # behind the footer
+                at += len(MAGIC)
+                continue
+            opcode, length = RECORD.unpack(head)
             start, end = at + RECORD.size, at + RECORD.size + length
-            if end > self._size or opcode == 0:
+            if end > stop or opcode == 0:
                 break
-            if opcode in (DATA_END, FOOTER):
-                whole = self._read(self._size - len(MAGIC), len(MAGIC)) == MAGIC
-                break
-            if opcode == CHUNK:
+            if FIXED_BYTES.get(opcode, length) != length or DATA_END < opcode <= LAST_OPCODE:
+                skipped += end - at
+            elif opcode == CHUNK:
                 first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
-                span = ChunkSpan(first, start, length, True)
-                self._chunks.append(span)
-                data = self._data(span)
-                for inner, inner_at, stop in records(data):
-                    self._learn(inner, data, inner_at, stop, count=True)
+                chunk = McapStretch(first, start, length, True)
+                self._chunks.append(chunk)
+                data = self._data(chunk)
+                for inner, inner_at, inner_end in records(data):
+                    self._learn(inner, data, inner_at, inner_end)
             elif opcode == MESSAGE:
                 data = self._read(start, MESSAGE_HEAD.size)
-                self._learn(opcode, data, 0, len(data), count=True)
+                self._learn(opcode, data, 0, len(data))
                 self._add_loose(data, at, end - at)
-            elif opcode in (SCHEMA, CHANNEL):
+            elif opcode == MESSAGE_INDEX:
+                channel, size = INDEX_HEAD.unpack(self._read(start, INDEX_HEAD.size))
+                self._indexed[channel] += size // 16
+            elif opcode in (SCHEMA, CHANNEL, STATISTICS):
                 self._learn(opcode, self._read(start, length), 0, length)
             at = end
-        if not whole:
-            self.cut = Cut(at, self._size)
+        if skipped:
+            self.cut = Cut(self._size - skipped, self._size)
+        return at
 
     def _add_loose(self, head: bytes, offset: int, length: int) -> None:
-        """Add a message outside of chunks to the run before it, or begin a new one."""
-        log_time = MESSAGE_HEAD.unpack(head)[2]
+        """Add a message outside chunks to the stretch before it, or begin a new one."""
+        channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
+        self._indexed[channel] += 1
         last = self._chunks[-1] if self._chunks else None
         adjoins = last and not last.is_chunk and last.offset + last.length == offset
         if last and adjoins and last.length < LOOSE_BYTES:
             start = min(last.start_ns, log_time)
-            self._chunks[-1] = ChunkSpan(start, last.offset, last.length + length, False)
+            self._chunks[-1] = McapStretch(start, last.offset, last.length + length, False)
         else:
-            self._chunks.append(ChunkSpan(log_time, offset, length, False))
+            self._chunks.append(McapStretch(log_time, offset, length, False))
 
-    def _learn(self, opcode: int, data: bytes, at: int, stop: int, count: bool = False) -> None:
-        """Take note of a schema, a channel, or (to count it) a message."""
-        if opcode == MESSAGE and count:
+    def _learn(self, opcode: int, data: bytes, at: int, stop: int) -> None:
+        """Count a message, or take note of a schema, a channel or the statistics."""
+        if opcode == MESSAGE:
             self._counts[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1
         elif opcode == SCHEMA:
             (number,) = struct.unpack_from('<H', data, at)
@@ -309,17 +349,21 @@ class McapStorage(ChunkStorage[ChunkSpan]):
             encoding, at = _text(data, at)
             name, form, text = self._schemas.get(schema, ('', '', ''))
             self._topics[number] = Topic(number, topic, normal_type(name), encoding, form, text)
+        elif opcode == STATISTICS:
+            *_, size = STATISTICS_HEAD.unpack_from(data, at)
+            at += STATISTICS_HEAD.size
+            self._stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
 
 
-def _chunk_span(data: bytes, at: int) -> ChunkSpan:
-    """Return the chunk that a ChunkIndex record speaks of."""
+def _listed_chunk(data: bytes, at: int) -> McapStretch:
+    """Return the chunk that a ChunkIndex record describes."""
     first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
     (index_length,) = struct.unpack_from('<Q', data, at + CHUNK_INDEX_HEAD.size + map_bytes)
-    return ChunkSpan(first, offset + RECORD.size, length - RECORD.size, True, index_length)
+    return McapStretch(first, offset + RECORD.size, length - RECORD.size, True, index_length)
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return a string and where the next field begins."""
+    """Return a string and the offset of the next field."""
     (length,) = struct.unpack_from('<I', data, at)
     end = at + 4 + length
     return data[at + 4 : end].decode(errors='replace'), end

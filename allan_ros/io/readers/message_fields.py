@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of other types that carry a `sensor_msgs/Imu` in a field, read by their own schema."""
+"""Messages of other types with a `sensor_msgs/Imu` field, read by the schema in the bag.
+
+This needs the package ``rosbags``, which parses schemas and deserializes messages of any type.
+"""
 
 from __future__ import annotations
 
@@ -10,32 +13,57 @@ from typing import Any
 
 import numpy as np
 
-from ...core.imu import AXES
-from .cdr import ABSENT, NANOSECONDS, DecodedImus, MalformedMessage
-from .storage import Payloads, Topic, as_list
+from ...core.imu import SENSORS
+from .cdr import NANOSECONDS, DecodedImus, MalformedMessage
+from .storage import Payloads, Topic, as_list, optional_package
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
 MAX_DEPTH = 8
 """Messages nested deeper than this are not searched."""
 
+STANDARD_PACKAGES = frozenset(
+    (
+        'actionlib_msgs',
+        'builtin_interfaces',
+        'diagnostic_msgs',
+        'geometry_msgs',
+        'map_msgs',
+        'nav_msgs',
+        'rcl_interfaces',
+        'rosgraph_msgs',
+        'sensor_msgs',
+        'shape_msgs',
+        'std_msgs',
+        'stereo_msgs',
+        'tf2_msgs',
+        'trajectory_msgs',
+        'unique_identifier_msgs',
+        'visualization_msgs',
+    )
+)
+"""Packages of message types that need no schema."""
+
 IDL_SEPARATOR = '=' * 80 + '\n'
 
 
 def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
-    """Return the path of every field of the topic's type that is an Imu.
+    """Return the path of every Imu field in the topic's type.
 
-    Empty where there is none, or where the bag has no schema that tells.
+    The list is empty where there is none, or the bag has no usable schema.
+
+    Raises
+    ------
+    AllanError
+        When the schema mentions an Imu, but ``rosbags`` is not installed.
     """
     definitions = _definitions(topic)
     return list(_search(topic.type, definitions, ())) if definitions else []
 
 
 def is_unknown(topic: Topic) -> bool:
-    """Tell whether nothing says what the topic's messages hold: no schema, no standard type."""
-    from rosbags.typesys import Stores, get_typestore
-
-    return not topic.schema and topic.type not in get_typestore(Stores.LATEST).fielddefs
+    """Return whether the content of the messages is unknown: no schema, no standard package."""
+    return not topic.schema and topic.type.split('/')[0] not in STANDARD_PACKAGES
 
 
 def _search(
@@ -55,25 +83,37 @@ def _search(
 
 
 def _definitions(topic: Topic) -> dict[str, Any]:
-    """Parse the schema of a topic; empty if it has none or it cannot be understood."""
-    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
-
+    """Return the parsed schema of a topic; empty if it has none or it is invalid."""
+    if 'Imu' not in topic.schema:
+        return {}
+    typesys = optional_package('rosbags.typesys', f'reading an Imu inside {topic.type}')
     definitions: dict[str, Any] = {}
     try:
         if topic.schema_format in ('ros2msg', 'ros1msg'):
-            definitions = dict(get_types_from_msg(topic.schema, topic.type))
+            definitions = dict(typesys.get_types_from_msg(topic.schema, topic.type))
         elif topic.schema_format in ('ros2idl', 'omgidl'):
             for part in topic.schema.split(IDL_SEPARATOR):
                 text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
                 if text.strip():
-                    definitions.update(get_types_from_idl(text))
-    except TypesysError:
+                    definitions.update(typesys.get_types_from_idl(text))
+    except typesys.TypesysError:
         return {}
     return definitions
 
 
-def nested_decoder(topic: Topic, field: tuple[str, ...]) -> Callable[[Payloads], DecodedImus]:
-    """Return what decodes the Imu in that field of the topic's messages."""
+def nested_decoder(
+    topic: Topic, field: tuple[str, ...], trust_covariance: bool
+) -> Callable[[Payloads], DecodedImus]:
+    """Return a function that decodes the Imu in that field of the topic's messages.
+
+    Parameters
+    ----------
+    topic : Topic
+    field : tuple of str
+        Path of the field, as `imu_fields` returns it.
+    trust_covariance : bool
+        As in `decode_imus`.
+    """
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -81,31 +121,29 @@ def nested_decoder(topic: Topic, field: tuple[str, ...]) -> Callable[[Payloads],
     deserialize = store.deserialize_ros1 if topic.encoding == 'ros1' else store.deserialize_cdr
 
     def decode(payloads: Payloads) -> DecodedImus:
-        n = len(payloads)
-        decoded = DecodedImus(
-            np.empty(n, np.int64), np.empty((n, len(AXES))), [], np.empty(n, dtype=np.intp)
-        )
+        decoded = DecodedImus.empty(len(payloads))
+        first = {sensor: np.empty(len(payloads)) for sensor in SENSORS}
         for row, payload in enumerate(as_list(payloads)):
             try:
                 message = deserialize(payload, topic.type)
-            except Exception as error:  # the library raises what its generated code runs into
+            except Exception as error:  # the generated code may raise anything
                 raise MalformedMessage(row, f'it does not match its schema: {error}') from error
-            _take(reduce(getattr, field, message), row, decoded)
+            imu = reduce(getattr, field, message)
+            _copy(imu, row, decoded)
+            first['gyro'][row] = imu.angular_velocity_covariance[0]
+            first['accel'][row] = imu.linear_acceleration_covariance[0]
+        for sensor in SENSORS:
+            decoded.drop_absent(sensor, slice(None), first[sensor], trust_covariance)
         return decoded
 
     return decode
 
 
-def _take(imu: Any, row: int, into: DecodedImus) -> None:
-    """Write one deserialized Imu to its row."""
-    stamp = imu.header.stamp
-    into.stamps_ns[row] = stamp.sec * NANOSECONDS + stamp.nanosec
-    for axes, vector, covariance in (
-        (slice(0, 3), imu.angular_velocity, imu.angular_velocity_covariance),
-        (slice(3, 6), imu.linear_acceleration, imu.linear_acceleration_covariance),
-    ):
-        absent = covariance[0] == ABSENT or np.isnan(covariance[0])
-        into.samples[row, axes] = np.nan if absent else (vector.x, vector.y, vector.z)
+def _copy(imu: Any, row: int, into: DecodedImus) -> None:
+    """Copy a deserialized Imu to its row."""
+    into.stamps_ns[row] = imu.header.stamp.sec * NANOSECONDS + imu.header.stamp.nanosec
+    for axes, vector in (('gyro', imu.angular_velocity), ('accel', imu.linear_acceleration)):
+        into.samples[row, SENSORS[axes]] = vector.x, vector.y, vector.z
     frame_id = imu.header.frame_id
     if frame_id not in into.frame_ids:
         into.frame_ids.append(frame_id)

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Any recording of an IMU as a stream of `ImuBatch`: the one door to bags, tables and arrays.
+"""Open any recording of an IMU: bags, tables, arrays and PX4 logs.
 
-Each family is read by a file of its own (`bags`, `tables`, `arrays`), imported only when such a
-recording is opened. All stream in constant memory and speak SI.
+Each family has a module (`rosbag2`, `tables`, `arrays`, `ulog`) that is imported when such a
+recording is opened. All readers yield `ImuBatch` in SI units, in constant memory.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...core.errors import AllanError
-from .recording import (
-    ReadOptions,
-    Recording,
-)
+from ..files import open_regular
+from .recording import ReadOptions, Recording
 
 _LFS_MAGIC = b'version https://git-lfs'
 
@@ -24,7 +22,8 @@ _MAGICS = (
     (b'\x89MCAP0\r\n', 'bag'),
     (b'SQLite format 3\0', 'bag'),
     (b'#ROSBAG', 'bag'),
-    (b'\x28\xb5\x2f\xfd', 'bag'),  # zstd: a file-compressed split
+    (b'ULog\x01\x12\x35', 'ulog'),
+    (b'\x28\xb5\x2f\xfd', 'bag'),  # zstd: a compressed split
     (b'PK\x03\x04', 'array'),
     (b'\x93NUMPY', 'array'),
 )
@@ -32,6 +31,7 @@ _MAGICS = (
 _FAMILIES = {
     **dict.fromkeys(('.db3', '.mcap', '.bag', '.zstd', '.zst', '.active'), 'bag'),
     **dict.fromkeys(('.npz', '.npy'), 'array'),
+    '.ulg': 'ulog',
     **dict.fromkeys(('.csv', '.tsv', '.txt', '.dat'), 'table'),
 }
 
@@ -39,12 +39,17 @@ _FAMILIES = {
 def open_recordings(
     paths: Iterable[str | os.PathLike[str]], options: ReadOptions | None = None
 ) -> list[Recording]:
-    """Open each input as one recording, whatever its form; the splits of a bag are one.
+    """Open each path as one recording; the splits of a bag are one recording.
+
+    Parameters
+    ----------
+    paths : iterable of path
+    options : ReadOptions, optional
 
     Raises
     ------
     AllanError
-        One line for the first input that cannot be used: what, where, and what to do.
+        For the first path that cannot be read.
     """
     options = options or ReadOptions()
     return [_open(Path(path), options) for path in paths]
@@ -62,13 +67,17 @@ def _open(path: Path, options: ReadOptions) -> Recording:
         from .arrays import open_array
 
         return open_array(path, options)
+    if family == 'ulog':
+        from .ulog import open_ulog
+
+        return open_ulog(path, options)
     from .tables import open_table
 
     return open_table(path, options)
 
 
 def _family(path: Path) -> str:
-    """Tell which reader the file is for, by its first bytes rather than by its name."""
+    """Return the reader for the file, by its first bytes and, failing that, its suffix."""
     head = first_bytes(path)
     for magic, family in _MAGICS:
         if head.startswith(magic):
@@ -77,21 +86,21 @@ def _family(path: Path) -> str:
         return _FAMILIES[path.suffix.lower()]
     except KeyError:
         raise AllanError(
-            f'{path}: not a recording this tool knows: give a rosbag2 folder, .db3, .mcap, '
-            'ROS 1 .bag, .csv, .tsv, .npz or .npy'
+            f'{path}: not a known form of recording: give a rosbag2 folder, .db3, .mcap, '
+            'ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg'
         ) from None
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return the first bytes of a file that is there and holds something of its own.
+    """Return the first bytes of a file.
 
     Raises
     ------
     AllanError
-        When it is missing, unreadable, empty, or a Git-LFS pointer in its stead.
+        When it is missing, unreadable, not a regular file, empty, or a Git-LFS pointer.
     """
     try:
-        with path.open('rb') as file:
+        with open_regular(path) as file:
             head = file.read(64)
     except FileNotFoundError:
         raise AllanError(f'{path}: no such file or folder: check the path') from None

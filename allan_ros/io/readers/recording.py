@@ -1,25 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every reader returns: a recording of an IMU as a stream of `ImuBatch`."""
+"""Types of all readers: the options, and a recording of an IMU as a stream of `ImuBatch`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.findings import Finding
-from ...core.imu import ImuBatch
+from ...core.imu import STANDARD_GRAVITY, ImuBatch
 from ...core.settings import check, parameter
 from ..signal import TemperatureTrace
 
 BATCH = 32768
-"""Samples a batch: enough to forget the cost of a batch, few enough to stay in the cache."""
-
-
-STANDARD_GRAVITY = 9.80665
-"""m/s^2 in one g (3rd CGPM, 1901)."""
+"""Samples per batch: enough to make the cost of a batch negligible, few enough for the cache."""
 
 GYRO_UNITS = {
     'rad/s': 1.0,
@@ -28,47 +25,66 @@ GYRO_UNITS = {
     'mdeg/s': np.pi / 180e3,
     'deg/h': np.pi / 180 / 3600,
 }
-"""Unit -> its size in rad/s."""
+"""Unit -> factor to rad/s."""
 
 ACCEL_UNITS = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1e3}
-"""Unit -> its size in m/s^2."""
+"""Unit -> factor to m/s^2."""
 
 STAMP_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
-"""Unit -> its size in nanoseconds."""
+"""Unit -> factor to nanoseconds."""
 
 
 Report = Callable[[Finding], None]
-"""Where a reader says what it found on its way."""
+"""Takes the findings of a reader."""
+
+
+SI = {'gyro': 'rad/s', 'accel': 'm/s^2'}
+"""Sensor -> unit of its samples where nothing else is stated."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How to read what the recording itself does not say."""
+    """How to read what the recording itself does not state."""
 
-    topic: str = parameter('', 'the Imu topic of a bag; empty: the only one there is')
+    topic: str = parameter('', 'Imu topic of a bag, or instance of a log; empty: the only one')
     columns: tuple[str, ...] = parameter(
-        (), 'names of the columns of a table without a header, - for one to leave out'
+        (),
+        'columns of a table: a name for each (- leaves one out), or gx=NAME,gy=NAME,... for '
+        'columns picked by their names in the header',
     )
     rate_hz: float = parameter(
         0.0, 'sample rate of a table or array without stamps; 0: not given', unit='Hz', low=0.0
     )
     gyro_unit: str = parameter(
-        'rad/s', 'unit of the gyro columns of a table or array', choices=tuple(GYRO_UNITS)
+        '',
+        'unit of the angular rate; empty: as the recording states, else rad/s',
+        choices=('', *GYRO_UNITS),
     )
     accel_unit: str = parameter(
-        'm/s^2', 'unit of the accel columns of a table or array', choices=tuple(ACCEL_UNITS)
+        '',
+        'unit of the acceleration; empty: as the recording states, else m/s^2',
+        choices=('', *ACCEL_UNITS),
     )
     stamp_unit: str = parameter(
         's', 'unit of the stamp column of a table or array', choices=tuple(STAMP_UNITS)
+    )
+    trust_covariance: bool = parameter(
+        False, 'treat a sensor as absent wherever covariance[0] is -1 or NaN, even with valid data'
     )
 
     def __post_init__(self) -> None:
         check(self)
 
+    def scale(self) -> NDArray[np.float64] | None:
+        """Return the factors to SI of the six axes, or None where all are 1."""
+        gyro = GYRO_UNITS[self.gyro_unit or SI['gyro']]
+        accel = ACCEL_UNITS[self.accel_unit or SI['accel']]
+        return None if gyro == accel == 1.0 else np.repeat([gyro, accel], 3)
+
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """Where samples came from: a path as it was given, and the topic, type and storage inside."""
+    """Source of samples: the path as given, and the topic, message type and storage format."""
 
     path: str
     topic: str
@@ -77,13 +93,15 @@ class SourceInfo:
 
 
 class Recording:
-    """One recording, ready to be streamed as often as wanted.
+    """One recording, which can be read any number of times.
 
     Attributes
     ----------
     info : SourceInfo
     messages : int or None
-        How many samples the recording says it holds; None when only reading it can tell.
+        Number of samples that the recording states; None where it states none.
+    options : ReadOptions
+        The options in effect: with the units that were found in the recording, or assumed.
     """
 
     def __init__(
@@ -92,32 +110,38 @@ class Recording:
         messages: int | None,
         read: Callable[[Report], Iterator[ImuBatch]],
         read_temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None,
+        options: ReadOptions = ReadOptions(),
     ) -> None:
         self.info = info
         self.messages = messages
+        self.options = replace(
+            options,
+            gyro_unit=options.gyro_unit or SI['gyro'],
+            accel_unit=options.accel_unit or SI['accel'],
+        )
         self._read = read
         self._read_temperature = read_temperature
         self._findings: list[Finding] = []
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Yield the samples in order, about `BATCH` at a time, one frame_id a batch.
+        """Yield the samples in order, about `BATCH` at a time, with one frame_id per batch.
 
         Raises
         ------
         AllanError
-            When the recording turns out to be unreadable on the way.
+            When a part of the recording cannot be read.
         """
         self._findings = []
         yield from self._read(self._findings.append)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU with that frame_id, if there is one beside it.
+        """Return the temperature of the IMU with that frame_id, or None where there is none.
 
-        The recording is read once more for it.
+        This reads the recording once more.
         """
         return self._read_temperature(frame_id)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found while reading; complete after the last batch."""
+        """Findings of the last reading; complete after the last batch."""
         return tuple(self._findings)

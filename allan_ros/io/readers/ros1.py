@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS 1 bag, version 2.0, with or without its index (https://wiki.ros.org/Bags/Format/2.0).
 
-The chunks are found by walking over the file, so a bag that was not closed (``.bag.active``) or
-is cut off is read as far as it is whole.
+The chunks are found by reading the file record by record, so a bag that was not closed
+(``.bag.active``) or is truncated is read up to its last complete chunk.
 """
 
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -24,18 +25,21 @@ LENGTH = struct.Struct('<I')
 
 TIME = struct.Struct('<II')
 
-INDEX_ENTRY = struct.Struct('<III')
-"""Seconds and nanoseconds of a message, and where it begins in the chunk."""
+INDEX_ENTRY = np.dtype([('sec', '<u4'), ('nanosec', '<u4'), ('offset', '<u4')])
+"""Record time of a message, and its offset in the chunk."""
+
+CHUNK_COUNT = struct.Struct('<II')
+"""Connection, and its messages in a chunk."""
 
 NANOSECONDS = 10**9
 
 MAX_HEADER = 1 << 20
-"""A record header is far shorter; more means that the file is damaged."""
+"""Record headers are far shorter; a longer one means that the file is damaged."""
 
 
 @dataclass(frozen=True, order=True)
 class Chunk(Stretch):
-    """A chunk, how it is compressed, and its size without."""
+    """A chunk, its compression, and its uncompressed size."""
 
     compression: str
     size: int
@@ -44,18 +48,20 @@ class Chunk(Stretch):
 class Ros1Storage(ChunkStorage[Chunk]):
     """An open ROS 1 bag."""
 
-    # LookupError for a field that is not there
+    # LookupError: a missing field
     DAMAGE = (struct.error, LookupError, ValueError, OSError, OverflowError, MemoryError)
-    REMEDY = 'copy it again, or mend it with "rosbag reindex" or "rosbag fix"'
+    REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
 
     def _survey(self) -> None:
         magic = self._read(0, len(MAGIC))
         if magic != MAGIC:
             version = magic.split(b'\n')[0].decode(errors='replace')
             raise damaged(
-                self._path, f'{version!r} is no ROS bag 2.0', 'update it with "rosbag fix"'
+                self._path, f'{version!r} is not ROS bag 2.0', 'update it with "rosbag fix"'
             )
+        self._in_chunk_infos: Counter[int] = Counter()
         self._walk()
+        self._stated = self._counts | self._in_chunk_infos
 
     def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
         data = self._data(chunk)
@@ -69,9 +75,9 @@ class Ros1Storage(ChunkStorage[Chunk]):
         return Block(np.array(times, dtype=np.int64), payloads)
 
     def _walk(self) -> None:
-        """Find all chunks and connections, up to where the file is cut."""
+        """Find all chunks and connections, up to where the file is truncated."""
         at = len(MAGIC)
-        bare: tuple[int, int, str, int] | None = None  # a chunk whose index was not seen yet
+        bare: tuple[int, int, str, int] | None = None  # a chunk whose index was not read yet
         while record := self._record(at):
             header, start, end = record
             opcode = header['op'][0]
@@ -84,10 +90,13 @@ class Ros1Storage(ChunkStorage[Chunk]):
                 compression = header['compression'].decode(errors='replace')
                 bare = (start, end - start, compression, _number(header['size']))
             elif opcode == OP_INDEX:
-                self._take_index(header, self._file.read(end - start), bare)
+                self._take_index(header, self._read(start, end - start), bare)
                 bare = None
             elif opcode == OP_CONNECTION:
-                self._take_connection(header, self._file.read(end - start))
+                self._take_connection(header, self._read(start, end - start))
+            elif opcode == OP_CHUNK_INFO:
+                for connection, count in CHUNK_COUNT.iter_unpack(self._read(start, end - start)):
+                    self._in_chunk_infos[connection] += count
             at = end
         if bare:
             self._take_unindexed(*bare)
@@ -98,7 +107,7 @@ class Ros1Storage(ChunkStorage[Chunk]):
                 self._learn_connections(self._data(chunk))
 
     def _record(self, at: int) -> tuple[dict[str, bytes], int, int] | None:
-        """Return header, first byte and end of the record there; None where it is not whole."""
+        """Return header, first byte and end of the record there; None where it is incomplete."""
         self._file.seek(at)
         prefix = self._file.read(LENGTH.size)
         if len(prefix) < LENGTH.size:
@@ -114,18 +123,22 @@ class Ros1Storage(ChunkStorage[Chunk]):
     def _take_index(
         self, header: dict[str, bytes], entries: bytes, bare: tuple[int, int, str, int] | None
     ) -> None:
-        """Count the messages of one connection in the chunk before; it tells when that began."""
-        times = [sec * NANOSECONDS + nsec for sec, nsec, _ in INDEX_ENTRY.iter_unpack(entries)]
+        """Count the messages of one connection in the chunk before, and note when it begins."""
+        index = np.frombuffer(entries, INDEX_ENTRY)
+        times = index['sec'].astype(np.int64) * NANOSECONDS + index['nanosec']
+        start_ns = int(times.min(initial=np.iinfo(np.int64).max))
         self._counts[_number(header['conn'])] += len(times)
         if bare:
-            self._chunks.append(Chunk(min(times, default=0), *bare))
-        elif times and self._chunks:
+            self._chunks.append(Chunk(start_ns, *bare))
+        elif self._chunks:
             last = self._chunks[-1]
-            start = min(last.start_ns, *times)
-            self._chunks[-1] = Chunk(start, last.offset, last.length, last.compression, last.size)
+            start_ns = min(last.start_ns, start_ns)
+            self._chunks[-1] = Chunk(
+                start_ns, last.offset, last.length, last.compression, last.size
+            )
 
     def _take_unindexed(self, offset: int, length: int, compression: str, size: int) -> None:
-        """Learn from a chunk itself what its index would say."""
+        """Read a chunk without an index for its start time and counts."""
         times = []
         for header, _, _ in _records(self._data(Chunk(0, offset, length, compression, size))):
             if header['op'][0] == OP_MESSAGE:
@@ -167,7 +180,7 @@ def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], int, int]]:
         start = head + header_length + LENGTH.size
         at = start + LENGTH.unpack_from(data, head + header_length)[0]
         if at > len(data):
-            raise struct.error('a record is longer than what holds it')
+            raise struct.error('a record extends beyond the end of its chunk')
         yield _fields(data[head : head + header_length]), start, at
 
 

@@ -1,53 +1,55 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: find the Imu topic by its type, and stream its messages as batches."""
+"""Bags: find the Imu topic by its type, and read its messages as batches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import ImuBatch
+from ...core.imu import AXES, ImuBatch, sensor_of
 from ..signal import Decimated, TemperatureTrace, trace_of
-from .cdr import NANOSECONDS, DecodedImus, MalformedMessage, decode_imus
-from .folder import BagFiles, bag_files, open_storage
+from .cdr import DecodedImus, MalformedMessage, decode_imus, decode_temperature
+from .folder import METADATA, BagFiles, bag_files, open_storage
 from .message_fields import IMU_TYPE, imu_fields, is_unknown, nested_decoder
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
 from .storage import (
+    MAX_MESSAGE_BYTES,
     Block,
     Cut,
     Payloads,
     Topic,
     as_list,
     decompress,
-    decompress_all,
+    decompress_messages,
     frame_compression,
 )
 
 ENCODINGS = ('cdr', 'ros1')
-"""Serializations we read."""
+"""Serializations that can be read."""
 
 LISTED = 10
-"""At most this many topics are named in a message."""
+"""At most this many topics are listed in a message."""
 
 
 Decoder = Callable[[Payloads], DecodedImus]
 
 Key = tuple[str, str]
-"""Topic name and type: what is one topic over all splits of a bag."""
+"""Topic name and type, which identify a topic in all splits of a bag."""
 
 
 @dataclass
 class Survey:
-    """What topics a bag has, over all its files."""
+    """The topics of all files of a bag."""
 
     topics: dict[Key, Topic] = field(default_factory=dict)
     counts: dict[Key, int] = field(default_factory=dict)
@@ -55,7 +57,7 @@ class Survey:
     cut: Cut | None = None
 
     def listed(self, keys: Iterable[Key]) -> str:
-        """Name topics with their type, number of messages and foreign serialization."""
+        """Return topics with type, number of messages and, if unsupported, serialization."""
         shown = []
         for key in keys:
             encoding = self.topics[key].encoding
@@ -67,14 +69,14 @@ class Survey:
 
 @dataclass(frozen=True)
 class ImuSource:
-    """The topic that is read, and the field of its messages that is the Imu (() for the whole)."""
+    """The topic that is read, and the path of the Imu in its messages (() for the message)."""
 
     key: Key
     field: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
-        """What the user calls it: the topic, or topic:field."""
+        """The name for users: the topic, or topic:field."""
         return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
 
 
@@ -84,7 +86,7 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     Raises
     ------
     AllanError
-        When it is no readable bag, or not exactly one Imu topic is meant.
+        When it is not a readable bag, or several topics could be meant.
     """
     bag = bag_files(path)
     survey = _survey(bag)
@@ -95,13 +97,14 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     return Recording(
         info,
         survey.counts.get(source.key),
-        partial(_read, bag, topic, source),
+        partial(_read, bag, topic, source, options),
         partial(bag_temperature, bag.files, topics, topic.name),
+        options,
     )
 
 
 def _survey(bag: BagFiles) -> Survey:
-    """Look into the files until every topic that holds messages has been seen."""
+    """Open the files until every topic that has messages was found."""
     survey = Survey()
     expected = None if bag.described is None else {k for k, d in bag.described.items() if d.count}
     for file in bag.files:
@@ -122,7 +125,7 @@ def _survey(bag: BagFiles) -> Survey:
 
 
 def _choose(path: Path, survey: Survey, wanted: str) -> ImuSource:
-    """Return the one Imu source that is meant."""
+    """Return the Imu source that the user asks for, or the only one."""
     plain = [ImuSource(key) for key in survey.topics if key[1] == IMU_TYPE]
     if wanted:
         chosen = _named(path, survey, plain, wanted)
@@ -152,31 +155,32 @@ def _choose(path: Path, survey: Survey, wanted: str) -> ImuSource:
 
 def _no_message(path: Path, source: ImuSource) -> AllanError:
     return AllanError(
-        f'{path}: topic {source.label} holds no message: check that the driver was running and '
+        f'{path}: topic {source.label} has no message: check that the driver was running and '
         'record again'
     )
 
 
 def _named(path: Path, survey: Survey, plain: list[ImuSource], wanted: str) -> ImuSource:
-    """Return the source the user named, as topic or topic:field."""
+    """Return the source with that name, which is a topic or topic:field."""
     name = wanted.lstrip('/')
     there = [key for key in survey.topics if key[0].lstrip('/') == name.split(':')[0]]
-    fitting = [s for s in [*plain, *_nested(survey)] if s.label.lstrip('/') == name]
-    fitting += [s for s in _nested(survey) if not fitting and s.key in there and ':' not in name]
+    fitting = [s for s in plain if s.label.lstrip('/') == name]
+    nested = [] if fitting else [s for s in _nested(survey) if s.key in there]
+    fitting += [s for s in nested if ':' not in name or s.label.lstrip('/') == name]
     if len(fitting) == 1:
         return fitting[0]
     if len(fitting) > 1:
         labels = ', '.join(source.label for source in fitting)
-        raise AllanError(f'{path}: topic {wanted} carries several Imus: choose one of {labels}')
+        raise AllanError(f'{path}: topic {wanted} contains several Imus: choose one of {labels}')
     if there:
         topic = survey.topics[there[0]]
         if is_unknown(topic):
             raise AllanError(
                 f'{path}: topic {wanted} is of type {topic.type}, and the bag has no schema that '
-                'tells where an Imu is in it: record it as mcap, which stores the schemas'
+                'describes it: record it as mcap, which stores the schemas'
             )
         raise AllanError(
-            f'{path}: topic {wanted} is of type {topic.type}, which carries no sensor_msgs/Imu: '
+            f'{path}: topic {wanted} is of type {topic.type}, which contains no sensor_msgs/Imu: '
             'choose another with --topic'
         )
     shown = survey.listed(source.key for source in plain) or survey.listed(survey.topics)
@@ -196,84 +200,123 @@ def _nested(survey: Survey) -> list[ImuSource]:
 def _no_imu(path: Path, survey: Survey) -> AllanError:
     if not survey.topics and survey.cut:
         return AllanError(
-            f'{path}: is cut off after {survey.cut.read} of {survey.cut.size} bytes and holds no '
-            'whole message: copy or record it again'
+            f'{path}: is truncated: {survey.cut.read} of {survey.cut.size} bytes could be read, '
+            'without a complete message: copy or record it again'
         )
     busiest = sorted(survey.topics, key=lambda key: -survey.counts.get(key, 0))
     unknown = sum(is_unknown(topic) for topic in survey.topics.values())
     schemas = f', {unknown} of them of unknown type without a schema' if unknown else ''
-    cut = (
-        f', and is cut off after {survey.cut.read} of {survey.cut.size} bytes' if survey.cut else ''
-    )
+    cut = f'; {survey.cut.read} of {survey.cut.size} bytes could be read' if survey.cut else ''
     return AllanError(
         f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
         f'{schemas}{cut}: record the topic of the IMU'
     )
 
 
-def _read(bag: BagFiles, topic: Topic, source: ImuSource, report: Report) -> Iterator[ImuBatch]:
-    """Stream the chosen topic of all files, in order."""
+def _read(
+    bag: BagFiles, topic: Topic, source: ImuSource, options: ReadOptions, report: Report
+) -> Iterator[ImuBatch]:
+    """Yield the samples of the chosen topic in all files, in order."""
     decode: Decoder
     if source.field:
-        decode = nested_decoder(topic, source.field)
+        decode = nested_decoder(topic, source.field, options.trust_covariance)
     else:
-        decode = partial(decode_imus, encoding='ros1' if topic.encoding == 'ros1' else 'cdr')
-    read = 0
+        decode = partial(
+            decode_imus,
+            encoding='ros1' if topic.encoding == 'ros1' else 'cdr',
+            trust_covariance=options.trust_covariance,
+        )
+    scale = options.scale()
+    kept: Counter[str] = Counter()
+    total = 0
     for file in bag.files:
         with open_storage(file) as (storage, _):
             if storage.cut:
                 report(finding('bag_cut', path=file, read=storage.cut.read, size=storage.cut.size))
             ids = {t.id for t in storage.topics if (t.name, t.type) == source.key}
-            for batch in _gathered(_decoded(file, source, storage.blocks(ids), decode)):
+            read = 0
+            for batch in _gathered(_decoded(file, source, storage.blocks(ids), decode, kept)):
                 read += len(batch)
-                yield batch
-    if not read:
+                yield batch if scale is None else replace(batch, samples=batch.samples * scale)
+            _compare(storage.stated(ids, read), read, file, report)
+            total += read
+    if bag.described is not None and source.key in bag.described:
+        _compare(bag.described[source.key].count, total, bag.path / METADATA, report)
+    for sensor, count in sorted(kept.items()):
+        axes = tuple(axis for axis in AXES if sensor_of(axis) == sensor)
+        report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
+    if not total:
         raise _no_message(bag.path, source)
 
 
+def _compare(stated: int, read: int, where: Path, report: Report) -> None:
+    """Report where another number of messages was read than stated."""
+    if stated != read:
+        report(finding('count_differs', path=where, stated=stated, read=read))
+
+
 def _decoded(
-    file: Path, source: ImuSource, blocks: Iterable[Block], decode: Decoder
+    file: Path, source: ImuSource, blocks: Iterable[Block], decode: Decoder, kept: Counter[str]
 ) -> Iterator[ImuBatch]:
-    """Decode what the storage yields, with a new batch wherever the frame changes."""
+    """Decode the messages of a storage file, and begin a new batch wherever the frame changes.
+
+    Parameters
+    ----------
+    file, source
+        For messages.
+    blocks : iterable of Block
+    decode : callable
+    kept : Counter
+        Receives the number of messages per sensor whose covariance was ignored.
+    """
     read = 0
     for block in blocks:
-        if not len(block.payloads):
-            continue
+        first = 0
         try:
-            decoded = decode(_plain(block.payloads))
+            for payloads in _decompressed(block.payloads):
+                first = yield from _batches(block, first, decode(payloads), kept)
         except MalformedMessage as error:
+            number = read + first + error.index + 1
             raise AllanError(
-                f'{file}: message {read + error.index + 1} of {source.label} is no '
-                f'{source.key[1]} ({error}): record it again'
+                f'{file}: message {number} of {source.label} is not a {source.key[1]} '
+                f'({error}): record it again'
             ) from error
-        edges = [0, len(decoded.frames)]
-        if len(decoded.frame_ids) > 1:
-            edges[1:1] = (np.flatnonzero(np.diff(decoded.frames)) + 1).tolist()
-        for start, stop in pairwise(edges):
-            yield ImuBatch(
-                decoded.stamps_ns[start:stop],
-                decoded.samples[start:stop],
-                block.record_ns[start:stop],
-                decoded.frame_ids[decoded.frames[start]],
-            )
         read += len(block.payloads)
 
 
+def _batches(
+    block: Block, first: int, decoded: DecodedImus, kept: Counter[str]
+) -> Generator[ImuBatch, None, int]:
+    """Yield decoded messages, which begin at ``first`` in the block; return where they end."""
+    kept.update(decoded.kept)
+    edges = [0, len(decoded.frames)]
+    if len(decoded.frame_ids) > 1:
+        edges[1:1] = (np.flatnonzero(np.diff(decoded.frames)) + 1).tolist()
+    for start, stop in pairwise(edges):
+        yield ImuBatch(
+            decoded.stamps_ns[start:stop],
+            decoded.samples[start:stop],
+            block.record_ns[first + start : first + stop],
+            decoded.frame_ids[decoded.frames[start]],
+        )
+    return first + len(decoded.frames)
+
+
 def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
-    """Join the batches of one frame to about `BATCH` samples, and part longer ones."""
+    """Join the batches of one frame to about `BATCH` samples, and split longer ones."""
     held: list[ImuBatch] = []
     count = 0
     for batch in batches:
         if held and (batch.frame_id != held[0].frame_id or count >= BATCH):
-            yield from _parted(held)
+            yield from _split(held)
             held, count = [], 0
         held.append(batch)
         count += len(batch)
     if held:
-        yield from _parted(held)
+        yield from _split(held)
 
 
-def _parted(held: list[ImuBatch]) -> Iterator[ImuBatch]:
+def _split(held: list[ImuBatch]) -> Iterator[ImuBatch]:
     record = [batch.record_ns for batch in held if batch.record_ns is not None]
     whole = ImuBatch(
         np.concatenate([batch.stamps_ns for batch in held]),
@@ -285,55 +328,44 @@ def _parted(held: list[ImuBatch]) -> Iterator[ImuBatch]:
         yield whole[start : start + BATCH]
 
 
-def _plain(payloads: Payloads) -> Payloads:
-    """Decompress messages that were compressed one by one, which their first bytes tell."""
+def _decompressed(payloads: Payloads) -> Iterator[Payloads]:
+    """Yield the messages, decompressed where they were compressed one by one."""
+    if not len(payloads):
+        return
     compression = frame_compression(bytes(payloads[0]))
     if not compression:
-        return payloads
-    packed = as_list(payloads)
-    if all_plain := decompress_all(packed, compression):
-        return all_plain
-    plain: list[bytes | memoryview] = []
-    for index, payload in enumerate(packed):
-        try:
-            plain.append(decompress(bytes(payload), compression))
-        except ValueError as error:
-            raise MalformedMessage(index, f'{compression}: {error}') from error
-    return plain
+        yield payloads
+        return
+    try:
+        yield from decompress_messages(as_list(payloads), compression)
+    except ValueError as error:
+        reason, index = error.args
+        raise MalformedMessage(index, reason) from error
 
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
 
 Message = tuple[int, bytes]
-"""When it was recorded, ns, and its serialized bytes."""
-
-
-class Reading(NamedTuple):
-    """One message: its two times, its temperature (NaN where it is damaged) and its frame."""
-
-    header_ns: int
-    record_ns: int
-    celsius: float
-    frame_id: str
+"""Record time in ns, and serialized bytes."""
 
 
 def bag_temperature(
     files: Sequence[Path], topics: Sequence[Topic], imu_topic: str, frame_id: str
 ) -> TemperatureTrace | None:
-    """Return the temperature of an IMU, or None where the bag has none or does not tell which.
+    """Return the temperature of an IMU, or None where the bag has none or it is ambiguous.
 
-    A topic is the IMU's when it is the only one of its type, the only one in the namespace of the
-    Imu topic, or, of several such, the only one with its frame_id.
+    A topic belongs to the IMU when it is the only one of its type, the only one in the namespace
+    of the Imu topic, or, among several of these, the only one with the frame_id of the IMU.
 
     Parameters
     ----------
     files : sequence of path
         The storage files of the bag, in order.
     topics : sequence of Topic
-        All that the bag has.
+        All topics of the bag.
     imu_topic, frame_id : str
-        Of the Imu that was read.
+        Topic and frame_id of the IMU.
     """
     near = _nearest([t for t in topics if t.type == TEMPERATURE_TYPE], imu_topic)
     if len(near) > 1:
@@ -343,7 +375,12 @@ def bag_temperature(
     kept: Decimated[Message] = Decimated()
     for message in _messages(files, near[0]):
         kept.add(message)
-    return trace_of(near[0].name, (reading[:3] for reading in map(_decoder(near[0]), kept)))
+    readings = []
+    for record_ns, payload in kept:
+        with suppress(MalformedMessage, ValueError):
+            header_ns, _, celsius = _temperature(near[0], payload)
+            readings.append((header_ns, record_ns, celsius))
+    return trace_of(near[0].name, readings)
 
 
 def _nearest(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
@@ -351,16 +388,19 @@ def _nearest(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
 
     def shared(topic: Topic) -> int:
         pairs = list(zip(topic.name.strip('/').split('/'), imu_topic.strip('/').split('/')))
-        alike = [a == b for a, b in pairs]
-        return alike.index(False) if False in alike else len(alike)
+        equal = [a == b for a, b in pairs]
+        return equal.index(False) if False in equal else len(equal)
 
     most = max(map(shared, topics), default=0)
     return [topic for topic in topics if shared(topic) == most]
 
 
 def _frame_of_first(files: Sequence[Path], topic: Topic) -> str | None:
-    first = next(_messages(files, topic), None)
-    return None if first is None else _decoder(topic)(first).frame_id
+    for _, payload in _messages(files, topic):
+        with suppress(MalformedMessage, ValueError):
+            return _temperature(topic, payload)[1]
+        break
+    return None
 
 
 def _messages(files: Sequence[Path], topic: Topic) -> Iterator[Message]:
@@ -371,21 +411,6 @@ def _messages(files: Sequence[Path], topic: Topic) -> Iterator[Message]:
                 yield from zip(block.record_ns.tolist(), map(bytes, as_list(block.payloads)))
 
 
-def _decoder(topic: Topic) -> Callable[[Message], Reading]:
-    from rosbags.typesys import Stores, get_typestore
-
-    ros1 = topic.encoding == 'ros1'
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
-    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
-
-    def decode(message: Message) -> Reading:
-        record_ns, payload = message
-        try:
-            found: Any = read(decompress(payload, frame_compression(payload)), topic.type)
-        except Exception:  # the library raises what its generated code runs into
-            return Reading(record_ns, record_ns, float('nan'), '')
-        header = found.header
-        header_ns = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
-        return Reading(header_ns, record_ns, float(found.temperature), header.frame_id)
-
-    return decode
+def _temperature(topic: Topic, payload: bytes) -> tuple[int, str, float]:
+    plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
+    return decode_temperature(plain, 'ros1' if topic.encoding == 'ros1' else 'cdr')

@@ -4,29 +4,34 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sqlite3
+import struct
+import tempfile
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager, suppress
-from io import FileIO
 from pathlib import Path
+from typing import BinaryIO
 from urllib.parse import quote
 
 import numpy as np
 
+from ..files import open_regular
 from .sqlite3_pages import MessagePages, Rows, Unusual
 from .storage import Block, Cut, Topic, damaged, normal_type, translated
 
 ROWS = 2048
-"""Rows fetched at a time where they are taken one by one."""
+"""Rows fetched at a time where SQLite returns them one by one."""
 
 _COLUMNS = ('id', 'topic_id', 'timestamp', 'data')
-"""Of the table ``messages``, in all versions of the schema."""
+"""Columns of the table ``messages``, in all versions of the schema."""
 
 _TIME_INDEX = """
-SELECT 1 FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS part
+SELECT list.name FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS part
 WHERE NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
 """
-"""Has a row where there is an index of the record times."""
+"""Names the indexes of the record times."""
 
 _LIBRARY_ERRORS = (
     sqlite3.Error,
@@ -36,34 +41,47 @@ _LIBRARY_ERRORS = (
     TypeError,
     AttributeError,
 )
-"""What reading raises on a damaged database: SQLite's own, and cells of another type."""
+"""What reading raises on a damaged database: errors of SQLite, and cells of another type."""
 
-REMEDY = 'copy it again, or mend it with "sqlite3 FILE .recover"'
+REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
+
+
+PAGE_SIZE = struct.Struct('>16xH')
+"""Start of a database: page size, where 1 stands for 65536 (file format, section 1.3)."""
+
+PAGE_COUNT = struct.Struct('>24xII60xI')
+"""Start of a database: change counter, pages, and the change counter when they were counted."""
 
 
 class Sqlite3Storage:
     """An open .db3 file.
 
-    ``pages`` is the file itself, None where that alone does not tell all.
+    Parameters
+    ----------
+    path : Path
+        Name for messages.
+    connection : sqlite3.Connection
+    pages : binary file or None
+        The file itself; None where its pages are not the whole content, because of a log.
     """
 
-    cut: Cut | None = None
-
-    def __init__(self, path: Path, connection: sqlite3.Connection, pages: FileIO | None) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, pages: BinaryIO | None) -> None:
         self._path = path
         self._connection = connection
         self._pages = pages
+        self._rows_seen: int | None = 0  # rows of the pages that were read; None: by SQLite
+        self.cut = _truncation(pages) if pages else None
         self.topics = self._read_topics()
 
     def _read_topics(self) -> list[Topic]:
-        # A view in the place of a table may compute whatever its author liked, without an end.
+        # A view instead of a table may run arbitrary computations without end.
         self._query('PRAGMA trusted_schema = OFF')
         tables = {n for (n,) in self._query("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if missing := {'topics', 'messages'} - tables:
             raise damaged(
                 self._path,
                 f'a database without the table {" and ".join(sorted(missing))}',
-                'it is no rosbag2 file; give the .db3 that ros2 bag recorded',
+                'it is not a rosbag2 file; give the .db3 that ros2 bag recorded',
             )
         schemas: dict[str, tuple[str, str]] = {}
         if 'message_definitions' in tables:
@@ -82,27 +100,46 @@ class Sqlite3Storage:
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
 
+    def stated(self, ids: set[int], read: int) -> int:
+        """Return ``read``, plus the messages of any topic that are in the index of times only.
+
+        SQLite counts the index in a few milliseconds per million messages.
+        """
+        with translated(self._path, _LIBRARY_ERRORS, REMEDY):
+            index = next(self._query(_TIME_INDEX), None)
+            if index is None:
+                return read
+            (listed,) = next(self._query('SELECT count(*) FROM messages'))
+            seen = self._rows_seen
+            if seen is None:
+                name = index[0].replace('"', '""')
+                # counts the rows found by the index; count(*) would count the index alone
+                sql = f'SELECT count(topic_id) FROM messages INDEXED BY "{name}"'
+                (seen,) = next(self._query(f'{sql} WHERE timestamp >= ?', -(2**63)))
+        return read + max(0, int(listed) - int(seen or 0))
+
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             yield from self._blocks(ids)
 
     def _blocks(self, ids: set[int]) -> Iterator[Block]:
-        # in one query of their own each: both in one, SQLite goes through the whole table
+        # two queries: for one with both, SQLite reads the whole table
         (first,), (last,) = (
             next(self._query(f'SELECT {which}(id) FROM messages')) for which in ('min', 'max')
         )
         if first is None:
             return
-        done = first - 1
+        done, self._rows_seen = first - 1, 0
         if self._pages is not None and self._is_usual():
             done = yield from self._batches(ids, done, self._pages)
         if done < last:
-            # the plus keeps SQLite from sorting the whole file: it shall go by the time index
+            self._rows_seen = None
+            # the plus keeps SQLite from sorting the whole table instead of using the time index
             yield from self._rows(ids, '+id > ? ORDER BY timestamp, id', done)
 
     def _is_usual(self) -> bool:
-        """Return whether the table is as recorders make it: ids are row numbers, times indexed."""
+        """Return whether the table is as recorders create it: ids are row ids, times indexed."""
         columns = list(
             self._query("SELECT name, upper(type), pk FROM pragma_table_xinfo('messages')")
         )
@@ -110,18 +147,21 @@ class Sqlite3Storage:
         names = tuple(name for name, _, _ in columns)
         return bool(of_ids and names == _COLUMNS and list(self._query(_TIME_INDEX)))
 
-    def _batches(self, ids: set[int], done: int, file: FileIO) -> Generator[Block, None, int]:
-        """Yield messages by ranges of ids while their order is that of time.
+    def _batches(self, ids: set[int], done: int, file: BinaryIO) -> Generator[Block, None, int]:
+        """Yield messages by ranges of ids as long as these are in the order of time.
 
         Returns
         -------
         int
-            The id up to which all messages have been yielded, in order.
+            The id up to which all messages have been yielded.
         """
         (root,) = next(self._query("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"))
         end_ns, seen_ns = -(2**63), np.empty(0, np.int64)
         with suppress(Unusual):
             for rows in MessagePages(file, root).rows():
+                if rows.first_id <= done:
+                    return done  # a damaged tree leads to the same pages twice
+                self._rows_seen = (self._rows_seen or 0) + len(rows.topics)
                 blocks = self._blocks_of(rows, ids, done)
                 times = [block.record_ns for block in blocks if len(block.record_ns)]
                 seen_ns = np.append(seen_ns, rows.record_ns) if times else seen_ns[:0]
@@ -130,13 +170,13 @@ class Sqlite3Storage:
                     seen_ns = seen_ns[seen_ns >= start_ns]
                     known = int(np.count_nonzero(seen_ns <= end_ns))
                     if self._is_overtaken(ids, start_ns, end_ns, known, rows.last_id):
-                        return done  # a later row was recorded earlier
+                        return done  # a later row has an earlier record time
                     yield from blocks
                 done = rows.last_id
         return done
 
     def _blocks_of(self, rows: Rows, ids: set[int], done: int) -> list[Block]:
-        """Return the messages among some rows, which begin behind the id ``done``."""
+        """Return the messages in rows that begin after the id ``done``."""
         try:
             return [rows.block(ids)]
         except Unusual:
@@ -146,12 +186,12 @@ class Sqlite3Storage:
     def _is_overtaken(
         self, ids: set[int], start_ns: int, end_ns: int, known: int, last_id: int
     ) -> bool:
-        """Return whether a message behind ``last_id`` was recorded before ``end_ns``.
+        """Return whether a message after ``last_id`` was recorded before ``end_ns``.
 
-        None was before ``start_ns``, and from there to ``end_ns`` so many rows are known.
+        None was recorded before ``start_ns``, and ``known`` rows are between these two times.
         """
-        # SQLite skips entries of the index in a fifth of the time it takes to look at them: when
-        # no more of them than those known come up to the end, all is said.
+        # SQLite skips entries of the index in a fifth of the time it takes to read them. If there
+        # are no more entries up to the end than the known ones, nothing else has to be checked.
         behind = (
             'SELECT timestamp FROM messages WHERE timestamp >= ? '
             'ORDER BY timestamp LIMIT 1 OFFSET ?'
@@ -172,7 +212,7 @@ class Sqlite3Storage:
         while batch := rows.fetchmany(ROWS):
             times, payloads = zip(*batch)
             if set(map(type, payloads)) != {bytes}:
-                raise ValueError('a message is no BLOB')
+                raise ValueError('a message is not a BLOB')
             yield Block(np.array(times, dtype=np.int64), list(payloads))
 
     def _query(self, sql: str, *values: int) -> sqlite3.Cursor:
@@ -183,26 +223,63 @@ def _topics(ids: set[int]) -> str:
     return f'topic_id IN ({", ".join(str(int(number)) for number in sorted(ids))})'
 
 
+def _truncation(file: BinaryIO) -> Cut | None:
+    """Return how much of the database is there, if it has fewer pages than its header states."""
+    file.seek(0)
+    head = file.read(PAGE_COUNT.size)
+    if len(head) < PAGE_COUNT.size:
+        return None
+    (page_size,) = PAGE_SIZE.unpack_from(head)
+    changes, pages, counted_at = PAGE_COUNT.unpack(head)
+    size, stated = os.fstat(file.fileno()).st_size, pages * (65536 if page_size == 1 else page_size)
+    return Cut(size, stated) if changes == counted_at and size < stated else None
+
+
 @contextmanager
 def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
-    """Open a .db3 file for reading only.
+    """Open a .db3 file for reading only, without creating a file next to it.
 
-    ``shown`` is the name used in messages, which differs for a decompressed copy.
+    Parameters
+    ----------
+    path : Path
+    shown : Path
+        Name for messages, which differs for a decompressed copy.
 
     Raises
     ------
     AllanError
-        When it is no rosbag2 database or damaged.
+        When it is not a rosbag2 database or damaged.
     """
-    # A write-ahead log beside it holds the last messages of a recorder that was killed. Without
-    # one the file is taken as it stands, which works on read-only media too.
-    log = path.with_name(path.name + '-wal')
-    is_settled = not (log.exists() and log.stat().st_size)
-    how = 'immutable=1' if is_settled else 'mode=ro'
+    # A write-ahead log contains the last messages of a recorder that was killed. Without one the
+    # file is opened as immutable, which works on read-only media too.
+    log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
     with translated(shown, _LIBRARY_ERRORS, REMEDY):
-        connection = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{how}', uri=True)
-        file = FileIO(path)
-    with closing(connection), file:
+        file = open_regular(path)
+    with file:
+        if not (log.is_file() and log.stat().st_size):
+            with _opened(path, shown, 'immutable=1', file) as storage:
+                yield storage
+        elif shared.is_file():
+            with _opened(path, shown, 'mode=ro', None) as storage:
+                yield storage
+        else:  # SQLite would create the -shm file and leave it there
+            with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
+                with translated(shown, (OSError,), 'check the space for temporary files'):
+                    size = path.stat().st_size + log.stat().st_size
+                    if size > shutil.disk_usage(folder).free:
+                        raise OSError(f'its log requires a temporary copy of {size} bytes')
+                    copy = Path(folder, 'bag.db3')
+                    shutil.copyfile(path, copy)
+                    shutil.copyfile(log, copy.with_name('bag.db3-wal'))
+                with _opened(copy, shown, 'mode=ro', None) as storage:
+                    yield storage
+
+
+@contextmanager
+def _opened(path: Path, shown: Path, mode: str, pages: BinaryIO | None) -> Iterator[Sqlite3Storage]:
+    with translated(shown, _LIBRARY_ERRORS, REMEDY):
+        connection = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{mode}', uri=True)
+    with closing(connection):
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
-            storage = Sqlite3Storage(shown, connection, file if is_settled else None)
+            storage = Sqlite3Storage(shown, connection, pages)
         yield storage

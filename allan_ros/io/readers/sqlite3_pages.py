@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of a rosbag2 database straight from its pages, thousands at a time.
+"""The messages of a rosbag2 database read directly from its pages, thousands at a time.
 
-SQLite hands out one row after the other, which costs three times the decoding. Its file format is
-documented and fixed (https://www.sqlite.org/fileformat2.html; the sections are named below): a
-table is a tree of pages whose leaves hold the rows in the order of their ids. What is not a plain
-row of such a table is `Unusual`, and SQLite is asked instead.
+SQLite returns one row at a time, which takes three times as long as decoding the messages. The
+file format is documented and stable (https://www.sqlite.org/fileformat2.html; the sections are
+given below): a table is a tree of pages whose leaves contain the rows in the order of their ids.
+Anything but a plain row of such a table raises `Unusual`, and SQLite reads it instead.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from io import FileIO
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,78 +21,79 @@ from numpy.typing import NDArray
 from .storage import Block, Payloads, among, gathered
 
 LEAF, INTERIOR = 13, 5
-"""Kinds of page of a table (section 1.6)."""
+"""Page types of a table (section 1.6)."""
 
 PAGE_SIZE = slice(16, 18)
-"""Where the first page says how large pages are; 1 stands for 65536 (section 1.3.2)."""
+"""Place of the page size in the first page; 1 stands for 65536 (section 1.3.2)."""
 
 RESERVED = 20
-"""Where it says how many bytes at the end of each page are not SQLite's (section 1.3.4)."""
+"""Place of the number of bytes at the end of each page that are reserved (section 1.3.4)."""
 
 FILE_HEAD = 100
-"""Bytes of the head of the file (section 1.3)."""
+"""Size of the file header (section 1.3)."""
 
 LEAF_HEAD = np.dtype([('kind', 'u1'), ('free', '>u2'), ('cells', '>u2'), ('content', 'V3')])
-"""In front of the places of a leaf's cells, of two bytes each (section 1.6)."""
+"""Header of a leaf; the offsets of its cells follow, two bytes each (section 1.6)."""
 
 INTERIOR_HEAD = np.dtype([*LEAF_HEAD.descr, ('last', '>u4')])
-"""In front of those of an interior page: also the number of its last child (section 1.6)."""
+"""Header of an interior page, which has the number of its last child too (section 1.6)."""
 
-LEAST_OVER = 35
-"""Rows that fit a page less so many bytes are whole in it, others go on elsewhere (section 1.6)."""
+OVERFLOW_MARGIN = 35
+"""Rows larger than a page minus this many bytes continue in other pages (section 1.6)."""
 
-MOST_DEPTH = 20
-"""Pages from the root of a tree to its leaves: SQLite itself allows no more."""
+MAX_DEPTH = 20
+"""Largest depth of a tree that SQLite allows."""
 
 WORD = 8
-"""Bytes of a cell that are looked at for its first two varints: the size of the row, and its id."""
+"""Bytes of a cell in which its first two varints end: the size of the row, and its id."""
 
 LAST_BYTES = np.uint64(0x8080808080808080)
-"""The bits of a word that are not set in the last byte of a varint (section 1.6)."""
+"""Bits of a word that are clear in the last byte of a varint (section 1.6)."""
 
 INTEGER_BYTES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 """Serial type of an integer -> its size; 8 and 9 are 0 and 1 without a byte (section 2.1)."""
 
 FIRST_BLOB = 12
-"""Serial types from here on are blobs (even) and texts (odd) of half so many bytes more."""
+"""Serial types from 12 are blobs (even) and texts (odd) of (type - 12) / 2 bytes (section 2.1)."""
 
 KIND_BYTES = 4
-"""The head of a row up to the serial type of the blob: its own size, id, topic, time."""
+"""Header of a row up to the serial type of the blob: its own size, id, topic, time."""
 
 READ_BYTES = 1 << 20
-"""Leaves are read about so many bytes at a time: they stay in the cache."""
+"""Leaves are read in parts of about this size, which stay in the processor cache."""
 
 CELL_HEAD = 4 * WORD
-"""Bytes of a cell that hold all but the message: size and id, head of the row, topic, time."""
+"""Bytes of a cell that contain all but the message: size and id, row header, topic, time."""
 
 PADDING = CELL_HEAD
-"""Bytes behind what is read, so that so many may be taken from the last cell too."""
+"""Bytes allocated after the pages, so that a full cell head can be read from the last cell."""
 
 
 Bytes = NDArray[np.uint8]
 
 
 class Unusual(Exception):
-    """The pages hold something else than plain rows of messages."""
+    """The pages contain something else than plain rows of messages."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows that follow on each other by their ids; good until the next are asked for.
+    """Consecutive rows in the order of their ids; valid until the next ones are read.
 
     Attributes
     ----------
-    last_id : int
+    first_id, last_id : int
     topics, record_ns : (n,) int64 arrays
     """
 
+    first_id: int
     last_id: int
     topics: NDArray[np.int64]
     record_ns: NDArray[np.int64]
     _data: Bytes
     _start: NDArray[np.int64]
     _length: NDArray[np.int64]
-    _page_end: NDArray[np.int64]  # 0 where a row goes on in other pages
+    _page_end: NDArray[np.int64]  # 0 where a row continues in other pages
 
     def block(self, ids: set[int]) -> Block:
         """Return the messages of these topics in the order of their record time.
@@ -101,7 +101,7 @@ class Rows:
         Raises
         ------
         Unusual
-            When one of them goes on in other pages.
+            When one of them continues in other pages.
         """
         mine = among(self.topics, ids)
         columns = (self.record_ns, self._start, self._length, self._page_end)
@@ -130,17 +130,17 @@ class MessagePages:
     Parameters
     ----------
     file : binary file
-        Of the database, which nobody writes.
+        The database, which must not be written meanwhile.
     root : int
         Number of the table's first page.
 
     Raises
     ------
     Unusual
-        When the file is none of SQLite.
+        When the file is not an SQLite database.
     """
 
-    def __init__(self, file: FileIO, root: int) -> None:
+    def __init__(self, file: BinaryIO, root: int) -> None:
         self._file = file
         self._root = root
         self._buffer = np.empty(0, np.uint8)
@@ -159,11 +159,11 @@ class MessagePages:
         Raises
         ------
         Unusual
-            When what comes next is no plain row.
+            When the next row is not a plain one.
         """
         at_a_time = max(1, READ_BYTES // self._page_bytes)
         waiting = np.empty(0, np.int64)
-        for leaves in self._leaves(self._root, MOST_DEPTH):
+        for leaves in self._leaves(self._root, MAX_DEPTH):
             waiting = np.append(waiting, leaves)
             while len(waiting) >= at_a_time:
                 yield self._rows_of(waiting[:at_a_time])
@@ -172,14 +172,14 @@ class MessagePages:
             yield self._rows_of(waiting)
 
     def _leaves(self, number: int, depth: int) -> Iterator[NDArray[np.int64]]:
-        """Yield the numbers of the leaves below a page in order, those of one parent together."""
+        """Yield the page numbers of the leaves below a page in order, one array per parent."""
         page = self._read(number)
         self._pages_left -= 1
-        if page[0] == LEAF and depth == MOST_DEPTH:
+        if page[0] == LEAF and depth == MAX_DEPTH:
             yield np.array([number])
             return
         if page[0] != INTERIOR or not depth or self._pages_left < 0:
-            raise Unusual('no table')
+            raise Unusual('not a table')
         head = gathered(page, np.zeros(1, np.int64), INTERIOR_HEAD)[0]
         places = np.frombuffer(page, '>u2', head['cells'], INTERIOR_HEAD.itemsize)
         left = gathered(page, places.astype(np.int64), np.dtype('>u4'))
@@ -190,11 +190,11 @@ class MessagePages:
             return
         self._pages_left -= len(children)
         if self._pages_left < 0:
-            raise Unusual('pages that are in a table twice')
+            raise Unusual('a page is in the table twice')
         yield children
 
     def _read(self, first: int, count: int = 1) -> Bytes:
-        """Return so many pages from that number on, and `PADDING`; until the next are read."""
+        """Return ``count`` pages from ``first`` on, and `PADDING`; valid until the next call."""
         size = count * self._page_bytes
         if len(self._buffer) < size + PADDING:
             self._buffer = np.zeros(size + PADDING, np.uint8)
@@ -202,7 +202,7 @@ class MessagePages:
             raise Unusual('no such page')
         self._file.seek((first - 1) * self._page_bytes)
         if self._file.readinto(self._buffer[:size].data) < size:
-            raise Unusual('a page behind the end of the file')
+            raise Unusual('a page is beyond the end of the file')
         return self._buffer[: size + PADDING]
 
     def _rows_of(self, leaves: NDArray[np.int64]) -> Rows:
@@ -214,8 +214,8 @@ class MessagePages:
 
     def _parsed(self, data: Bytes, pages: NDArray[np.int64]) -> Rows:
         """Return the rows of the leaves that begin at these bytes."""
-        start, page_end = self._cells(data, pages)
-        # what is looked at several times is brought together, to stay near at hand
+        start, page_end, counts = self._cells(data, pages)
+        # copied to one place, because they are read several times
         heads = gathered(data, start, np.dtype((np.void, CELL_HEAD))).view(np.uint8)
         cell = np.arange(len(start)) * CELL_HEAD
         header = cell + _varints_bytes(heads, cell)
@@ -231,43 +231,44 @@ class MessagePages:
         topics, record_ns, blob, length = columns
         blob += start - cell
         row_bytes = blob + length - (header + start - cell)
-        page_end[row_bytes > self._usable - LEAST_OVER] = 0
-        return Rows(_id_of(heads[cell[-1] :]), topics, record_ns, data, blob, length, page_end)
+        page_end[row_bytes > self._usable - OVERFLOW_MARGIN] = 0
+        first_id, last_id = _id_range(heads.reshape(-1, CELL_HEAD), counts)
+        return Rows(first_id, last_id, topics, record_ns, data, blob, length, page_end)
 
     def _pages(self, leaves: NDArray[np.int64]) -> tuple[Bytes, NDArray[np.int64]]:
-        """Return the bytes of leaves, and where in them each begins."""
+        """Return the bytes of leaves, and the offset of each."""
         first, last = int(leaves.min()), int(leaves.max())
         size = self._page_bytes
-        if last - first < 2 * len(leaves):  # few others lie between them
+        if last - first < 2 * len(leaves):  # few other pages are between them
             return self._read(first, last - first + 1), (leaves - first) * size
         parts = [self._read(number).copy() for number in leaves.tolist()]
         return np.concatenate(parts), np.arange(len(leaves)) * len(parts[0])
 
     def _cells(
         self, data: Bytes, pages: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return where each cell begins, and where its page ends for SQLite."""
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Return the offset of each cell and of the usable end of its page, and cells per page."""
         head = gathered(data, pages, LEAF_HEAD)
         counts = head['cells'].astype(np.int64)
         if (head['kind'] != LEAF).any() or not counts.all():
-            raise Unusual('no leaf')
+            raise Unusual('not a leaf')
         most = int(counts.max())
         places = gathered(data, pages + LEAF_HEAD.itemsize, np.dtype((np.void, 2 * most)))
         offsets = places.view('>u2').reshape(-1, most)
         start = (pages[:, None] + offsets)[np.arange(most) < counts[:, None]]
-        return start, np.repeat(pages + self._usable, counts)
+        return start, np.repeat(pages + self._usable, counts), counts
 
 
 def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how many bytes the first two varints of each cell take (section 1.6).
+    """Return the size of the first two varints of each cell (section 1.6).
 
-    The last byte of a varint is the one whose first bit is not set.
+    The last byte of a varint is the one whose highest bit is clear.
     """
     last = ~gathered(data, start, np.dtype('<u8')) & LAST_BYTES
-    second = last & (last - 1)  # without the lowest bit, which ends the first varint
+    second = last & (last - 1)  # the lowest bit ends the first varint
     if not second.all():
         raise Unusual('an id of many bytes')
-    # of a power of two, the exponent of the floating-point number is the place of its bit
+    # the exponent of a power of two as a floating-point number is the position of its bit
     bit = (second & -second).astype(np.float64).view(np.int64) >> 52
     places: NDArray[np.int64] = (bit - (1023 - 1)) >> 3
     return places
@@ -276,16 +277,16 @@ def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
 def _columns(
     data: Bytes, header: NDArray[np.int64], head: NDArray[np.uint64], kind: int
 ) -> tuple[Any, ...]:
-    """Return topics, record times, and start and length of the blobs of rows of one kind.
+    """Return topics, record times, and start and length of the blobs of rows of one layout.
 
     Parameters
     ----------
     header : (n,) array
-        Where each row begins.
+        Offset of each row.
     head : (n,) array
         Its first eight bytes.
     kind : int
-        The first `KIND_BYTES` of them, alike in all: what decides the layout (section 2.1).
+        The first `KIND_BYTES` of these, equal in all rows: they decide the layout (section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)
@@ -297,7 +298,7 @@ def _columns(
             np.int64
         )
     if (blob_type < FIRST_BLOB).any() or (blob_type & 1).any():
-        raise Unusual('a message that is no blob')
+        raise Unusual('a message is not a blob')
     topic = header + size
     time = topic + INTEGER_BYTES[topic_type]
     return (
@@ -309,7 +310,7 @@ def _columns(
 
 
 def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int64]:
-    """Return the integers of a serial type that begin at these bytes (section 2.1)."""
+    """Return the integers of a serial type at these offsets (section 2.1)."""
     size = INTEGER_BYTES[serial]
     if not size:
         return np.full(len(at), serial == 9, np.int64)
@@ -318,14 +319,34 @@ def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int
     return values
 
 
-def _id_of(cell: Bytes) -> int:
-    """Return the id of the row in a cell: its second varint (section 1.6)."""
-    value, varints = 0, 0
-    for byte in cell[: 2 * WORD].tolist():
-        value = value << 7 | byte & 0x7F
-        if byte < 0x80:
-            varints += 1
-            if varints == 2:
-                break
-            value = 0
-    return value
+def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
+    """Return the first and the last id of rows.
+
+    Parameters
+    ----------
+    heads : (n, CELL_HEAD) array
+        The first bytes of each cell.
+    counts : (pages,) array
+        Cells of each page.
+
+    Raises
+    ------
+    Unusual
+        When the ids do not increase from page to page: a damaged tree contains pages twice.
+    """
+    last = np.cumsum(counts) - 1
+    first_ids, last_ids = _ids_of(heads[last - counts + 1]), _ids_of(heads[last])
+    if (last_ids - first_ids < counts - 1).any() or (first_ids[1:] <= last_ids[:-1]).any():
+        raise Unusual('ids that do not increase')
+    return int(first_ids[0]), int(last_ids[-1])
+
+
+def _ids_of(heads: Bytes) -> NDArray[np.int64]:
+    """Return the ids of cells, which are their second varints (section 1.6)."""
+    ids = np.zeros(len(heads), np.int64)
+    varint = np.zeros(len(heads), np.int64)
+    for byte in heads[:, : 2 * WORD].T:
+        second = varint == 1
+        ids[second] = ids[second] << 7 | byte[second] & 0x7F
+        varint += byte < 0x80
+    return ids

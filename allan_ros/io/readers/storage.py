@@ -1,29 +1,46 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the bag reader asks of every storage file, be it sqlite3, mcap or ROS 1."""
+"""What all storage formats of bags share: topics, blocks of messages, chunks, decompression."""
 
 from __future__ import annotations
 
 import bz2
+import importlib
 import os
 import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, BinaryIO, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, BinaryIO, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import AllanError
+from ..files import open_regular
 
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+MAX_CHUNK_BYTES = 128 * 2**20
+"""Largest chunk or record that is read, stored or decompressed. Recorders write about 1 MB."""
 
-LZ4_MAGIC = b'\x04\x22\x4d\x18'
+MAX_MESSAGE_BYTES = 4 * 2**20
+"""Largest message that is decompressed on its own."""
+
+MAX_FILE_RATIO = 250
+"""A compressed storage file may expand by this factor, and by `MAX_CHUNK_BYTES` in any case."""
+
+MAX_HELD_BYTES = 512 * 2**20
+"""Messages of overlapping chunks that are kept in memory until they can be sorted."""
+
+MAX_FRAME_HEADER = 18
+"""Size of the longest header of a zstd frame (RFC 8878, section 3.1.1)."""
+
+_COPY_BYTES = 1 << 20
+
+_FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
 
 @dataclass(frozen=True)
@@ -33,18 +50,18 @@ class Topic:
     Attributes
     ----------
     id : int
-        Number inside that file.
+        Number of the topic inside the file.
     name, type : str
-        Topic and message type, spelled ``package/msg/Name``.
+        Topic name and message type, the type as ``package/msg/Name``.
     encoding : str
-        Serialization of its messages: 'cdr', 'ros1', or one we cannot read.
+        Serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
     schema_format, schema : str
         Definition of the type: 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
 
     Raises
     ------
     ValueError
-        When a name holds control characters, which only damage brings about.
+        When a name contains control characters, which means that the file is damaged.
     """
 
     id: int
@@ -56,38 +73,24 @@ class Topic:
 
     def __post_init__(self) -> None:
         if not (self.name + self.type + self.encoding).isprintable():
-            raise ValueError('the name of a topic is no text')
+            raise ValueError('a topic name contains control characters')
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]
-"""Serialized messages; one array of them where all have the same length."""
+"""Serialized messages; one array where all have the same length."""
 
 
 @dataclass
 class Block:
-    """Consecutive messages: when each was recorded (ns), and its serialized bytes."""
+    """Consecutive messages: record times in ns, and serialized bytes."""
 
     record_ns: NDArray[np.int64]
     payloads: Payloads
 
 
-def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the records of one type that begin at these bytes, wherever they are."""
-    anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
-    return anywhere[start]
-
-
-def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return which topics are among the wanted ones, of which there are one or two."""
-    mine = np.zeros(len(numbers), bool)
-    for number in ids:
-        mine |= numbers == number
-    return mine
-
-
 @dataclass(frozen=True)
 class Cut:
-    """How far a file that was cut off could be read."""
+    """How many bytes of a truncated file could be read, and its size (or the size it should be)."""
 
     read: int
     size: int
@@ -105,134 +108,216 @@ class Storage(Protocol):
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
 
+    def stated(self, ids: set[int], read: int) -> int:
+        """Return how many messages of these topics the file's own index states.
+
+        Call it after `blocks`, with the number of messages that were read; that number is
+        returned where the file states none.
+        """
+
+
+def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the records of one type that begin at these byte offsets."""
+    anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
+    return anywhere[start]
+
+
+def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
+    """Return a mask of the numbers that are in ``ids``, which has one or two members."""
+    mask = np.zeros(len(numbers), bool)
+    for number in ids:
+        mask |= numbers == number
+    return mask
+
+
+def as_list(payloads: Payloads) -> list[bytes | memoryview]:
+    """Return the messages as a list."""
+    return payloads if isinstance(payloads, list) else payloads.tolist()
+
+
+def normal_type(name: str) -> str:
+    """Return a type in the spelling of ROS 2: ``sensor_msgs/Imu`` is ``sensor_msgs/msg/Imu``."""
+    package, *rest = name.split('/')
+    return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
+
 
 def damaged(path: Path, reason: object, remedy: str) -> AllanError:
-    """Return the error for a file whose insides are not what they should be."""
+    """Return the error for a file with invalid content."""
     words = ' '.join(str(reason).split())[:160] or type(reason).__name__
     return AllanError(f'{path}: cannot be read ({words}): {remedy}')
 
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Turn what a library raises on a damaged file into the one line for the user."""
+    """Translate what a library raises on a damaged file into an `AllanError`."""
     try:
         yield
     except errors as error:
         raise damaged(path, error, remedy) from error
 
 
-def normal_type(name: str) -> str:
-    """Spell a type as ROS 2 does: ``sensor_msgs/Imu`` is ``sensor_msgs/msg/Imu``."""
-    package, *rest = name.split('/')
-    return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
+def optional_package(module: str, purpose: str) -> Any:
+    """Import a module of a package that need not be installed.
+
+    Raises
+    ------
+    AllanError
+        When it is not; the message names the purpose and how to install the package.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        package = module.split('.')[0]
+        raise AllanError(
+            f'{purpose} needs the Python package {package!r}: "pip install {package}"'
+        ) from None
 
 
-def decompress(data: bytes | memoryview, compression: str) -> bytes:
+# --- decompression, always with a limit ----------------------------------------------------------
+
+
+def frame_compression(head: bytes | memoryview) -> str:
+    """Return the compression of a file or message by its first bytes: 'zstd', 'lz4' or ''."""
+    return _FRAME_MAGIC.get(bytes(head[:4]), '')
+
+
+def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the bytes of a compressed chunk or message.
+
+    Parameters
+    ----------
+    data : bytes
+    compression : 'zstd', 'lz4', 'bz2', 'none' or ''
+    limit : int
+        Size at which decompression stops.
 
     Raises
     ------
     ValueError
-        When the compression is unknown or the data are damaged.
+        When the compression is unknown, the data are damaged or expand beyond the limit.
     """
     if compression in ('', 'none'):
         return bytes(data)
-    if compression == 'bz2':
-        return _translated(OSError, bz2.decompress, data)
-    if compression == 'lz4':
-        import lz4.frame
-
-        return _translated(RuntimeError, lz4.frame.decompress, data)
     if compression == 'zstd':
-        if reused := _reused_zstd():
-            with suppress(ValueError):  # a frame that does not state its size
-                return _translated(reused.error, reused.decompress, data)
-        zstd = _zstd()
-        return _translated(zstd.ZstdError, zstd.decompress, data)
-    raise ValueError(f'compression {compression!r} is not known')
-
-
-def decompress_all(
-    messages: list[bytes | memoryview], compression: str
-) -> list[bytes | memoryview] | None:
-    """Return messages that were compressed one by one, or None if they are not all plain sailing.
-
-    Then `decompress` tells of each.
-    """
-    reused = _reused_zstd() if compression == 'zstd' else None
-    if reused:
-        with suppress(reused.error):  # one is damaged, or does not state its size
-            return list(map(reused.decompress, messages))
-    return None
-
-
-def frame_compression(head: bytes | memoryview) -> str:
-    """Tell by its first bytes how a whole file or message is compressed; '' if it is not."""
-    start = bytes(head[:4])
-    return {ZSTD_MAGIC: 'zstd', LZ4_MAGIC: 'lz4'}.get(start, '')
-
-
-def open_decompressed(path: Path, compression: str) -> AbstractContextManager[IO[bytes]]:
-    """Open a compressed file for reading what it holds."""
-    opened: Any
-    if compression == 'zstd':
-        opened = _zstd().open(path, 'rb')
+        plain = _decompress_zstd(data, limit)
+    elif compression == 'lz4':
+        lz4 = optional_package('lz4.frame', 'reading lz4 data')
+        plain = _decompress_stream(lz4.LZ4FrameDecompressor(), RuntimeError, data, limit)
+    elif compression == 'bz2':
+        plain = _decompress_stream(bz2.BZ2Decompressor(), OSError, data, limit)
     else:
-        import lz4.frame
-
-        opened = lz4.frame.open(path, 'rb')
-    file: AbstractContextManager[IO[bytes]] = opened
-    return file
-
-
-def decompression_errors() -> tuple[type[Exception], ...]:
-    """Return what the libraries raise on damaged data while a file is read."""
-    return (OSError, EOFError, RuntimeError, ValueError, _zstd().ZstdError)
+        raise ValueError(f'compression {compression!r} is unknown')
+    if len(plain) > limit:
+        raise ValueError(f'the data expand to more than {limit} bytes')
+    return plain
 
 
-def _translated(error_type: type[Exception], function: Any, data: bytes | memoryview) -> bytes:
+def _decompress_zstd(data: bytes | memoryview, limit: int) -> bytes:
+    zstd = _zstd()
     try:
-        result: bytes = function(data)
+        size = zstd.frame_content_size(data)
+        if 0 <= size <= limit:
+            plain: bytes = _zstd_decompressor().decompress(data)
+        elif size > limit:
+            raise ValueError(f'it states {size} bytes, the limit is {limit}')
+        else:  # the frame does not state its size
+            with zstd.ZstdDecompressor().stream_reader(data) as reader:
+                plain = reader.read(limit + 1)
+    except zstd.ZstdError as error:
+        raise ValueError(f'{error}') from error
+    return plain
+
+
+def _decompress_stream(
+    stream: Any, error_type: type[Exception], data: bytes | memoryview, limit: int
+) -> bytes:
+    try:
+        plain: bytes = stream.decompress(data, max_length=limit + 1)
     except (error_type, EOFError, OSError, ValueError) as error:
         raise ValueError(f'{error}') from error
-    return result
+    if not stream.eof and len(plain) <= limit:
+        raise ValueError('the compressed data end early')
+    return plain
 
 
-class _ReusedZstd(NamedTuple):
-    decompress: Callable[[bytes | memoryview], bytes]
-    error: type[Exception]
+def decompress_messages(
+    messages: list[bytes | memoryview], compression: str
+) -> Iterator[list[bytes | memoryview]]:
+    """Yield messages that were compressed one by one, in groups of limited total size.
+
+    Raises
+    ------
+    ValueError
+        When a message is damaged or larger than `MAX_MESSAGE_BYTES`; its second argument is the
+        number of intact messages before it.
+    """
+    group: list[bytes | memoryview] = []
+    done = size = 0
+    for message in messages:
+        try:
+            plain = decompress(message, compression, MAX_MESSAGE_BYTES)
+        except ValueError as error:
+            raise ValueError(f'{compression}: {error}', done + len(group)) from error
+        group.append(plain)
+        size += len(plain)
+        if size > MAX_MESSAGE_BYTES:
+            yield group
+            done += len(group)
+            group, size = [], 0
+    if group:
+        yield group
+
+
+def decompress_file(source: Path, compression: str, target: Path) -> None:
+    """Decompress a storage file into another.
+
+    Raises
+    ------
+    AllanError
+        When it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is full.
+    """
+    remedy = 'copy it again; check the space for temporary files'
+    errors: tuple[type[Exception], ...] = (OSError, EOFError, RuntimeError, ValueError)
+    stated = 0
+    opened: Any
+    with open_regular(source) as file, target.open('wb') as out:
+        limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
+        if compression == 'zstd':
+            errors = (*errors, _zstd().ZstdError)
+            with translated(source, errors, remedy):
+                stated = _zstd().frame_content_size(file.read(MAX_FRAME_HEADER))
+            file.seek(0)
+            opened = _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
+        else:
+            opened = optional_package('lz4.frame', f'{source}: reading lz4 data').open(file)
+        with translated(source, errors, remedy):
+            size = 0
+            while data := opened.read(_COPY_BYTES):
+                size += len(data)
+                if size > limit:
+                    raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
+                out.write(data)
+            if size < max(stated, 1):
+                raise ValueError(f'{compression} data that end early')
 
 
 @lru_cache(maxsize=1)
-def _reused_zstd() -> _ReusedZstd | None:
-    """Return one decompressor for all messages where the zstandard package is installed.
-
-    The standard library makes a new one for each, which costs ten times the decompression.
-    """
-    try:
-        import zstandard
-    except ImportError:
-        return None
-    return _ReusedZstd(zstandard.ZstdDecompressor().decompress, zstandard.ZstdError)
-
-
 def _zstd() -> Any:
-    """Return the zstd of the standard library (Python 3.14), or its backport."""
-    try:
-        from compression import zstd
-    except ImportError:
-        from backports import zstd
-    return zstd
+    return optional_package('zstandard', 'reading zstd data')
 
 
-def as_list(payloads: Payloads) -> list[bytes | memoryview]:
-    """Return the messages one by one."""
-    return payloads if isinstance(payloads, list) else payloads.tolist()
+@lru_cache(maxsize=1)
+def _zstd_decompressor() -> Any:
+    """Return one decompressor for all messages: creating one costs ten times its use."""
+    return _zstd().ZstdDecompressor()
+
+
+# --- files that consist of chunks ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, order=True)
 class Stretch:
-    """A stretch of the file that holds messages, and when the first of them was recorded."""
+    """A stretch of the file that contains messages, and the record time of the first."""
 
     start_ns: int
     offset: int
@@ -243,14 +328,14 @@ Chunk = TypeVar('Chunk', bound=Stretch)
 
 
 class ChunkStorage(ABC, Generic[Chunk]):
-    """An open file of chunks, of a format that says where they are and what is in one.
+    """An open file that consists of chunks; subclasses know the format.
 
     Attributes
     ----------
     DAMAGE : tuple of types
         What reading a damaged file raises.
     REMEDY : str
-        What to do about one.
+        What the user can do about it.
     """
 
     DAMAGE: ClassVar[tuple[type[Exception], ...]]
@@ -262,6 +347,7 @@ class ChunkStorage(ABC, Generic[Chunk]):
         self._size = os.fstat(file.fileno()).st_size
         self._topics: dict[int, Topic] = {}
         self._counts: Counter[int] = Counter()
+        self._stated: Counter[int] = Counter()
         self._chunks: list[Chunk] = []
         self.cut: Cut | None = None
         self._survey()
@@ -273,15 +359,19 @@ class ChunkStorage(ABC, Generic[Chunk]):
     def open(cls, path: Path, shown: Path) -> Iterator[Storage]:
         """Open a file.
 
-        ``shown`` is the name used in messages, which differs for a decompressed copy.
+        Parameters
+        ----------
+        path : Path
+        shown : Path
+            Name for messages, which differs for a decompressed copy.
 
         Raises
         ------
         AllanError
-            When it is of another format or damaged.
+            When the file is of another format or damaged.
         """
         with translated(shown, (OSError,), cls.REMEDY):
-            file = path.open('rb')
+            file = open_regular(path)
         with file:
             with translated(shown, cls.DAMAGE, cls.REMEDY):
                 storage = cls(shown, file)
@@ -290,6 +380,13 @@ class ChunkStorage(ABC, Generic[Chunk]):
     def counts(self) -> dict[int, int]:
         """Return topic id -> number of messages."""
         return dict(self._counts)
+
+    def stated(self, ids: set[int], read: int) -> int:
+        """Return how many messages of these topics the file states, or ``read``."""
+        if not self._stated:
+            return read
+        stated = sum(self._stated[number] for number in ids)
+        return max(stated, read) if self.cut else stated  # the index may be truncated as well
 
     def blocks(self, ids: set[int]) -> Iterator[Block]:
         """Yield the messages of these topics in the order of their record time."""
@@ -301,13 +398,17 @@ class ChunkStorage(ABC, Generic[Chunk]):
 
     @abstractmethod
     def _survey(self) -> None:
-        """Find the topics, the chunks and how many messages there are; and where it is cut."""
+        """Find the topics, the chunks, the counts, and whether the file is truncated."""
 
     @abstractmethod
     def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
-        """Return the messages of these topics in a chunk, in its order."""
+        """Return the messages of these topics in a chunk, in the order of the chunk."""
 
     def _read(self, offset: int, length: int) -> bytes:
+        if length > MAX_CHUNK_BYTES:
+            raise ValueError(
+                f'a record of {length} bytes at byte {offset}, the limit is {MAX_CHUNK_BYTES}'
+            )
         self._file.seek(offset)
         return self._file.read(length)
 
@@ -319,13 +420,13 @@ class ChunkStorage(ABC, Generic[Chunk]):
         size: int,
         checksum: int = 0,
     ) -> bytes:
-        """Return the records of the chunk at ``offset``, decompressed; a CRC-32 of 0 is none."""
+        """Return the records of the chunk at ``offset``, decompressed; CRC-32 0 is not checked."""
         try:
-            data = decompress(stored, compression)
+            data = decompress(stored, compression, min(size, MAX_CHUNK_BYTES))
             if len(data) != size:
-                raise ValueError(f'{len(data)} bytes in place of {size}')
+                raise ValueError(f'{len(data)} bytes instead of {size}')
             if checksum and zlib.crc32(data) != checksum:
-                raise ValueError('its checksum does not match')
+                raise ValueError('its checksum is wrong')
         except ValueError as error:
             raise damaged(
                 self._path, f'the chunk at byte {offset} is damaged: {error}', self.REMEDY
@@ -335,16 +436,16 @@ class ChunkStorage(ABC, Generic[Chunk]):
 
 @dataclass
 class InOrder:
-    """Puts the messages of overlapping chunks in the order of their record time.
+    """Sorts the messages of overlapping chunks by record time.
 
-    Feed the chunks by their start time; what lies before the start of the next one is complete.
-    Only the overlap is held back, so memory does not grow with the file.
+    Add the chunks in the order of their start times. Messages before the start of the next chunk
+    are complete; only the overlap is kept, so memory does not grow with the file.
     """
 
     _held: list[Block] = field(default_factory=list)
 
     def add(self, block: Block, until: int | None) -> Block:
-        """Take one chunk and return all messages recorded before ``until`` (None: all)."""
+        """Add one chunk and return all messages recorded before ``until`` (None: all)."""
         times = np.concatenate([*(held.record_ns for held in self._held), block.record_ns])
         in_order = bool((times[1:] >= times[:-1]).all())
         if in_order and not self._held and (until is None or not len(times) or times[-1] < until):
@@ -359,12 +460,24 @@ class InOrder:
                 else payloads[order]
             )
         ready = len(times) if until is None else int(np.searchsorted(times, until))
-        self._held = [Block(times[ready:], payloads[ready:])] if ready < len(times) else []
+        self._held = [_copied(times[ready:], payloads[ready:])] if ready < len(times) else []
         return Block(times[:ready], payloads[:ready])
 
 
-def _joined(parts: list[Payloads]) -> Payloads:
+def _copied(times: NDArray[np.int64], payloads: Payloads) -> Block:
+    """Return a block that does not keep the memory of its chunks alive."""
+    if isinstance(payloads, np.ndarray):
+        size, copies = payloads.nbytes, payloads.copy()
+    else:
+        size, copies = sum(map(len, payloads)), list(map(bytes, payloads))
+    if size > MAX_HELD_BYTES:
+        raise ValueError(f'chunks overlap by more than {MAX_HELD_BYTES} bytes')
+    return Block(times.copy(), copies)
+
+
+def _joined(parts: Iterable[Payloads]) -> Payloads:
     """Return the messages of all parts, as one array where all have the same length."""
+    parts = list(parts)
     arrays = [part for part in parts if isinstance(part, np.ndarray) and len(part)]
     of_one_length = len({array.itemsize for array in arrays}) == 1
     if of_one_length and sum(map(len, arrays)) == sum(map(len, parts)):

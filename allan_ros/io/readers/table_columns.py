@@ -1,26 +1,30 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the columns of a table mean: from its header, or from the names the user gives.
+"""The meaning of the columns of a table, from its header or from the names the user gives.
 
-Names are known by how they end, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
-``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are one axis. A unit in brackets counts
-more than the unit stated in the options.
+Names are recognized by how they end, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
+``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. A unit in brackets takes
+precedence over the unit in the options.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
 from ...core.errors import AllanError
 from ...core.imu import AXES, SENSORS
-from .recording import ACCEL_UNITS, GYRO_UNITS, STAMP_UNITS, ReadOptions
+from .recording import ACCEL_UNITS, GYRO_UNITS, SI, STAMP_UNITS, ReadOptions
 
 LEFT_OUT = '-'
+
+MAX_LINE = 1 << 20
+"""Longest line of a table, in characters."""
 
 EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
@@ -35,6 +39,10 @@ _ACCEL = re.compile(
     r'(?:^|_)(?:a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|a_rs_s)_?([xyz])$'
 )
 
+_SENSORS = (('gyro', _GYRO), ('accel', _ACCEL))
+
+_SENSOR_UNITS = {'gyro': GYRO_UNITS, 'accel': ACCEL_UNITS}
+
 _TIME = re.compile(r'(?:^|_)(t|time|timestamp|timestamps|stamp|stamps)(?:_(s|ms|us|ns))?$')
 
 _RECORD = re.compile(r'^record(?:_time|_stamp)?(?:_(s|ms|us|ns))?$')
@@ -48,18 +56,18 @@ _NANOSECONDS = re.compile(r'(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)$')
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Where everything stands in a row.
+    """The columns of a table.
 
     Attributes
     ----------
     delimiter : str
-        ',', ';' or tab; '' for any white space.
+        ',', ';' or tab; '' for white space.
     width : int
         Number of columns of every row.
     names : tuple of str
         Column names, for messages; empty without a header.
     header_line : int
-        Number of the line that holds the header; 0 without one.
+        Line number of the header; 0 without one.
     axes : dict
         Index of the axis in `AXES` -> (column, factor to SI).
     stamp, record : tuple of (column, factor to nanoseconds)
@@ -68,6 +76,10 @@ class TableLayout:
         Sample rate where there is no stamp.
     temperature : int or None
         Column of the temperature in degC.
+    units : dict
+        'gyro_unit' and 'accel_unit' -> unit of the columns.
+    assumed : dict
+        Sensor -> (unit, name of a column), where neither the header nor the options state a unit.
     """
 
     delimiter: str
@@ -78,21 +90,48 @@ class TableLayout:
     stamp: tuple[tuple[int, int], ...]
     record: tuple[tuple[int, int], ...]
     rate_hz: float
-    temperature: int | None = None
+    temperature: int | None
+    units: dict[str, str]
+    assumed: dict[str, tuple[str, str]]
 
-    def split(self, lines: Iterable[str]) -> list[list[str]]:
-        """Split lines into cells."""
+    def rows(self, lines: Iterable[str]) -> Iterator[list[str]]:
+        """Yield the cells of each row; a quoted cell may contain line breaks.
+
+        Raises
+        ------
+        csv.Error
+            When a quote is not closed, or a cell is longer than 128 kB.
+        """
         return _split(lines, self.delimiter)
 
 
-def _split(lines: Iterable[str], delimiter: str) -> list[list[str]]:
+def bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
+    """Yield the lines of a text file.
+
+    Raises
+    ------
+    AllanError
+        When one is longer than `MAX_LINE`.
+    """
+    number, read = 0, file.readline
+    while line := read(MAX_LINE):
+        number += 1
+        if len(line) == MAX_LINE and not line.endswith('\n'):
+            raise AllanError(
+                f'{path}: line {number} has more than {MAX_LINE} characters: '
+                'give a table of numbers'
+            )
+        yield line
+
+
+def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
     if not delimiter:
-        return [line.split() for line in lines]
-    return list(csv.reader(lines, delimiter=delimiter))
+        return map(str.split, lines)
+    return csv.reader(lines, delimiter=delimiter, strict=True)
 
 
 def is_number(cell: str) -> bool:
-    """Tell whether a cell holds a number (NaN and infinity are numbers here)."""
+    """Return whether a cell is a number, NaN and infinity included."""
     try:
         float(cell)
     except ValueError:
@@ -101,7 +140,7 @@ def is_number(cell: str) -> bool:
 
 
 def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
-    """Find the columns of a table from its first lines.
+    """Return the columns of a table, from its first lines.
 
     Raises
     ------
@@ -109,9 +148,9 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
         When there is no row, no name for the columns, or no sensor among them.
     """
     comment = ''
+    lines = bounded_lines(path, file)
     number = 0
-    for line in file:
-        number += 1
+    for number, line in enumerate(lines, 1):  # noqa: B007
         if line.startswith('#'):
             comment = line
         elif not line.isspace():
@@ -120,13 +159,18 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
         raise AllanError(f'{path}: has no line of data: record or export it again')
     delimiter = next((mark for mark in '\t;,' if mark in line), '')
     try:
-        first = _split([line], delimiter)[0]
-        above = _split([comment.lstrip('# ')], delimiter)[0] if comment else []
-    except (csv.Error, IndexError) as error:
-        raise AllanError(f'{path}: line {number} is no row of a table: mend the file') from error
+        rows = _split(chain([line], lines), delimiter)
+        first = next(rows)
+        number += getattr(rows, 'line_num', 1) - 1  # a header may have quoted line breaks
+        above = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
+    except (csv.Error, StopIteration) as error:
+        raise AllanError(
+            f'{path}: line {number} is not a row of a table: correct the file'
+        ) from error
 
     names = tuple(name.strip() for name in options.columns)
-    if names:
+    picked = bool(names) and all('=' in name for name in names)
+    if names and not picked:
         _check_names(path, names, first)
         used = [cell for name, cell in zip(names, first) if name != LEFT_OUT]
         header_line = 0 if all(map(is_number, used)) else number
@@ -139,9 +183,11 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
             f'{path}: has {len(first)} columns of numbers and no header: '
             f'name them, such as --columns {EXAMPLE_COLUMNS} (- leaves one out)'
         )
-    if header_line and all(line.startswith('#') or line.isspace() for line in file):
-        raise AllanError(f'{path}: holds no line behind its header: record or export it again')
-    axes, stamp, record = _roles(path, names, options)
+    if header_line and all(line.startswith('#') or line.isspace() for line in lines):
+        raise AllanError(f'{path}: has no line after its header: record or export it again')
+    if picked:
+        names = _picked(path, names, options.columns)
+    axes, stamp, record, units, assumed = _roles(path, names, options)
     if not stamp and not options.rate_hz:
         raise AllanError(
             f'{path}: none of its columns ({_listed(names)}) is a time: state the sample rate '
@@ -157,33 +203,78 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
         record,
         options.rate_hz,
         next((column for column, name in enumerate(names) if _is_celsius(name)), None),
+        units,
+        assumed,
     )
+
+
+def _picked(path: Path, names: tuple[str, ...], columns: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of all columns, from pairs such as ``gx=w_x``.
+
+    The unit of a header name is kept; columns that are not in the pairs are left out.
+    """
+    meanings = [LEFT_OUT] * len(names)
+    for pair in columns:
+        meaning, _, wanted = (word.strip() for word in pair.partition('='))
+        places = [at for at, name in enumerate(names) if name == wanted]
+        places = places or [at for at, name in enumerate(names) if _bare(name) == _bare(wanted)]
+        if len(places) != 1:
+            raise AllanError(
+                f'{path}: {len(places)} of its columns ({_listed(names)}) are named {wanted!r}: '
+                f'correct --columns {pair}'
+            )
+        unit = _BRACKET.match(names[places[0]])
+        has_unit = unit is None or _BRACKET.match(meaning)
+        meanings[places[0]] = meaning if has_unit else f'{meaning} [{unit[2]}]'
+    return tuple(meanings)
+
+
+def _bare(name: str) -> str:
+    """Return a column name in lower case, without its unit."""
+    match = _BRACKET.match(name)
+    return (match[1] if match else name).strip().lower()
 
 
 def _check_names(path: Path, names: tuple[str, ...], first: list[str]) -> None:
     if len(names) != len(first):
         raise AllanError(
             f'{path}: has {len(first)} columns, {len(names)} are named by --columns: '
-            f'name each, {LEFT_OUT} for one to leave out'
+            f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
         )
+
+
+_Columns = tuple[tuple[int, int], ...]
 
 
 def _roles(
     path: Path, names: tuple[str, ...], options: ReadOptions
-) -> tuple[dict[int, tuple[int, float]], tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]:
-    """Return the axes, stamp and record columns that the names tell of."""
+) -> tuple[
+    dict[int, tuple[int, float]], _Columns, _Columns, dict[str, str], dict[str, tuple[str, str]]
+]:
+    """Return the axes, stamp and record columns, the units, and the units that are assumed."""
     axes: dict[int, tuple[int, float]] = {}
+    units: dict[str, str] = {}
+    assumed: dict[str, tuple[str, str]] = {}
     times: list[tuple[bool, int, int]] = []
-    record: tuple[tuple[int, int], ...] = ()
+    record: _Columns = ()
     parts: dict[str, int] = {}
     for column, name in enumerate(names):
         base, unit = _base_and_unit(name)
-        if match := _GYRO.search(base):
-            scale = _size(path, name, unit or options.gyro_unit, GYRO_UNITS)
-            axes.setdefault('xyz'.index(match[1]), (column, scale))
-        elif match := _ACCEL.search(base):
-            scale = _size(path, name, unit or options.accel_unit, ACCEL_UNITS)
-            axes.setdefault(3 + 'xyz'.index(match[1]), (column, scale))
+        found = [(s, match) for s, form in _SENSORS if (match := form.search(base))]
+        if found:
+            sensor, match = found[0]
+            known = _SENSOR_UNITS[sensor]
+            stated = unit or getattr(options, f'{sensor}_unit')
+            if not stated and not _is_si(base):
+                assumed.setdefault(sensor, (SI[sensor], name))
+            stated = stated or SI[sensor]
+            if stated not in known:
+                raise AllanError(
+                    f'{path}: the unit of column {name!r} is unknown: use one of {", ".join(known)}'
+                )
+            units.setdefault(f'{sensor}_unit', stated)
+            axis = SENSORS[sensor].start + 'xyz'.index(match[1])
+            axes.setdefault(axis, (column, known[stated]))
         elif match := _RECORD.match(base):
             record = ((column, STAMP_UNITS[match[1] or options.stamp_unit]),)
         elif _SECONDS.search(base):
@@ -191,8 +282,8 @@ def _roles(
         elif _NANOSECONDS.search(base):
             parts.setdefault('ns', column)
         elif match := _TIME.search(base):
-            known = unit if unit in STAMP_UNITS else match[2] or options.stamp_unit
-            times.append(('stamp' not in match[1], column, STAMP_UNITS[known]))
+            size = unit if unit in STAMP_UNITS else match[2] or options.stamp_unit
+            times.append(('stamp' not in match[1], column, STAMP_UNITS[size]))
     for sensor, place in SENSORS.items():
         have = [AXES[axis] for axis in range(place.start, place.stop) if axis in axes]
         if have and len(have) < 3:
@@ -203,19 +294,20 @@ def _roles(
     if not axes:
         raise AllanError(
             f'{path}: none of its columns ({_listed(names)}) is a gyro or accel axis: '
-            f'name them, such as --columns {EXAMPLE_COLUMNS} (- leaves one out)'
+            f'name them, such as --columns {EXAMPLE_COLUMNS} (- leaves one out) or gx=NAME,...'
         )
     if len(parts) == 2:
-        stamp: tuple[tuple[int, int], ...] = (
+        stamp: _Columns = (
             (parts['s'], STAMP_UNITS['s']),
             (parts['ns'], STAMP_UNITS['ns']),
         )
     else:
-        # A stamp of the sensor is preferred to any other time.
+        # a stamp of the sensor has precedence over other times
         stamp = tuple((column, scale) for _, column, scale in sorted(times)[:1])
-    return axes, stamp, record
+    return axes, stamp, record, units, assumed
 
 
+<<<<<<< HEAD
 def axis_of_column(name: str) -> tuple[str, str] | None:
     """Return the axis that a column is named after and the unit in its name ('' for none).
 
@@ -245,10 +337,15 @@ def _size(path: Path, name: str, unit: str, units: dict[str, float]) -> float:
         raise AllanError(
             f'{path}: the unit of column {name!r} is not known: use one of {", ".join(units)}'
         ) from None
+=======
+def _is_si(base: str) -> bool:
+    """Return whether a column is named as in `write_table` or in a ROS message, which are SI."""
+    return base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
+>>>>>>> ac03ea8 (Report messages that are stated but not read, and limit all input)
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:
-    """Split 'Gyro X [deg/s]' into 'gyro_x' and 'deg/s', in our spelling of units."""
+    """Split 'Gyro X [deg/s]' into 'gyro_x' and 'deg/s', with units as in `GYRO_UNITS`."""
     text = name.strip().lower()
     unit = ''
     if match := _BRACKET.match(text):
@@ -262,7 +359,7 @@ def _base_and_unit(name: str) -> tuple[str, str]:
 
 
 def _is_celsius(name: str) -> bool:
-    """Tell whether a column is a temperature in degC, or in no unit that it names."""
+    """Return whether a column is a temperature in degC, or without a unit."""
     base, unit = _base_and_unit(name)
     return bool(_TEMPERATURE.search(base)) and unit in ('', 'c', 'degc', 'celsius')
 

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""CSV and TSV, read line by line and written so that every bit comes back.
+"""CSV and TSV files: read row by row, and written without loss of precision.
 
-The form written here has int64 nanosecond stamps, shortest round-trip floats in SI, and the frame
-in a comment::
+The files written here have int64 nanosecond stamps, shortest round-trip floats in SI, and the
+frame_id in a comment::
 
     # frame_id: imu_link
     stamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z
@@ -15,7 +15,9 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from decimal import Decimal, DecimalException
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
@@ -25,9 +27,10 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, ImuBatch
+from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
-from .table_columns import TableLayout, is_number, read_layout
+from .table_columns import TableLayout, bounded_lines, is_number, read_layout
 
 FRAME_COMMENT = '# frame_id:'
 
@@ -42,7 +45,7 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
     Raises
     ------
     AllanError
-        When it has no rows, or its columns are not understood.
+        When it has no rows, or its columns are unknown.
     """
     with _text(path) as file:
         layout = read_layout(path, file, options)
@@ -52,11 +55,12 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
         None,
         lambda report: _read(path, layout, report),
         lambda frame_id: _temperature(path, layout),
+        replace(options, **layout.units),
     )
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
-    """Write the batches in the form above and return how many rows there are.
+    """Write the batches in the form above and return the number of rows.
 
     Raises
     ------
@@ -93,58 +97,100 @@ def _write_frame(file: TextIO, frame_id: str) -> None:
 
 
 def _text(path: Path) -> TextIO:
-    # A byte that is no text turns up as a cell that is no number, with its line and column.
-    return path.open(encoding='utf-8-sig', errors='replace', newline=None)
+    # an invalid byte becomes a cell that is not a number, reported with its line and column
+    return TextIOWrapper(open_regular(path), encoding='utf-8-sig', errors='replace', newline=None)
+
+
+class _Lines:
+    """The lines of a table after its header, without comments and empty lines.
+
+    Attributes
+    ----------
+    number : int
+        Number of the last line, counted from 1.
+    frame_id : str
+        frame_id of the last comment that states one.
+    """
+
+    def __init__(self, path: Path, file: TextIO, layout: TableLayout) -> None:
+        self.number = 0
+        self.frame_id = ''
+        self.complete = True
+        self._path = path
+        self._file = file
+        self._header_line = layout.header_line
+
+    def __iter__(self) -> Iterator[str]:
+        for line in bounded_lines(self._path, self._file):
+            self.number += 1
+            if line.startswith(COMMENT):
+                if line.startswith(FRAME_COMMENT):
+                    self.frame_id = line[len(FRAME_COMMENT) :].strip()
+            elif self.number > self._header_line and not line.isspace():
+                self.complete = line.endswith('\n')
+                yield line
+
+
+@dataclass
+class _Rows:
+    """Consecutive rows of one frame: their line numbers and cells."""
+
+    first: int
+    frame_id: str
+    numbers: list[int] = field(default_factory=list)
+    cells: list[list[str]] = field(default_factory=list)
+
+
+def _rows(path: Path, file: TextIO, layout: TableLayout, report: Report) -> Iterator[_Rows]:
+    """Yield the rows, about `BATCH` at a time; a comment with another frame_id begins new ones.
+
+    The last line is not used if it has no line end, because its last number may be truncated.
+    """
+    lines = _Lines(path, file, layout)
+    rows = _Rows(0, '')
+    try:
+        for cells in layout.rows(lines):
+            if not lines.complete:
+                report(finding('table_cut', path=path, line=lines.number))
+                break
+            if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
+                if rows.cells:
+                    yield rows
+                rows = _Rows(rows.first + len(rows.cells), lines.frame_id)
+            rows.numbers.append(lines.number)
+            rows.cells.append(cells)
+    except csv.Error as error:
+        if lines.complete:
+            raise AllanError(
+                f'{path}: line {lines.number} is not a row of a table ({error}): '
+                'correct or remove it'
+            ) from error
+        report(finding('table_cut', path=path, line=lines.number))
+    if rows.cells:
+        yield rows
 
 
 def _read(path: Path, layout: TableLayout, report: Report) -> Iterator[ImuBatch]:
-    """Yield the rows as batches; a comment that names another frame starts a new one."""
-    frame_id = ''
-    first_row = 0
-    numbers: list[int] = []
-    lines: list[str] = []
+    """Yield the rows as batches."""
+    for sensor, (unit, name) in layout.assumed.items():
+        report(finding('unit_assumed', path=path, sensor=sensor, unit=unit, name=name))
     with _text(path) as file:
-        for number, line in enumerate(file, 1):
-            if line.startswith(COMMENT):
-                if line.startswith(FRAME_COMMENT):
-                    if lines:
-                        yield _batch(path, layout, numbers, lines, first_row, frame_id)
-                        first_row += len(lines)
-                        numbers, lines = [], []
-                    frame_id = line[len(FRAME_COMMENT) :].strip()
-                continue
-            if number <= layout.header_line or line.isspace():
-                continue
-            numbers.append(number)
-            lines.append(line)
-            if len(lines) == BATCH:
-                if not line.endswith('\n'):
-                    _drop_cut_line(path, layout, numbers, lines, report)
-                yield _batch(path, layout, numbers, lines, first_row, frame_id)
-                first_row += len(lines)
-                numbers, lines = [], []
-    if lines and not lines[-1].endswith('\n'):
-        _drop_cut_line(path, layout, numbers, lines, report)
-    if lines:
-        yield _batch(path, layout, numbers, lines, first_row, frame_id)
+        for rows in _rows(path, file, layout, report):
+            yield _batch(path, layout, rows)
 
 
 def _temperature(path: Path, layout: TableLayout) -> TemperatureTrace | None:
-    """Return the column of the temperature, if there is one."""
+    """Return the temperature column, if there is one."""
     column = layout.temperature
     if column is None:
         return None
-    kept: Decimated[tuple[int, str]] = Decimated()
-    row = 0
+    kept: Decimated[tuple[int, list[str]]] = Decimated()
     with _text(path) as file:
-        for number, line in enumerate(file, 1):
-            if number > layout.header_line and not line.startswith(COMMENT) and line.strip():
-                kept.add((row, line))
-                row += 1
+        for row, cells in enumerate(layout.rows(_Lines(path, file, layout))):
+            kept.add((row, cells))
     readings = []
-    for row, line in kept:
-        cells = layout.split([line])[0]
-        with suppress(ValueError, IndexError, DecimalException):  # a line that is cut off
+    for row, cells in kept:
+        with suppress(ValueError, IndexError, DecimalException):  # a truncated line
             if layout.stamp:
                 stamp = sum(round(Decimal(cells[at].strip()) * size) for at, size in layout.stamp)
             else:
@@ -153,38 +199,23 @@ def _temperature(path: Path, layout: TableLayout) -> TemperatureTrace | None:
     return trace_of(layout.names[column].strip(), readings)
 
 
-def _drop_cut_line(
-    path: Path, layout: TableLayout, numbers: list[int], lines: list[str], report: Report
-) -> None:
-    """Leave out a last line that was not written to its end."""
-    if len(layout.split(lines[-1:])[0]) < layout.width:
-        report(finding('table_cut', path=path, line=numbers[-1]))
-        del numbers[-1], lines[-1]
-
-
-def _batch(
-    path: Path,
-    layout: TableLayout,
-    numbers: list[int],
-    lines: list[str],
-    first_row: int,
-    frame_id: str,
-) -> ImuBatch:
-    try:
-        rows = layout.split(lines)
-    except csv.Error as error:
-        raise _no_table(path, layout, numbers, lines) from error
-    if set(map(len, rows)) - {layout.width} or len(rows) != len(lines):
-        raise _wrong_width(path, layout, numbers, rows)
-    cells = list(zip(*rows))
-    samples = np.full((len(rows), len(AXES)), np.nan)
+def _batch(path: Path, layout: TableLayout, rows: _Rows) -> ImuBatch:
+    numbers, n = rows.numbers, len(rows.cells)
+    for number, row in zip(numbers, rows.cells):
+        if len(row) != layout.width:
+            raise AllanError(
+                f'{path}: line {number} has {len(row)} columns, {layout.width} expected: '
+                'correct or remove the line'
+            )
+    cells = list(zip(*rows.cells))
+    samples = np.full((n, len(AXES)), np.nan)
     for axis, (column, scale) in layout.axes.items():
         samples[:, axis] = _floats(path, layout, numbers, cells[column], column)
         if scale != 1.0:
             samples[:, axis] *= scale
 
     def nanoseconds(columns: tuple[tuple[int, int], ...]) -> NDArray[np.int64]:
-        total = np.zeros(len(rows), np.int64)
+        total = np.zeros(n, np.int64)
         for column, scale in columns:
             total += _nanoseconds(path, layout, numbers, cells[column], column, scale)
         return total
@@ -192,10 +223,10 @@ def _batch(
     if layout.stamp:
         stamps = nanoseconds(layout.stamp)
     else:
-        rate_ns = 1e9 / layout.rate_hz
-        stamps = np.rint(np.arange(first_row, first_row + len(rows)) * rate_ns).astype(np.int64)
+        index = np.arange(rows.first, rows.first + n)
+        stamps = np.rint(index * (1e9 / layout.rate_hz)).astype(np.int64)
     record = nanoseconds(layout.record) if layout.record else None
-    return ImuBatch(stamps, samples, record, frame_id)
+    return ImuBatch(stamps, samples, record, rows.frame_id)
 
 
 def _floats(
@@ -220,7 +251,7 @@ def _nanoseconds(
     column: int,
     scale: int,
 ) -> NDArray[np.int64]:
-    """Return one column of times in ns, exactly: a double has not the digits of a stamp."""
+    """Return one column of times in ns, exactly: a float has too few digits for a stamp."""
     if scale == 1:
         with suppress(ValueError, OverflowError):
             return np.array(list(map(int, cells)), dtype=np.int64)
@@ -233,7 +264,7 @@ def _nanoseconds(
         if not INT64.min <= value <= INT64.max:
             raise AllanError(
                 f'{path}: line {numbers[row]}, column {column + 1}: the time {cell.strip()} does '
-                'not fit the years a stamp can hold: say its unit by --stamp-unit (s, ms, us, ns)'
+                'not fit the range of stamps: state its unit with --stamp-unit (s, ms, us, ns)'
             )
         result[row] = value
     return result
@@ -243,28 +274,5 @@ def _not_a_number(path: Path, layout: TableLayout, line: int, column: int, cell:
     name = f' ({layout.names[column]})' if layout.names else ''
     return AllanError(
         f'{path}: line {line}, column {column + 1}{name}: {cell.strip()[:40]!r} is not a number: '
-        'mend or remove the line'
+        'correct or remove the line'
     )
-
-
-def _no_table(path: Path, layout: TableLayout, numbers: list[int], lines: list[str]) -> AllanError:
-    for number, line in zip(numbers, lines):
-        try:
-            layout.split([line])
-        except csv.Error as error:
-            return AllanError(
-                f'{path}: line {number} is no row of a table ({error}): mend the file'
-            )
-    return AllanError(f'{path}: is no table behind line {numbers[0]}: mend the file')
-
-
-def _wrong_width(
-    path: Path, layout: TableLayout, numbers: list[int], rows: list[list[str]]
-) -> AllanError:
-    for number, row in zip(numbers, rows):
-        if len(row) != layout.width:
-            return AllanError(
-                f'{path}: line {number} has {len(row)} columns, {layout.width} expected: '
-                'mend or remove the line'
-            )
-    return AllanError(f'{path}: a quote is not closed after line {numbers[0]}: mend the file')

@@ -92,14 +92,14 @@ def with_time(value: float) -> np.ndarray:
         ({'gyro': IMU}, "has no array 'imu' (it has gyro)"),
         ({'imu': IMU[:, :4]}, 'has shape (1000, 4)'),
         ({'imu': IMU[:, 0]}, 'has shape (1000,)'),
-        ({'imu': IMU[:0]}, 'holds no sample'),
+        ({'imu': IMU[:0]}, 'contains no sample'),
         ({'imu': IMU[:, 1:]}, 'state the sample rate with --rate'),
         ({'imu': IMU.astype(str)}, 'save it as float64'),
         ({'imu': np.array([[None] * 7])}, 'is of type object'),
         ({'imu': IMU, 'stamps_ns': STAMPS[:-1]}, 'one for each of the 1000 samples'),
         ({'imu': IMU, 'stamps_ns': STAMPS.astype(float)}, 'must be int64'),
-        ({'imu': with_time(np.nan)}, 'the time of row 700 is no stamp'),
-        ({'imu': with_time(1e18)}, 'the time of row 700 is no stamp'),
+        ({'imu': with_time(np.nan)}, 'the time of row 700 is not a stamp'),
+        ({'imu': with_time(1e18)}, 'the time of row 700 is not a stamp'),
     ],
 )
 def test_what_is_wrong_is_said(

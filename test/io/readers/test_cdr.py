@@ -88,11 +88,28 @@ def imu_message(store: Any, covariance: float) -> Any:
 )
 def test_covariance_tells_an_absent_sensor(covariance: float, absent: bool) -> None:
     payload = ROS2.serialize_cdr(imu_message(ROS2, covariance), IMU_TYPE)
-    decoded = decode_imus([bytes(payload)], 'cdr')
+    decoded = decode_imus([bytes(payload)], 'cdr', trust_covariance=True)
     gyro = [np.nan] * 3 if absent else [1.0, 2.0, 3.0]
     np.testing.assert_array_equal(decoded.samples, [[*gyro, 1.0, 2.0, 3.0]])
     assert decoded.stamps_ns.tolist() == [7_000_000_008]
     assert decoded.frame_ids == ['imu']
+
+
+@pytest.mark.parametrize('covariance', [-1.0, np.nan])
+@pytest.mark.parametrize(
+    'x, kept', [(1.0, True), (0.0, False), (np.nan, False), (np.inf, False), (5e-324, True)]
+)
+def test_valid_data_are_kept_whatever_the_covariance(
+    covariance: float, x: float, kept: bool
+) -> None:
+    message = imu_message(ROS2, covariance)
+    good = bytes(ROS2.serialize_cdr(message, IMU_TYPE))
+    message.angular_velocity = type(message.angular_velocity)(x, 0.0, 0.0)
+    payload = bytes(ROS2.serialize_cdr(message, IMU_TYPE))
+    decoded = decode_imus([good, payload], 'cdr')
+    assert decoded.kept == {'gyro': 1 + kept}
+    assert np.isnan(decoded.samples[:, :3]).all(axis=1).tolist() == [False, not kept]
+    np.testing.assert_array_equal(decoded.samples[:, 3:], [[1.0, 2.0, 3.0]] * 2)
 
 
 def test_an_absent_sensor_survives_the_wire() -> None:

@@ -246,7 +246,7 @@ def test_a_topic_that_turns_out_empty_is_said(
     write_recording(tmp_path / 'bag', imu_batches(20), storage='sqlite3')
     with sqlite3.connect(tmp_path / 'bag/bag.db3') as database:
         database.execute('DELETE FROM messages')  # while metadata.yaml still counts 20
-    assert 'topic /imu/data holds no message' in refused(tmp_path / 'bag')
+    assert 'topic /imu/data has no message' in refused(tmp_path / 'bag')
 
 
 def write_topics(path: Path, topics: dict[str, tuple[str, int]], batch: Any) -> None:
@@ -269,7 +269,7 @@ def test_several_imu_topics_are_listed(
     assert said == f'{path}: has 2 Imu topics: /left (12), /right (20): choose one with --topic'
     assert len(read(path, topic='/left').stamps_ns) == 12
     assert len(read(path, topic='right').stamps_ns) == 20
-    assert 'holds no message' in refused(path, topic='/idle')
+    assert 'has no message' in refused(path, topic='/idle')
     assert 'has no topic /up; it has /left' in refused(path, topic='/up')
 
 
@@ -281,7 +281,7 @@ def test_the_only_imu_topic_that_holds_anything_is_taken(
     write_topics(tmp_path / 'bag', topics, batch)
     assert read(tmp_path / 'bag').recording.info.topic == '/imu'
     said = refused(tmp_path / 'bag', topic='/text')
-    assert 'std_msgs/msg/String, which carries no sensor_msgs/Imu' in said
+    assert 'std_msgs/msg/String, which contains no sensor_msgs/Imu' in said
 
 
 def test_payloads_that_are_no_imu_are_named(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
@@ -291,7 +291,7 @@ def test_payloads_that_are_no_imu_are_named(tmp_path: Path, imu_batches: Any, re
         for number, payload in enumerate(encode_imus(batch, 'cdr')):
             writer.write(connection, number, payload[: 100 if number == 7 else 400])
     said = refused(tmp_path / 'bag' / 'bag.db3')
-    assert 'message 8 of /imu is no sensor_msgs/msg/Imu (100 bytes are too few' in said
+    assert 'message 8 of /imu is not a sensor_msgs/msg/Imu (100 bytes are too few' in said
 
 
 CUSTOM = 'my_msgs/msg/Rig'
@@ -332,13 +332,15 @@ def test_an_imu_inside_another_message_is_found_by_the_schema(
     storage: Any, tmp_path: Path, read: Any
 ) -> None:
     imus = np.array(write_custom(tmp_path / 'rig', CUSTOM_DEFINITION, storage))
-    imus[3, :3] = np.nan
     back = read(tmp_path / 'rig')
+    assert [finding.id for finding in back.findings] == ['covariance_ignored']
     assert back.recording.info.topic == '/rig:left'
     assert back.recording.info.type == CUSTOM
     np.testing.assert_array_equal(back.samples, imus)
     np.testing.assert_array_equal(back.stamps_ns, np.arange(30) * 10**9 + 5)
     assert set(back.frame_ids) == {'rig'}
+    imus[3, :3] = np.nan
+    np.testing.assert_array_equal(read(tmp_path / 'rig', trust_covariance=True).samples, imus)
     for name in ('/rig', 'rig:left'):
         assert len(read(tmp_path / 'rig', topic=name).stamps_ns) == 30
 
@@ -358,7 +360,7 @@ def test_an_unknown_type_without_schema_is_said(tmp_path: Path, refused: Any) ->
     with sqlite3.connect(tmp_path / 'rig/rig.db3') as database:
         database.execute('DELETE FROM message_definitions')
     assert '1 of them of unknown type without a schema' in refused(tmp_path / 'rig')
-    assert 'has no schema that tells' in refused(tmp_path / 'rig', topic='/rig')
+    assert 'has no schema that describes it' in refused(tmp_path / 'rig', topic='/rig')
 
 
 def test_a_changed_frame_begins_a_batch(tmp_path: Path, imu_batches: Any, read: Any) -> None:
@@ -374,15 +376,15 @@ def test_a_changed_frame_begins_a_batch(tmp_path: Path, imu_batches: Any, read: 
         ('gone', lambda path: None, 'no such file or folder'),
         ('empty.mcap', lambda path: path.write_bytes(b''), 'empty (0 bytes)'),
         ('empty', lambda path: path.mkdir(), 'no bag in this folder'),
-        ('run.bag', lambda path: path.write_bytes(b'not a bag at all'), 'does not begin like'),
+        ('run.bag', lambda path: path.write_bytes(b'not a bag at all'), 'it is not a bag'),
         ('run.db3', lambda path: path.write_bytes(b'SQLite format 3\0'), 'cannot be read'),
-        ('run.mcap', lambda path: path.write_bytes(b'\x89MCAP0\r\n'), 'holds no whole message'),
+        ('run.mcap', lambda path: path.write_bytes(b'\x89MCAP0\r\n'), 'without a complete message'),
         ('run.mcap.zstd', lambda path: path.write_bytes(b'\x28\xb5\x2f\xfd.'), 'cannot be read'),
-        ('notes.pdf', lambda path: path.write_bytes(b'%PDF'), 'not a recording this tool knows'),
+        ('notes.pdf', lambda path: path.write_bytes(b'%PDF'), 'not a known form of recording'),
         (
             'v1.bag',
             lambda path: path.write_bytes(b'#ROSBAG V1.2\n'),
-            "'#ROSBAG V1.2' is no ROS bag 2.0",
+            "'#ROSBAG V1.2' is not ROS bag 2.0",
         ),
         (
             'lfs.mcap',

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers import tables
+from allan_ros.io.readers import table_columns, tables
 from allan_ros.io.readers.recording import STANDARD_GRAVITY
 
 DEG = np.pi / 180
@@ -117,13 +117,66 @@ def test_a_comment_can_name_the_frame(tmp_path: Path, read: Any) -> None:
     assert read(path).frame_ids == ['left', 'right']
 
 
-def test_a_last_line_that_is_cut_off_is_left_out_and_named(tmp_path: Path, read: Any) -> None:
+@pytest.mark.parametrize('last', ['3,1,2', '3,1,2,1', '3,1,2,1.23', '3,1,2,"1'])
+def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path, read: Any) -> None:
+    """A number may be truncated, such as 1.23e-05 to 1.23, and still be a number."""
     path = tmp_path / 'imu.csv'
-    path.write_text('t,gx,gy,gz\n1,1,2,3\n2,1,2,3\n3,1,2')
+    path.write_text(f't,gx[rad/s],gy[rad/s],gz[rad/s]\n1,1,2,3\n2,1,2,3\n{last}')
     back = read(path)
     assert len(back.stamps_ns) == 2
     assert [finding.id for finding in back.findings] == ['table_cut']
     assert 'line 4' in str(back.findings[0])
+
+
+def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text(
+        't,"gx\n[deg/s]",gy [deg/s],gz [deg/s],note\n1,1,2,3,"first\n\nline"\n2,1,2,3,x\n'
+    )
+    back = read(path)
+    np.testing.assert_allclose(back.samples[:, :3], [[DEG, 2 * DEG, 3 * DEG]] * 2)
+    assert back.findings == ()
+
+
+def test_a_line_without_end_is_refused(tmp_path: Path, refused: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('t,gx,gy,gz\n1,1,2,3\n' + '1' * (table_columns.MAX_LINE + 5))
+    assert 'line 3 has more than' in refused(path)
+
+
+def test_columns_can_be_picked_by_their_names(tmp_path: Path, read: Any, refused: Any) -> None:
+    path = tmp_path / 'wide.csv'
+    path.write_text('id,Clock,rate_a [deg/s],rate_b,rate_c,x\n7,1,10,20,30,0\n7,2,10,20,30,0\n')
+    columns = ('t=clock', 'gx=rate_a', 'gy[deg/s]=rate_b', 'gz[rad/s]=rate_c')
+    back = read(path, columns=columns)
+    assert back.stamps_ns.tolist() == [10**9, 2 * 10**9]
+    np.testing.assert_allclose(back.samples[0, :3], [10 * DEG, 20 * DEG, 30.0])
+    assert back.findings == ()
+    assert '0 of its columns' in refused(path, columns=('t=Clock', 'gx=rate_d'))
+
+
+@pytest.mark.parametrize(
+    'header, options, assumed, gyro_unit',
+    [
+        ('t,w_x,w_y,w_z', {}, ['gyro'], 'rad/s'),
+        ('t,w_x,w_y,w_z', {'gyro_unit': 'rad/s'}, [], 'rad/s'),
+        ('t,gx [deg/s],gy [deg/s],gz [deg/s]', {}, [], 'deg/s'),
+        ('t,gx [deg/s],gy [deg/s],gz [deg/s]', {'gyro_unit': 'rad/s'}, [], 'deg/s'),
+        ('stamp_ns,gyro_x,gyro_y,gyro_z', {}, [], 'rad/s'),
+        ('t,angular_velocity.x,angular_velocity.y,angular_velocity.z', {}, [], 'rad/s'),
+    ],
+)
+def test_a_unit_that_nothing_states_is_a_warning(
+    header: str, options: Any, assumed: list[str], gyro_unit: str, tmp_path: Path, read: Any
+) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text(f'{header}\n1,1,2,3\n2,1,2,3\n')
+    back = read(path, **options)
+    found = [f for f in back.findings if f.id == 'unit_assumed']
+    assert [f.severity for f in found] == ['warning'] * len(assumed)
+    assert all('--gyro-unit' in str(f) for f in found)
+    assert back.recording.options.gyro_unit == gyro_unit
+    assert back.recording.options.accel_unit == 'm/s^2'
 
 
 HEADER = 't,gx,gy,gz,ax,ay,az\n'
@@ -132,20 +185,20 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
 @pytest.mark.parametrize(
     'text, options, says',
     [
-        (HEADER, {}, 'holds no line behind its header'),
+        (HEADER, {}, 'has no line after its header'),
         ('\n\n# nothing\n', {}, 'has no line of data'),
         (f'{HEADER}1,{ROW}\n2,1,2,oops,4,5,6\n', {}, "line 3, column 4 (gz): 'oops' is not"),
         (f'{HEADER}1,{ROW}\nnoon,{ROW}\n', {}, "line 3, column 1 (t): 'noon' is not a number"),
         (f'{HEADER}1,{ROW}\n2,1,2,3\n3,{ROW}\n', {}, 'line 3 has 4 columns, 7 expected'),
         (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
-        (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'say its unit by --stamp-unit'),
+        (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'state its unit with --stamp-unit'),
         (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate with --rate'),
         ('t,gx,gy\n1,2,3\n', {}, 'has gyro_x, gyro_y only'),
         ('t,a,b\n1,2,3\n', {}, 'none of its columns (t, a, b) is a gyro or accel axis'),
-        ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is not known"),
-        ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 has 2 columns, 4 expected'),
+        ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
+        ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
         (f'{HEADER}1,\0,2,3,4,5,6\n', {}, 'line 2'),
     ],
 )

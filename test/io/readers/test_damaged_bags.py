@@ -1,0 +1,429 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged and hostile bags: lost messages are reported, and memory, disk and time are limited."""
+
+from __future__ import annotations
+
+import bz2
+import os
+import sqlite3
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.io.writing import write_recording
+
+zstandard = pytest.importorskip('zstandard')
+yaml = pytest.importorskip('yaml')
+
+MAGIC = b'\x89MCAP0\r\n'
+MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS = 0x05, 0x06, 0x07, 0x08, 0x0B
+DATA_END, FOOTER = 0x0F, 0x02
+
+
+def ids(back: Any) -> list[str]:
+    return [finding.id for finding in back.findings]
+
+
+def mcap_file(tmp_path: Path, batches: list[Any]) -> bytes:
+    """Return an mcap file of several chunks."""
+    write_recording(tmp_path / 'run', batches)
+    return (tmp_path / 'run/run.mcap').read_bytes()
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """Return opcode, start and end of each record, header included."""
+    found, at = [], len(MAGIC)
+    while at + 9 <= len(data):
+        opcode, length = struct.unpack_from('<BQ', data, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+    return found
+
+
+# --- what was read is compared with what is stated -----------------------------------------------
+
+
+def test_chunks_the_summary_does_not_list_are_read(
+    tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    data = bytearray(mcap_file(tmp_path, imu_batches(12_000)))
+    listed = [r for r in records(bytes(data)) if r[0] == CHUNK_INDEX]
+    assert len(listed) > 2
+    for _, start, _ in listed[1:]:
+        data[start] = 0x0D  # a metadata index, which nobody reads
+    path = tmp_path / 'bad.mcap'
+    path.write_bytes(data)
+    back = read(path)
+    assert len(back.stamps_ns) == 12_000
+    assert ids(back) == []
+
+
+def test_a_count_that_differs_is_a_warning(tmp_path: Path, imu_batches: Any, read: Any) -> None:
+    data = bytearray(mcap_file(tmp_path, imu_batches(3_000)))
+    [end] = [r[2] for r in records(bytes(data)) if r[0] == STATISTICS]
+    data[end - 8 : end] = struct.pack('<Q', 6_000)
+    path = tmp_path / 'bad.mcap'
+    path.write_bytes(data)
+    back = read(path)
+    assert ids(back) == ['count_differs']
+    assert back.findings[0].severity == 'warning'
+    assert 'states 6000 messages, 3000 were read' in str(back.findings[0])
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_metadata_that_states_more_is_a_warning(
+    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    write_recording(tmp_path / 'run', imu_batches(900), storage=storage)
+    path = tmp_path / 'run/metadata.yaml'
+    path.write_text(path.read_text().replace('message_count: 900', 'message_count: 3600'))
+    back = read(tmp_path / 'run')
+    assert ids(back) == ['count_differs']
+    assert 'metadata.yaml states 3600 messages, 900 were read' in str(back.findings[0])
+
+
+def test_messages_outside_chunks_are_read_too(
+    tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    """A valid file: every second chunk is replaced by its messages, the summary is adapted."""
+    batches = imu_batches(12_000)
+    data = mcap_file(tmp_path, batches)
+    out, moved, number = bytearray(MAGIC), {}, 0
+    listed = []
+    for opcode, start, end in records(data):
+        record = data[start:end]
+        if opcode == CHUNK:
+            number += 1
+            if number % 2:
+                moved[start] = len(out)
+                out += record
+            else:
+                (named,) = struct.unpack_from('<I', record, 9 + 28)
+                out += record[9 + 28 + 4 + named + 8 :]
+        elif opcode == CHUNK_INDEX:
+            (at,) = struct.unpack_from('<Q', record, 9 + 16)
+            if at in moved:
+                listed.append(record[: 9 + 16] + struct.pack('<Q', moved[at]) + record[9 + 24 :])
+        elif opcode == DATA_END:
+            out += record
+            summary_at = len(out)
+        elif opcode == STATISTICS:
+            out += b''.join(listed) + record
+        elif opcode == FOOTER:
+            out += struct.pack('<BQQQI', FOOTER, 20, summary_at, 0, 0) + MAGIC
+            break
+        elif opcode == MESSAGE_INDEX and number % 2 == 0:
+            pass
+        elif opcode != 0x0E:  # summary offsets
+            out += record
+    path = tmp_path / 'mixed.mcap'
+    path.write_bytes(out)
+    back = read(path)
+    np.testing.assert_array_equal(back.stamps_ns, joined(batches).stamps_ns)
+    assert ids(back) == []
+
+
+@pytest.mark.parametrize('opcode, length', [(DATA_END, 4), (FOOTER, 20), (DATA_END, 7)])
+def test_an_end_in_the_middle_does_not_end_reading(
+    opcode: int, length: int, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    data = mcap_file(tmp_path, imu_batches(12_000))
+    chunks = [r for r in records(data) if r[0] == CHUNK]
+    inserted = struct.pack('<BQ', opcode, length) + bytes(length)
+    at = chunks[1][1]
+    path = tmp_path / 'bad.mcap'
+    path.write_bytes(data[:at] + inserted + data[at : -len(MAGIC) - 29])  # without a footer
+    back = read(path)
+    assert len(back.stamps_ns) == 12_000
+    assert ids(back) == ['bag_cut']
+
+
+def test_a_chunk_that_became_another_record_is_missed(
+    tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    data = bytearray(mcap_file(tmp_path, imu_batches(12_000)))
+    chunks = [r for r in records(bytes(data)) if r[0] == CHUNK]
+    data[chunks[1][1]] = 0x0A  # metadata
+    path = tmp_path / 'bad.mcap'
+    path.write_bytes(data[: -len(MAGIC) - 29])
+    back = read(path)
+    assert 6_000 < len(back.stamps_ns) < 12_000
+    assert 'count_differs' in ids(back)
+    assert f'states 12000 messages, {len(back.stamps_ns)} were read' in str(back.findings)
+
+
+def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:
+    write_recording(tmp_path / 'run', batches, storage='sqlite3', compression=how)
+    return next((tmp_path / 'run').glob('*.db3*'))
+
+
+def test_a_database_cut_inside_its_last_page_is_reported(
+    tmp_path: Path, imu_batches: Any, outcome: Any, read: Any
+) -> None:
+    data = database(tmp_path, imu_batches(3_600)).read_bytes()
+    path = tmp_path / 'cut.db3'
+    for lost in (1, 100, 4095, 4096, 40_000):
+        path.write_bytes(data[:-lost])
+        count, error = outcome(path)
+        if not error:
+            back = read(path)
+            assert 'bag_cut' in ids(back) and (count == 3_600 or 'count_differs' in ids(back))
+
+
+def test_a_damaged_pointer_to_the_last_page_is_reported(
+    tmp_path: Path, imu_batches: Any, outcome: Any, read: Any
+) -> None:
+    data = database(tmp_path, imu_batches(3_600)).read_bytes()
+    with sqlite3.connect(tmp_path / 'run/run.db3') as connection:
+        (root,) = connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'messages'"
+        ).fetchone()
+    at = (root - 1) * 4096 + 8
+    (right,) = struct.unpack_from('>I', data, at)
+    path = tmp_path / 'bad.db3'
+    silent = 0
+    for page in range(1, len(data) // 4096 + 1, 9):
+        path.write_bytes(data[:at] + struct.pack('>I', page) + data[at + 4 :])
+        count, error = outcome(path)
+        if page != right and not error:
+            silent += 'count_differs' not in ids(read(path))
+            assert count != 3_600
+    assert not silent
+
+
+def test_reading_a_database_with_a_log_leaves_nothing_behind(
+    tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    source = database(tmp_path, imu_batches(40))
+    writer = sqlite3.connect(source)
+    writer.execute('PRAGMA journal_mode=WAL')
+    writer.execute(
+        'INSERT INTO messages (topic_id, timestamp, data) '
+        'SELECT topic_id, timestamp + 1000000000000, data FROM messages'
+    )
+    writer.commit()
+    folder = tmp_path / 'copied'
+    folder.mkdir()
+    for suffix in ('', '-wal'):
+        (folder / f'run.db3{suffix}').write_bytes(Path(f'{source}{suffix}').read_bytes())
+    writer.close()
+    assert len(read(folder / 'run.db3').stamps_ns) == 80
+    assert sorted(child.name for child in folder.iterdir()) == ['run.db3', 'run.db3-wal']
+
+
+@pytest.mark.parametrize('count', ['.inf', '.nan', '-1', 'true', '1e3', '"12"', '9' * 400])
+def test_a_count_that_is_no_number_of_messages_is_refused(
+    count: str, tmp_path: Path, imu_batches: Any, refused: Any
+) -> None:
+    write_recording(tmp_path / 'run', imu_batches(9))
+    path = tmp_path / 'run/metadata.yaml'
+    path.write_text(path.read_text().replace('message_count: 9', f'message_count: {count}'))
+    said = refused(tmp_path / 'run')
+    assert 'metadata.yaml: cannot be read' in said and 'remove it to read' in said
+
+
+def test_escapes_in_metadata_are_refused(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+    write_recording(tmp_path / 'run', imu_batches(9))
+    path = tmp_path / 'run/metadata.yaml'
+    text = path.read_text()
+    for name in ('cdr', 'sensor_msgs/msg/Imu'):
+        path.write_text(text.replace(f': {name}', ': "\\x1b[2J"'))
+        assert 'control characters' in refused(tmp_path / 'run')
+
+
+# --- input is limited ----------------------------------------------------------------------------
+
+
+def limited(path: Path, megabytes: int = 500) -> str:
+    """Read a recording in a process whose memory is limited; return what it reports."""
+    program = (
+        'import resource, sys\n'
+        'from allan_ros.core.errors import AllanError\n'
+        'import allan_ros.io.readers.rosbag2, allan_ros.io.readers.tables, zstandard, yaml\n'
+        'from allan_ros.io.readers.open import open_recordings\n'
+        'pages = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()\n'
+        f'limit = pages + {megabytes} * 2**20\n'
+        'resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\n'
+        'resource.setrlimit(resource.RLIMIT_FSIZE, (400 * 2**20, 400 * 2**20))\n'
+        'try:\n'
+        '    [recording] = open_recordings([sys.argv[1]])\n'
+        '    print(sum(map(len, recording.batches())))\n'
+        'except AllanError as error:\n'
+        '    print(error)\n'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', program, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+ZEROS = bytes(1 << 24)
+BOMB = 1 << 30
+"""Bytes that each of the following files expands to."""
+
+
+def zstd_bomb(states_size: bool) -> bytes:
+    how = zstandard.ZstdCompressor(level=1)
+    out = how.compressobj(size=BOMB) if states_size else how.compressobj()
+    return b''.join(out.compress(ZEROS) for _ in range(BOMB // len(ZEROS))) + out.flush()
+
+
+@pytest.fixture(scope='module')
+def bombs() -> dict[str, bytes]:
+    return {'stated': zstd_bomb(True), 'not stated': zstd_bomb(False)}
+
+
+@pytest.mark.parametrize('which', ['stated', 'not stated'])
+@pytest.mark.parametrize('size', [1 << 20, BOMB])
+def test_a_chunk_that_expands_without_limit(
+    which: str, size: int, bombs: dict[str, bytes], tmp_path: Path, imu_batches: Any
+) -> None:
+    data = mcap_file(tmp_path, imu_batches(100))
+    at = next(start for opcode, start, _ in records(data) if opcode == CHUNK)
+    packed = bombs[which]
+    head = struct.pack('<QQQII4sQ', 0, 1, size, 0, 4, b'zstd', len(packed))
+    chunk = struct.pack('<BQ', CHUNK, len(head) + len(packed)) + head + packed
+    path = tmp_path / 'bomb.mcap'
+    path.write_bytes(data[:at] + chunk + struct.pack('<BQI', DATA_END, 4, 0))
+    assert 'the chunk at byte' in limited(path)
+
+
+def test_a_ros1_chunk_that_expands_without_limit(tmp_path: Path, imu_batches: Any) -> None:
+    pytest.importorskip('rosbags')
+    write_recording(tmp_path / 'run.bag', imu_batches(100), compression='bz2')
+    data = (tmp_path / 'run.bag').read_bytes()
+    at = data.index(b'compression=bz2') - 4
+    head_at = data.rindex(b'op=\x05') - 8 if data.find(b'op=\x05') < at else at - 8
+    packer = bz2.BZ2Compressor(1)
+    packed = b''.join(packer.compress(ZEROS) for _ in range(40)) + packer.flush()
+
+    def fields(**values: bytes) -> bytes:
+        pairs = [name.encode() + b'=' + value for name, value in values.items()]
+        return b''.join(struct.pack('<I', len(pair)) + pair for pair in pairs)
+
+    for size in (1000, 40 << 24):
+        head = fields(op=b'\x05', compression=b'bz2', size=struct.pack('<I', size))
+        chunk = struct.pack('<I', len(head)) + head + struct.pack('<I', len(packed)) + packed
+        path = tmp_path / 'bomb.bag'
+        path.write_bytes(data[:head_at][:4109] + chunk)
+        assert 'the chunk at byte' in limited(path)
+
+
+@pytest.mark.parametrize('which', ['stated', 'not stated'])
+def test_messages_that_expand_without_limit(
+    which: str, bombs: dict[str, bytes], tmp_path: Path, imu_batches: Any
+) -> None:
+    path = database(tmp_path, imu_batches(40), 'message')
+    with sqlite3.connect(path) as connection:
+        connection.execute('UPDATE messages SET data = ? WHERE id > 3', (bombs[which],))
+    assert 'message 4 of /imu/data is not a sensor_msgs/msg/Imu' in limited(path)
+
+
+def test_many_messages_that_expand_a_little(tmp_path: Path, imu_batches: Any) -> None:
+    """4 MB each is allowed, but not all of them in memory at the same time."""
+    path = database(tmp_path, imu_batches(1000), 'message')
+    [payload] = encode_imus(imu_batches(1, parts=1)[0], 'cdr')
+    packed = zstandard.ZstdCompressor().compress(bytes(payload) + bytes(4_000_000))
+    with sqlite3.connect(path) as connection:
+        connection.execute('UPDATE messages SET data = ?', (packed,))
+    assert limited(path) == '1000\n'
+
+
+@pytest.mark.parametrize('which', ['stated', 'not stated'])
+@pytest.mark.parametrize('suffix', ['.db3.zstd', '.mcap.zstd'])
+def test_a_file_that_expands_without_limit(
+    which: str, suffix: str, bombs: dict[str, bytes], tmp_path: Path
+) -> None:
+    path = tmp_path / f'bomb{suffix}'
+    path.write_bytes(bombs[which])
+    assert 'expands more than' in limited(path)
+
+
+def test_a_table_of_one_long_line(tmp_path: Path) -> None:
+    path = tmp_path / 'long.csv'
+    with path.open('wb') as file:
+        file.write(b't,gx,gy,gz\n1,2,3,')
+        file.truncate(4 << 30)  # zeros that take no room
+    assert 'line 2 has more than' in limited(path)
+
+
+def test_a_record_that_claims_the_whole_file(tmp_path: Path, imu_batches: Any) -> None:
+    data = mcap_file(tmp_path, imu_batches(100))
+    at = next(start for opcode, start, _ in records(data) if opcode == CHUNK)
+    path = tmp_path / 'sparse.mcap'
+    with path.open('wb') as file:
+        file.write(data[:at] + struct.pack('<BQ', 0x03, 3 << 30))
+        file.truncate(4 << 30)
+    assert 'the limit is' in limited(path)
+
+
+def test_an_array_header_that_expands_without_limit(tmp_path: Path) -> None:
+    import zipfile
+
+    path = tmp_path / 'bomb.npz'
+    with (
+        zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive,
+        archive.open('imu.npy', 'w', force_zip64=True) as member,
+    ):
+        member.write(b'\x93NUMPY\x02\x00' + struct.pack('<I', 2**32 - 16))
+        for _ in range(64):
+            member.write(ZEROS.replace(b'\0', b' '))
+    assert 'cannot be read as a numpy file' in limited(path)
+
+
+# --- special files -------------------------------------------------------------------------------
+
+SPECIAL: dict[str, Callable[[Path], None]] = {
+    'fifo': lambda path: os.mkfifo(path),
+    'device': lambda path: path.symlink_to('/dev/zero'),
+    'terminal': lambda path: path.symlink_to('/dev/tty'),
+    'folder': lambda path: path.mkdir(),
+    'loop': lambda path: path.symlink_to(path.name),
+}
+
+
+@pytest.mark.parametrize('kind', SPECIAL)
+@pytest.mark.parametrize(
+    'name', ['run/metadata.yaml', 'run/run.mcap', 'x.csv', 'x.npz', 'x.db3', 'x.bag', 'x.ulg']
+)
+def test_special_files_are_refused_without_waiting(
+    kind: str, name: str, tmp_path: Path, imu_batches: Any, outcome: Any
+) -> None:
+    write_recording(tmp_path / 'run', imu_batches(5))
+    path = tmp_path / name
+    path.unlink(missing_ok=True)
+    SPECIAL[kind](path)
+    count, said = outcome(path.parent if name.startswith('run') else path)
+    assert said and not count
+    assert said.startswith(str(tmp_path))
+
+
+def test_a_log_that_is_no_file_is_ignored(tmp_path: Path, imu_batches: Any, read: Any) -> None:
+    path = database(tmp_path, imu_batches(40))
+    os.mkfifo(f'{path}-wal')
+    assert len(read(path).stamps_ns) == 40
+
+
+def test_checksums_are_verified(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+    data = bytearray(mcap_file(tmp_path, imu_batches(100)))
+    at, end = next((start, end) for opcode, start, end in records(bytes(data)) if opcode == CHUNK)
+    (named,) = struct.unpack_from('<I', data, at + 9 + 28)
+    inner = at + 9 + 28 + 4 + named + 8
+    data[at + 9 + 24 : at + 9 + 28] = struct.pack('<I', zlib.crc32(data[inner:end]) ^ 1)
+    path = tmp_path / 'bad.mcap'
+    path.write_bytes(data)
+    assert 'its checksum is wrong' in refused(path)
