@@ -12,6 +12,8 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'allan_ros'
 DASK = 'distributed>=2022.2'
+ROSBAGS = 'rosbags>=0.11.7'
+ULOG = 'pyulog>=1.0'
 README = Path(__file__).resolve().with_name('README.md')
 """Beside the real file: `colcon build --symlink-install` runs a link to it in its build folder."""
 
@@ -74,15 +76,18 @@ setup(
         'numpy>=1.21',
         'PyYAML>=5.4',
         'rich>=10',  # draws the table of allan_watch, which is plain without it
-        'rosbags>=0.11.7',
+        'lz4>=3.1',  # mcap and ROS 1 bags, only where compressed so
+        ROSBAGS,
         'scipy>=1.8',
-        'zstandard>=0.18',  # reads the same without it, more slowly
+        'zstandard>=0.18',  # mcap and sqlite3 bags, only where compressed so
     ],
     extras_require={
         'audit': ['pip-audit>=2.7'],
         'dask': [DASK],
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
+        'rosbags': [ROSBAGS],  # Imu fields in other messages; writing ROS 1 bags
+        'ulog': [ULOG],  # PX4 logs
         # Those who read what we write, to prove that they can: filters, and another DDS. gtsam 4.2
         # goes with numpy 1 only, and there is no newer one for Python 3.10.
         'consumers': [
@@ -96,6 +101,8 @@ setup(
             'pytest>=7',
             'pytest-xdist>=3',
             DASK,
+            ROSBAGS,
+            ULOG,
         ],
     },
     zip_safe=True,

@@ -34,7 +34,7 @@ from .io.documents import SUMS_SCHEMA, results_from_document, sums_file_from_doc
 from .io.inflation import Inflation
 from .io.inflation import inflate as inflation_of
 from .io.readers.memory import recording_in_memory, without_absent
-from .io.readers.recording import ReadOptions
+from .io.readers.recording import SI, ReadOptions
 from .io.reading import Observer, Silent, add_recordings, read_in_processes, read_in_turn
 from .io.recorded import ReadJob, RecordingSums, read_recording
 from .io.results import AxisCurve, Results, analyse_recorded
@@ -206,8 +206,8 @@ def analyze(
     *,
     rate: float = 0.0,
     axes: str | Sequence[str] | None = None,
-    gyro_unit: str = 'rad/s',
-    accel_unit: str = 'm/s^2',
+    gyro_unit: str = '',
+    accel_unit: str = '',
     method: str = 'gls',
     sensor: str = '',
     margin: float = MARGIN,
@@ -228,7 +228,8 @@ def analyze(
         The axis of each column of an array, such as ``'gyro_z'``, ``'accel'`` or a list. By
         default one column is ``gyro_x``, three are the gyro, six are gyro and accelerometer.
     gyro_unit, accel_unit : str
-        Units of the samples where they do not name theirs: 'deg/s', 'g' ...
+        Units of the samples where they do not name theirs: 'deg/s', 'g' ... By default rad/s and
+        m/s^2.
     method : str
         'gls', 'relative' or 'paper'.
     sensor : str
@@ -268,7 +269,9 @@ def analyze(
         several = min(processes, len(jobs)) > 1
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
         return fit_recorded(add_recordings(read), settings)
-    recording = recording_in_memory(source, rate, axes, gyro_unit, accel_unit)
+    recording = recording_in_memory(
+        source, rate, axes, gyro_unit or SI['gyro'], accel_unit or SI['accel']
+    )
     job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
     recorded = read_recording(job, recording)
     findings = without_absent(recorded.provenance.findings)

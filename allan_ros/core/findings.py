@@ -353,6 +353,21 @@ CATALOGUE = {
         'Copy the recording again, or repair it with "mcap recover", "ros2 bag reindex" or '
         '"sqlite3 FILE .recover".',
     ),
+    'log_damaged': Wording(
+        'warning',
+        '{path}: parts of the log are damaged and were skipped.',
+        'Copy the log again.',
+    ),
+    'log_dropouts': Wording(
+        'info',
+        '{path}: the logger dropped messages {count} times, {seconds:.3g} s in all.',
+        'Use a faster SD card, or log less.',
+    ),
+    'log_decimated': Wording(
+        'warning',
+        '{path}: {topic} is logged at {rate:.4g} Hz, but sampled at {full:.4g} Hz: N is too large.',
+        'Log every sample (SDLOG_PROFILE high rate).',
+    ),
     'covariance_ignored': Wording(
         'warning',
         '{count} of {read} messages declare the {sensor} absent (covariance[0] is -1 or NaN), but '

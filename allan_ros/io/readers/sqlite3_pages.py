@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,7 +201,7 @@ class MessagePages:
         if first < 1:
             raise Unusual('no such page')
         self._file.seek((first - 1) * self._page_bytes)
-        if self._file.readinto(self._buffer[:size].data) < size:
+        if cast(Any, self._file).readinto(self._buffer[:size].data) < size:
             raise Unusual('a page is beyond the end of the file')
         return self._buffer[: size + PADDING]
 

@@ -466,10 +466,11 @@ class InOrder:
 
 def _copied(times: NDArray[np.int64], payloads: Payloads) -> Block:
     """Return a block that does not keep the memory of its chunks alive."""
+    copies: Payloads
     if isinstance(payloads, np.ndarray):
         size, copies = payloads.nbytes, payloads.copy()
     else:
-        size, copies = sum(map(len, payloads)), list(map(bytes, payloads))
+        size, copies = sum(map(len, payloads)), [bytes(payload) for payload in payloads]
     if size > MAX_HELD_BYTES:
         raise ValueError(f'chunks overlap by more than {MAX_HELD_BYTES} bytes')
     return Block(times.copy(), copies)

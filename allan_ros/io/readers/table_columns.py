@@ -77,7 +77,7 @@ class TableLayout:
     temperature : int or None
         Column of the temperature in degC.
     units : dict
-        'gyro_unit' and 'accel_unit' -> unit of the columns.
+        Sensor -> unit of its columns.
     assumed : dict
         Sensor -> (unit, name of a column), where neither the header nor the options state a unit.
     """
@@ -224,8 +224,9 @@ def _picked(path: Path, names: tuple[str, ...], columns: tuple[str, ...]) -> tup
                 f'correct --columns {pair}'
             )
         unit = _BRACKET.match(names[places[0]])
-        has_unit = unit is None or _BRACKET.match(meaning)
-        meanings[places[0]] = meaning if has_unit else f'{meaning} [{unit[2]}]'
+        if unit and not _BRACKET.match(meaning):
+            meaning = f'{meaning} [{unit[2]}]'
+        meanings[places[0]] = meaning
     return tuple(meanings)
 
 
@@ -272,7 +273,7 @@ def _roles(
                 raise AllanError(
                     f'{path}: the unit of column {name!r} is unknown: use one of {", ".join(known)}'
                 )
-            units.setdefault(f'{sensor}_unit', stated)
+            units.setdefault(sensor, stated)
             axis = SENSORS[sensor].start + 'xyz'.index(match[1])
             axes.setdefault(axis, (column, known[stated]))
         elif match := _RECORD.match(base):
@@ -307,7 +308,6 @@ def _roles(
     return axes, stamp, record, units, assumed
 
 
-<<<<<<< HEAD
 def axis_of_column(name: str) -> tuple[str, str] | None:
     """Return the axis that a column is named after and the unit in its name ('' for none).
 
@@ -330,18 +330,9 @@ def time_of_column(name: str) -> int | None:
     return STAMP_UNITS[unit if unit in STAMP_UNITS else match[2] or 's'] if match else None
 
 
-def _size(path: Path, name: str, unit: str, units: dict[str, float]) -> float:
-    try:
-        return units[unit]
-    except KeyError:
-        raise AllanError(
-            f'{path}: the unit of column {name!r} is not known: use one of {", ".join(units)}'
-        ) from None
-=======
 def _is_si(base: str) -> bool:
     """Return whether a column is named as in `write_table` or in a ROS message, which are SI."""
     return base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
->>>>>>> ac03ea8 (Report messages that are stated but not read, and limit all input)
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:

@@ -55,7 +55,11 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
         None,
         lambda report: _read(path, layout, report),
         lambda frame_id: _temperature(path, layout),
-        replace(options, **layout.units),
+        replace(
+            options,
+            gyro_unit=layout.units.get('gyro', options.gyro_unit),
+            accel_unit=layout.units.get('accel', options.accel_unit),
+        ),
     )
 
 

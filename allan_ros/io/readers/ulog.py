@@ -1,0 +1,158 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""PX4 logs (``.ulg``): the topics ``sensor_combined`` and ``vehicle_imu``, read with ``pyulog``.
+
+``sensor_combined`` has rates of the IMU in use; each instance of ``vehicle_imu`` has the delta
+angles and velocities of one IMU, which are divided by their integration time. Dropouts of the
+logger are gaps in the stamps.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import AllanError
+from ...core.findings import finding
+from ...core.imu import AXES, SENSORS, ImuBatch
+from ..files import open_regular
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
+from .storage import damaged, optional_package
+
+TOPICS = ('sensor_combined', 'vehicle_imu')
+
+MAX_BYTES = 4 * 2**30
+"""Largest log that is read: the parser keeps the data of the topics in memory."""
+
+INVALID = 0x7FFFFFFF
+"""accelerometer_timestamp_relative of a sample without an accelerometer."""
+
+MICROSECOND = 1000
+"""In ns."""
+
+DECIMATED = 1.5
+"""Ratio of sample period to integration time above which samples were left out."""
+
+REMEDY = 'copy the log again'
+
+
+def open_ulog(path: Path, options: ReadOptions) -> Recording:
+    """Open a PX4 log as a recording of one IMU.
+
+    Raises
+    ------
+    AllanError
+        When it cannot be read, has no IMU, or has several and none was chosen.
+    """
+    log = _parsed(path)
+    found = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
+    name = _chosen(path, list(found), options.topic)
+    data = found[name]
+    try:
+        batch, integration_s = _samples(name, data.data)
+    except (KeyError, ValueError, OverflowError) as error:
+        raise damaged(path, f'topic {name}: {error}', REMEDY) from error
+    scale = options.scale()
+    if scale is not None:
+        batch = ImuBatch(batch.stamps_ns, batch.samples * scale, batch.record_ns, batch.frame_id)
+
+    def read(report: Report) -> Iterator[ImuBatch]:
+        if log.file_corruption:
+            report(finding('log_damaged', path=path))
+        if log.dropouts:
+            milliseconds = sum(dropout.duration for dropout in log.dropouts)
+            report(
+                finding(
+                    'log_dropouts',
+                    path=path,
+                    count=len(log.dropouts),
+                    seconds=milliseconds / 1e3,
+                )
+            )
+        period_s = float(np.median(np.diff(batch.stamps_ns))) * 1e-9 if len(batch) > 1 else 0.0
+        if period_s > DECIMATED * integration_s > 0.0:
+            report(
+                finding(
+                    'log_decimated',
+                    path=path,
+                    topic=name,
+                    rate=1.0 / period_s,
+                    full=1.0 / integration_s,
+                )
+            )
+        for first in range(0, len(batch), BATCH):
+            yield batch[first : first + BATCH]
+
+    info = SourceInfo(str(path), name, data.name, 'ulog')
+    return Recording(info, len(batch), read, options=options)
+
+
+def _parsed(path: Path) -> Any:
+    core = optional_package('pyulog', f'{path}: reading a PX4 log')
+    with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints
+        if os.fstat(file.fileno()).st_size > MAX_BYTES:
+            raise AllanError(f'{path}: is larger than {MAX_BYTES} bytes: split the log')
+        try:
+            return core.ULog(file, list(TOPICS))
+        except Exception as error:  # the parser raises whatever the damage leads to
+            raise damaged(path, error, REMEDY) from error
+
+
+def _label(data: Any, log: Any) -> str:
+    """Return the name of a topic, with the number of the instance where there are several."""
+    several = sum(other.name == data.name for other in log.data_list) > 1
+    return f'{data.name}:{data.multi_id}' if several else str(data.name)
+
+
+def _chosen(path: Path, names: list[str], wanted: str) -> str:
+    if not names:
+        raise AllanError(f'{path}: has no topic {" or ".join(TOPICS)}: log one of them')
+    if wanted:
+        if wanted not in names:
+            raise AllanError(f'{path}: has no topic {wanted}; it has {", ".join(names)}')
+        return wanted
+    if TOPICS[0] in names:
+        return TOPICS[0]
+    if len(names) > 1:
+        raise AllanError(
+            f'{path}: has {len(names)} IMUs: {", ".join(names)}: choose one with --topic'
+        )
+    return names[0]
+
+
+def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]:
+    """Return the samples of a topic, and the median integration time in s (0: unknown)."""
+    record = _nanoseconds(data['timestamp'])
+    stamps = _nanoseconds(data['timestamp_sample']) if 'timestamp_sample' in data else record
+    samples = np.empty((len(AXES), len(record))).T
+    if 'delta_angle[0]' in data:
+        for sensor, field in (('gyro', 'delta_angle'), ('accel', 'delta_velocity')):
+            seconds = data.get(f'{field}_dt', data.get('dt', np.zeros(1))) * 1e-6
+            seconds = np.where(seconds > 0.0, seconds, np.nan)
+            samples[:, SENSORS[sensor]] = _vectors(data, field) / seconds[:, None]
+        integration = data.get('delta_angle_dt', data.get('dt', np.zeros(1)))
+    else:
+        samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
+        samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
+        relative = data.get('accelerometer_timestamp_relative', np.zeros(1))
+        samples[np.flatnonzero(relative == INVALID), SENSORS['accel']] = np.nan
+        integration = data.get('gyro_integral_dt', np.zeros(1))
+    unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state it in s
+    return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
+
+
+def _vectors(data: dict[str, NDArray[Any]], field: str) -> NDArray[np.float64]:
+    return np.stack([data[f'{field}[{i}]'] for i in range(3)], axis=1).astype(np.float64)
+
+
+def _nanoseconds(microseconds: NDArray[Any]) -> NDArray[np.int64]:
+    if (microseconds > np.iinfo(np.int64).max // MICROSECOND).any():
+        raise ValueError('a timestamp is out of range')
+    return microseconds.astype(np.int64) * MICROSECOND

@@ -1,0 +1,138 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""PX4 logs: topics, instances, delta angles, dropouts, damage."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip('pyulog')
+
+START_US = 50_000_000
+IMU_FORMAT = (
+    'vehicle_imu:uint64_t timestamp;uint64_t timestamp_sample;float[3] delta_angle;'
+    'float[3] delta_velocity;uint16_t delta_angle_dt;uint16_t delta_velocity_dt;'
+)
+COMBINED_FORMAT = (
+    'sensor_combined:uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;'
+    'int32_t accelerometer_timestamp_relative;float[3] accelerometer_m_s2;'
+)
+
+
+def message(kind: str, body: bytes) -> bytes:
+    return struct.pack('<HB', len(body), ord(kind)) + body
+
+
+def log(topics: list[tuple[str, str, int, list[bytes]]], dropout: bytes = b'') -> bytes:
+    """Return a log with topics of (format, name, instance, messages)."""
+    out = b'ULog\x01\x12\x35\x01' + struct.pack('<Q', START_US)
+    for text in dict.fromkeys(form for form, *_ in topics):
+        out += message('F', text.encode())
+    for number, (_, name, instance, _) in enumerate(topics):
+        out += message('A', struct.pack('<BH', instance, number) + name.encode())
+    for number, (*_, bodies) in enumerate(topics):
+        for body in bodies:
+            out += message('D', struct.pack('<H', number) + body)
+        out += dropout
+    return out
+
+
+def delta(i: int, dt: int = 5000, scale: float = 1.0) -> bytes:
+    rates = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * scale
+    stamp = START_US + 5000 * i
+    return struct.pack('<QQ6fHH', stamp + 400, stamp, *(rates * dt * 1e-6), dt, dt)
+
+
+def combined(i: int, period: int = 5000, relative: int = 0) -> bytes:
+    stamp = START_US + period * i
+    return struct.pack('<Q3fIi3f', stamp, 1.0, 2.0, 3.0, 5000, relative, 4.0, 5.0, 6.0)
+
+
+def test_delta_angles_are_divided_by_their_time(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'a.ulg'
+    dts = [5000, 4900, 5100, 0]
+    path.write_bytes(
+        log([(IMU_FORMAT, 'vehicle_imu', 0, [delta(i, t) for i, t in enumerate(dts)])])
+    )
+    back = read(path)
+    np.testing.assert_allclose(back.samples[:3], [[1, 2, 3, 4, 5, 6]] * 3, rtol=1e-6)
+    assert np.isnan(back.samples[3]).all()
+    np.testing.assert_array_equal(back.stamps_ns, (START_US + 5000 * np.arange(4)) * 1000)
+    np.testing.assert_array_equal(back.record_ns, back.stamps_ns + 400_000)
+    assert back.recording.info.type == 'vehicle_imu'
+    assert back.findings == ()
+
+
+def test_instances_are_chosen_by_topic(tmp_path: Path, read: Any, refused: Any) -> None:
+    path = tmp_path / 'a.ulg'
+    topics = [
+        (IMU_FORMAT, 'vehicle_imu', n, [delta(i, scale=n + 1.0) for i in range(5)])
+        for n in range(3)
+    ]
+    path.write_bytes(log(topics))
+    assert 'has 3 IMUs: vehicle_imu:0, vehicle_imu:1, vehicle_imu:2' in refused(path)
+    back = read(path, topic='vehicle_imu:2')
+    np.testing.assert_allclose(back.samples[0], [3, 6, 9, 12, 15, 18], rtol=1e-6)
+    assert 'has no topic imu' in refused(path, topic='imu')
+    path.write_bytes(
+        log([*topics, (COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(9)])])
+    )
+    assert len(read(path).stamps_ns) == 9
+
+
+def test_an_absent_accelerometer_and_other_units(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'a.ulg'
+    bodies = [combined(0), combined(1, relative=0x7FFFFFFF)]
+    path.write_bytes(log([(COMBINED_FORMAT, 'sensor_combined', 0, bodies)]))
+    back = read(path, accel_unit='g')
+    np.testing.assert_allclose(back.samples[0, 3:], np.array([4, 5, 6]) * 9.80665)
+    assert np.isnan(back.samples[1, 3:]).all()
+
+
+def test_dropouts_and_decimated_topics_are_reported(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'a.ulg'
+    bodies = [combined(i, period=50_000) for i in range(9)]
+    dropout = message('O', struct.pack('<H', 250))
+    path.write_bytes(log([(COMBINED_FORMAT, 'sensor_combined', 0, bodies)], dropout))
+    back = read(path)
+    assert [finding.id for finding in back.findings] == ['log_dropouts', 'log_decimated']
+    assert '1 times, 0.25 s' in str(back.findings[0])
+    assert 'at 20 Hz, but sampled at 200 Hz' in str(back.findings[1])
+
+
+def test_damaged_logs_are_refused_or_read(tmp_path: Path, outcome: Any) -> None:
+    good = log([(COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(30)])])
+    path, rng = tmp_path / 'a.ulg', np.random.default_rng(3)
+    for _ in range(150):
+        bad = bytearray(good[: rng.integers(20, len(good))])
+        for at in rng.integers(8, len(bad), size=rng.integers(4)):
+            bad[at] = rng.integers(256)
+        path.write_bytes(bad)
+        _, said = outcome(path)
+        assert '\n' not in said
+
+
+@pytest.mark.parametrize(
+    'name, samples, rate', [('sample', 17070, 250.0), ('sample_log_small', 1298, 204.6)]
+)
+def test_real_logs(name: str, samples: int, rate: float, shared_data: Path, read: Any) -> None:
+    back = read(shared_data / 'ulog' / f'{name}.ulg')
+    assert back.recording.info.topic == 'sensor_combined'
+    assert len(back.stamps_ns) == samples == back.recording.messages
+    assert 1e9 / np.median(np.diff(back.stamps_ns)) == pytest.approx(rate, rel=1e-3)
+    assert 8.0 < np.linalg.norm(np.median(back.samples[:, 3:], axis=0)) < 11.0
+    assert 'log_dropouts' in [finding.id for finding in back.findings]
+
+
+def test_real_instances(shared_data: Path, read: Any) -> None:
+    path = shared_data / 'ulog' / 'sample_log_small.ulg'
+    for n in range(3):
+        back = read(path, topic=f'vehicle_imu:{n}')
+        assert len(back.stamps_ns) == 12
+        assert 9.4 < np.linalg.norm(back.samples[:, 3:].mean(axis=0)) < 10.2
+        assert 'log_decimated' in [finding.id for finding in back.findings]
