@@ -44,6 +44,9 @@ IMU_TYPE = 'sensor_msgs/msg/Imu'
 DRAIN_LIMIT = 50_000
 """Messages taken in one drain, so that a faster publisher cannot keep the node in it forever."""
 
+NAMELESS = '_NODE_NAME_UNKNOWN_'
+"""Node name in the graph of an endpoint whose node is not known yet, or that has none."""
+
 SUGGESTED_TOPICS = 5
 """Imu topics that are named where the topic given has another type."""
 
@@ -244,4 +247,6 @@ class ImuInput:
 
 def full_name(endpoint: Any) -> str:
     """Return the full name of the node of an endpoint."""
+    if endpoint.node_name == NAMELESS:
+        return 'an unnamed node'
     return one_line(f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}')

@@ -33,6 +33,7 @@ from ..core.simulate import NoiseTerms, simulate_imu
 from ..io.readers.cdr import encode_imus
 from ..io.readers.open import open_recordings
 from ..io.readers.recording import ReadOptions, Recording
+from .imu_input import NAMELESS
 from .shell import STEADY, run
 
 ASK_AGAIN_S = 1.0
@@ -41,10 +42,6 @@ ASK_AGAIN_S = 1.0
 
 PATIENCE_S = 10.0
 """A subscriber that has not answered by then has no parameter services, or hangs."""
-
-
-NAMELESS = '_NODE_NAME_UNKNOWN_'
-"""Node name in the graph of an endpoint whose node is not known yet, or that has none."""
 
 
 @dataclass

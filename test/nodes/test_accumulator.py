@@ -221,6 +221,34 @@ def test_a_looped_recording_counts_once(graph, still_imu, tmp_path: Path):
         assert json.loads(path.read_text())['sums'] == offline(batch)
 
 
+@pytest.mark.parametrize('knocks', [0, 40])
+def test_a_restart_of_a_replay_counts_no_sample_twice(graph, still_imu, tmp_path: Path, knocks):
+    """Also where the end of the pass is not among the 32 longest segments, or in motion."""
+    checkpoint = tmp_path / 'sums.json'
+    settings = {**FAST, 'checkpoint.path': str(checkpoint), 'use_sim_time': True}
+    batch = still_imu(22_000)
+    for i in range(knocks):  # segments of decreasing length, and motion at the end
+        at = 4000 + 450 * i - 5 * i * (i - 1) // 2
+        batch.samples[at : at + 40] += np.random.default_rng(i).normal(0.0, 1.0, (40, 6))
+    node = graph.start('accumulator', **settings)
+    publisher = graph.publisher()
+    graph.send(publisher, batch)
+    graph.until(lambda: graph.value('input', 'received') == '22000')
+    assert node.stop() == 0, node.output
+    first = json.loads(checkpoint.read_text())
+    assert first['last_stamp_ns'] == int(batch.stamps_ns[-1])
+    # the recorder stopped near the end; the second start replays only this part
+    tail = batch[21_000:]
+    graph.statuses.clear()
+    for name in [name for name in settings if name.startswith('qos')]:
+        settings[name.replace('imu/data', 'imu/other')] = settings.pop(name)
+    graph.start('accumulator', remap={'imu/data': 'imu/other'}, **settings)
+    graph.send(graph.publisher('imu/other'), tail)
+    graph.until(lambda: (tmp_path / 'sums.json.previous').exists())
+    previous = json.loads((tmp_path / 'sums.json.previous').read_text())
+    assert previous['sums'] == first['sums']
+
+
 def test_a_clock_that_is_set_back_only_cuts(graph, still_imu, tmp_path: Path):
     """Without simulated time it is the same IMU that goes on, so both stretches count."""
     checkpoint = tmp_path / 'sums.json'
