@@ -24,10 +24,9 @@ from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.faults import Faults
 from .core.fit import METHODS
-from .core.imu import ImuBatch
+from .core.imu import ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import simulate_imu
-from .core.stream.pipeline import joined
 from .io.comparison import DOCUMENTS, RunComparison, Subject, compare_runs, labels_of
 from .io.datasheets import load_sensor
 from .io.documents import SUMS_SCHEMA, results_from_document, sums_file_from_document

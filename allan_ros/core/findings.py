@@ -153,6 +153,34 @@ CATALOGUE = {
         '{count} samples are at the end of the measurement range.',
         'Select a wider range if the motion matters; an IMU at rest should not reach it.',
     ),
+    'spikes': Wording(
+        'info',
+        '{count} isolated spikes ({share:.2g} of the samples) were replaced by the mean of their '
+        'neighbors.',
+        'Check the cable and the driver if there are many.',
+    ),
+    'noise_louder': Wording(
+        'warning',
+        'The noise rose to {ratio:.1f} times its floor for {seconds:.0f} s although the IMU was at '
+        'rest; these data are excluded.',
+        'Check mounting, motors and supply; to measure this noise, switch the motion gate off.',
+    ),
+    'gyro_unit': Wording(
+        'warning',
+        'The gyro at rest has N = {n:.2g} rad/s/sqrt(Hz) and a mean of {rate:.2g} rad/s, which is '
+        'implausible; the unit is probably deg/s.',
+        'Set the unit of the gyro to deg/s (--gyro-unit, or the parameter of the node).',
+    ),
+    'accel_unit': Wording(
+        'warning',
+        'The mean acceleration is {norm:.4g} m/s^2 instead of 9.8; the unit is probably {unit}.',
+        'Set the unit of the accelerometer to {unit} (--accel-unit, or the parameter of the node).',
+    ),
+    'accel_scale': Wording(
+        'warning',
+        'The mean acceleration is {norm:.4g} m/s^2 instead of 9.8 and fits no common unit.',
+        'Check the unit and the scale factor of the accelerometer.',
+    ),
     'no_noise': Wording(
         'error',
         'The samples have no noise: they are constant or a straight line.',
@@ -581,7 +609,7 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for each in findings:
-        key = (each.id, each.severity, each.message, each.remedy)
+        key: tuple[str, ...] = (each.id, each.severity, each.message, each.remedy)
         if each.axes:
             key = (
                 each.id,

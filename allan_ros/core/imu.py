@@ -81,6 +81,19 @@ class ImuBatch:
         return ImuBatch(self.stamps_ns[rows], self.samples[rows], record, self.frame_id)
 
 
+def joined(a: ImuBatch, b: ImuBatch) -> ImuBatch:
+    """Return the samples of both in one batch, with the frame_id of the second."""
+    record = None
+    if a.record_ns is not None and b.record_ns is not None:
+        record = np.concatenate([a.record_ns, b.record_ns])
+    return ImuBatch(
+        np.concatenate([a.stamps_ns, b.stamps_ns]),
+        np.concatenate([a.samples, b.samples]),
+        record,
+        b.frame_id,
+    )
+
+
 DEGREE = math.pi / 180.0
 
 HOUR = 3600.0

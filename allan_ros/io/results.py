@@ -25,6 +25,7 @@ from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import AUTO
+from ..core.stream.findings import sums_findings
 from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
 from .datasheets import Datasheet
 from .recorded import Provenance, RecordingSums
@@ -403,7 +404,11 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     axes = dict(_axis_results(zip(curves, fits)))
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')
-    findings = (*recorded.provenance.findings, *(f for fit in fits for f in fit.findings))
+    findings = (
+        *recorded.provenance.findings,
+        *(f for s in sums for f in sums_findings(s)),
+        *(f for fit in fits for f in fit.findings),
+    )
     return Results(
         longest.identity,
         method,

@@ -21,7 +21,8 @@ from ..core.errors import one_line
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, ImuBatch
 from ..core.settings import SegmenterSettings
-from ..core.stream.pipeline import ImuStream, RunSplitter
+from ..core.stream.cleaning import PassSplitter
+from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
@@ -192,7 +193,7 @@ class ImuWatch:
     def _begin(self, latest_ns: int | None = None) -> None:
         """Start new sums; with sim time, samples up to the latest stamp are a repeated pass."""
         self._stream = ImuStream(self._settings.segmenter.value, self._imu.hardware_id)
-        self._splitter = RunSplitter(latest_ns)
+        self._splitter = PassSplitter(latest_ns)
         self._latest_ns: int | None = None  # of these sums
 
     def _update(self) -> None:

@@ -10,6 +10,7 @@ own samples.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, SENSORS
+from ..imu import AXES, LARGEST, SENSORS, ImuBatch, joined
 from .health import Counts
 
 Floats = NDArray[np.float64]
@@ -90,6 +91,63 @@ class StampFilter:
                 jumped[i] = True
                 latest = stamps[i]
         return keep, jumped
+
+
+class PassSplitter:
+    """Splits a stream where its stamps go back and stay back, as in a looped recording.
+
+    Single backward stamps are left to `StampFilter`. So samples before the latest stamp wait until
+    `BACKWARD_RUN` of them have come in a row (a new pass begins with the first of them) or one
+    after it has come.
+
+    Parameters
+    ----------
+    latest_ns : int or None
+        Latest stamp of the sums there are already, as from a checkpoint.
+    """
+
+    def __init__(self, latest_ns: int | None = None) -> None:
+        self._latest = latest_ns
+        self._waiting: ImuBatch | None = None
+
+    def split(self, batch: ImuBatch) -> Iterator[tuple[bool, ImuBatch]]:
+        """Yield (begins a new pass, samples) in order; together they are the stream."""
+        if self._waiting is not None:
+            if self._waiting.frame_id == batch.frame_id:
+                batch = joined(self._waiting, batch)
+            else:
+                yield False, self._waiting
+            self._waiting = None
+        new_pass = False
+        while len(batch):
+            number, another = self._this_pass(batch)
+            if number:
+                yield new_pass, batch[:number]
+            batch = batch[number:]
+            if not another:
+                self._waiting = batch if len(batch) else None
+                return
+            self._latest, new_pass = None, True
+
+    def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
+        """Yield the samples that wait: no more come."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            yield False, waiting
+
+    def _this_pass(self, batch: ImuBatch) -> tuple[int, bool]:
+        """Return how many samples belong to this pass, and whether another follows them."""
+        stamps = batch.stamps_ns
+        latest = stamps[0] if self._latest is None else self._latest
+        reached = np.maximum.accumulate(np.concatenate([[latest], stamps]))
+        ahead = np.flatnonzero(stamps >= reached[:-1])
+        # between two samples that are ahead are those that are behind
+        edges = np.concatenate([[-1], ahead, [len(stamps)]])
+        long = np.flatnonzero(np.diff(edges) > BACKWARD_RUN)
+        if len(long):
+            return int(edges[long[0]]) + 1, True
+        self._latest = int(reached[-1])
+        return int(edges[-2]) + 1, False
 
 
 SHARE = 0.1

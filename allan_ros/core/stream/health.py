@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal, NamedTuple
 
-State = Literal['waiting', 'learning', 'still', 'moving']
-"""No sample yet; the first samples are being learned from; evidence accumulates; it waits."""
+State = Literal['waiting', 'learning', 'still', 'moving', 'louder']
+"""No sample yet; the rate and the noise floor are learned; data at rest accumulate; the IMU moves;
+it is at rest, but its noise became louder."""
 
 
 @dataclass
@@ -18,7 +20,7 @@ class Counts:
 
     Where the sensors tick apart (two lanes) all but ``received`` and ``skipped`` are counted per
     lane. received + bridged = used + skipped + not_finite + duplicate + backward + untimed +
-    moving + stuck + those that still wait to be judged.
+    moving + stuck + louder + those that still wait to be judged.
 
     Attributes
     ----------
@@ -37,7 +39,11 @@ class Counts:
     moving, stuck : int
         Dropped because the IMU moved, or an axis showed one value.
     saturated : int
-        Of the moving ones, those at an extreme value held for three samples or more.
+        Of the moving ones, those at the end of the measurement range.
+    louder : int
+        Dropped because the noise at rest was much louder than the noise floor.
+    spikes : int
+        Values that were isolated spikes and were replaced, counted per axis.
     cuts : Counter
         Reason -> how many times the evidence was cut.
     """
@@ -54,6 +60,8 @@ class Counts:
     moving: int = 0
     stuck: int = 0
     saturated: int = 0
+    louder: int = 0
+    spikes: int = 0
     cuts: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
@@ -106,6 +114,11 @@ class StreamHealth:
         Of the sums with the longest time.
     frame_changes : int
         How often a sample had another frame_id than the one before.
+    discarded : int
+        How often sums were discarded since the start, because they were taken in motion: results
+        computed from earlier sums are void.
+    loudest : mapping of axis to float
+        How many times louder than its floor an axis became at rest; empty if none did.
     """
 
     counts: Counts
@@ -118,10 +131,12 @@ class StreamHealth:
     frame_id: str = ''
     evidence_frame_id: str = ''
     frame_changes: int = 0
+    discarded: int = 0
+    loudest: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def still_share(self) -> float | None:
         """Share of the judged samples that counts as evidence; None before any was judged."""
         c = self.counts
-        judged = c.used + c.moving + c.stuck
+        judged = c.used + c.moving + c.stuck + c.louder
         return c.used / judged if judged else None

@@ -1,68 +1,122 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion gate: only spans in which the IMU is still count as evidence.
+"""The motion gate: passes on the samples of an IMU at rest.
 
-The stream is looked at in windows of about half a second. A window is hot when it stands out of
-the sensor's own noise floor: by its variance, by its farthest sample, by a step of its mean, or by
-a mean rate away from the still one. The thresholds lie so far out that honest noise is not trimmed
-(the chance that a window of pure white noise is hot is below 1e-12, so the bias of N is nil), and a
-sensor whose noise grew by half still passes. Leaving takes calmer windows than entering, and a
-margin before and after is left out with the motion.
+The stream is judged in windows of about half a second. A window is moving when it differs from the
+noise floor of the sensor by its variance, its farthest sample, a step of its mean, or a mean rate
+away from that at rest. The thresholds are so far out that stationary noise is not trimmed (the
+chance that a window of white noise is moving is below 1e-12, so N has no bias), and a sensor whose
+noise grew by half still passes. A motion ends at a lower threshold than it begins, and a margin
+before and after it is left out too.
 
-The floor is learned from the first windows and follows the quiet quarter of each later block; all
-is counted in windows from the start of a stretch without cuts, never in chunks.
+Isolated spikes are replaced by the mean of their neighbors before. Noise that becomes louder while
+the IMU stays at rest is told from motion, and counted apart.
+
+The floor is learned from the first windows that can be those of an IMU at rest, and follows the
+quiet quarter of each later block. All is counted in windows from the start of a stretch without
+gaps, never in chunks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .health import Counts
-from .noise_floor import NoiseFloor, Windows
+from .noise_floor import MAD_TO_SIGMA, NoiseFloor, RestLimits, Windows
 from .timing import Block
 
 Floats = NDArray[np.float64]
-
-Stamps = NDArray[np.int64]
-
 Flags = NDArray[np.bool_]
-
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short against a motion."""
 
+LEAST_WINDOW, MOST_WINDOW = 16, 1024
+"""Shortest and longest window in samples; fewer samples give no useful variance."""
 
-MOST_WINDOW = 1024
-"""Longest window in samples; the shortest is `LEAST_WINDOW`."""
-
-
-LEARN_WINDOWS = 32
-"""Windows the floor is learned from, and after which it is updated."""
-
+BLOCK_WINDOWS = 32
+"""Windows that the floor is learned from, and after which it is updated."""
 
 MARGIN_BEFORE, MARGIN_AFTER = 1, 4
 """Windows left out before a motion and after it: 0.5 s and 2 s."""
 
-
 RELEARNED = 'relearned'
-"""The cut of a run before which no evidence of this stream counts."""
+"""The cut of a block before which all data of this stream are void: they were taken in motion."""
+
+LEAVE_RATIO = 0.8
+"""Motion ends below this fraction of the standard deviation at which it begins."""
+
+KNOCK_SIGMAS = 20.0
+"""A sample this many floor deviations from the mean of its window is a knock."""
+
+STEP_SIGMAS = 8.0
+"""Means of neighboring windows this many of their own deviations apart are a motion."""
+
+SPIKE_SIGMAS = 7.0
+"""A sample this many floor deviations from the mean of its window is a spike if it is isolated:
+1e-10 of the samples of white noise, whose variance changes by less than 1e-8."""
+
+SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
+"""The samples next to a spike, and all but one of so many before and after it, must be closer to
+the mean than this fraction of its least height: a knock rings, a spike does not."""
+
+LOUDER_BLOCKS = 2
+"""Blocks of noise in a row, about 30 s, before it counts as louder noise instead of motion."""
+
+LEAST_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
+"""Equal samples at the end of the range, and the least step to them in resolutions, that count as
+saturated: at a coarse resolution the top of a slow motion has equal samples too."""
+
+
+class WindowClass(NamedTuple):
+    """What k windows are, (k,) bool arrays.
+
+    ``moving``: motion, or an axis ``stuck`` at one value. ``quiet``: may end a motion.
+    ``turning_only``: nothing differs from the floor but the mean rate.
+    """
+
+    moving: Flags
+    quiet: Flags
+    stuck: Flags
+    turning_only: Flags
 
 
 class _Judged(NamedTuple):
-    """Windows of the present block, with what was measured and said of them."""
+    """Windows of the present block of windows, with their statistics and class."""
 
-    run: Block
+    block: Block
     windows: Windows
     still: Flags
-    verdict: WindowClass
+    windows_class: WindowClass
 
 
-class StillnessStage:
-    """Passes on the still spans of runs; at most the learning windows wait."""
+class MotionGate:
+    """Passes on the samples at rest; at most the windows of the learning phase wait.
+
+    Parameters
+    ----------
+    period_ns : float
+        Sample period.
+    axes : tuple of str
+    counts : Counts
+        Changed in place.
+    motion_ratio : float
+        Standard deviation of a moving window over that of the floor.
+    rate_limit : float
+        Least mean rate in rad/s, away from that at rest, that is a turn.
+
+    Attributes
+    ----------
+    moving : bool
+        Whether the latest window was moving.
+    louder : (axes,) float64 array or None
+        How many times louder than the floor the sensor is at rest now; None if it is not.
+    loudest : (axes,) float64 array or None
+        The largest that ``louder`` was.
+    """
 
     def __init__(
         self,
@@ -75,171 +129,267 @@ class StillnessStage:
         wanted = round(WINDOW_S * 1e9 / period_ns)
         self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
         self.moving = False
+        self.louder: Floats | None = None
+        self.loudest: Floats | None = None
         self._counts = counts
         self._ratio = motion_ratio
         self._rate_limit = np.array(
             [rate_limit if axis.startswith('gyro') else np.inf for axis in axes]
         )
+        self._limits = RestLimits.of(axes)
         self._floor: NoiseFloor | None = None
         self._learning: list[Block] = []  # stretches that wait for the floor
-        self._stamps = np.empty(0, np.int64)  # samples that wait to fill a window
-        self._rows = np.empty((len(axes), 0))
+        self._waiting = Block.empty(len(axes))  # samples that do not fill a window yet
+        self._before = np.empty((len(axes), 0))  # the last samples before them
+        self._extreme = np.zeros(len(axes))  # largest value of each axis, either way
         self._last_mean: Floats | None = None
-        self._calm = 0  # calm windows since the motion
-        self._cut = ''  # why the next still run does not follow on the last one
+        self._quiet = 0  # quiet windows since the motion
+        self._cut = ''  # why the next still block does not follow the last one
         self._margin: list[Block] = []  # still windows that a motion may yet take back
-        self._stretch_cut = ''  # why the samples that wait do not follow on those before
+        self._stretch_cut = ''  # why the waiting samples do not follow those before
         self._block: list[_Judged] = []
         self._in_block = 0
+        self._noisy_blocks = 0
 
     @property
     def learning(self) -> bool:
-        """The noise floor is not known yet."""
-        return self._floor is None
+        """Whether the noise floor is not known yet, and nothing showed motion either."""
+        return self._floor is None and not self.moving
 
-    def feed(self, runs: list[Block]) -> list[Block]:
-        """Take runs that came one after the other, return the still ones that are certain."""
+    def feed(self, blocks: list[Block]) -> list[Block]:
+        """Take blocks that came one after the other, return those at rest that are certain."""
         out: list[Block] = []
-        for stretch in _stretches(runs):
+        for stretch in _stretches(blocks):
             if self._floor is None:
                 self._learning += stretch
-                if sum(len(r.stamps) for r in self._learning) >= LEARN_WINDOWS * self.size:
+                while self._floor is None and self._have() >= BLOCK_WINDOWS * self.size:
                     out += self._learn()
             else:
                 out += self._take(stretch)
         return out
 
-    def _take(self, stretch: list[Block]) -> list[Block]:
-        """Take runs that follow on each other; the cut of the first says if on those before."""
-        out: list[Block] = []
-        cut = stretch[0].cut
-        if cut:
-            out += self._end_stretch()
-        self._stretch_cut = self._stretch_cut or cut
-        for run in stretch:
-            # only the window that began before is copied together
-            seam = -len(self._stamps) % self.size
-            if seam:
-                out += self._fill(run.stamps[:seam], run.rows[:, :seam])
-            out += self._fill(run.stamps[seam:], run.rows[:, seam:])
-        return out
-
-    def _fill(self, stamps: Stamps, rows: Floats) -> list[Block]:
-        """Judge the windows that more samples fill; the others wait."""
-        if len(self._stamps):
-            stamps = np.concatenate([self._stamps, stamps])
-            rows = np.concatenate([self._rows, rows], axis=1)
-        out: list[Block] = []
-        at, have = 0, len(stamps) // self.size
-        measured = Windows.of(rows[:, : have * self.size], self.size)
-        while at < have:
-            k = min(have - at, LEARN_WINDOWS - self._in_block)
-            part = slice(at * self.size, (at + k) * self.size)
-            run = Block(stamps[part], rows[:, part], self._stretch_cut)
-            self._stretch_cut = ''
-            out += self._judge(run, self.size, measured[at : at + k])
-            self._in_block += k
-            at += k
-            if self._in_block == LEARN_WINDOWS:
-                out += self._follow()
-        self._stamps = stamps[have * self.size :].copy()
-        self._rows = rows[:, have * self.size :].copy()
-        return out
-
     def flush(self) -> list[Block]:
         """Return what still waits: no more samples come."""
-        out = self._learn() if self._floor is None else []
+        out: list[Block] = []
+        while self._floor is None and self._learning:
+            out += self._learn()
         return out + self._end_stretch()
 
-    def _learn(self) -> list[Block]:
-        """Learn the floor from the first windows, then judge what waited."""
-        waited, self._learning = self._learning, []
-        if not waited:
-            return []
-        self._floor = NoiseFloor.learned(self._first_rows(waited), self.size, len(self._rows))
-        return self.feed(waited)
+    # --- learning ---------------------------------------------------------------------------------
 
-    def _first_rows(self, waited: list[Block]) -> Iterator[Floats]:
-        """Yield the samples that make the learning windows, whatever chunk they came in."""
-        left = LEARN_WINDOWS * self.size
-        for stretch in _stretches(waited):
-            rows = np.concatenate([run.rows for run in stretch], axis=1)[:, :left]
-            left -= rows.shape[1]
-            yield rows
+    def _have(self) -> int:
+        return sum(len(block) for block in self._learning)
+
+    def _learn(self) -> list[Block]:
+        """Learn the floor from the first windows, or drop them if an IMU at rest has none such."""
+        first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
+        stretches = [np.concatenate([b.rows for b in s], axis=1) for s in _stretches(first)]
+        floor = NoiseFloor.learned(stretches, self.size, len(self._rate_limit))
+        if floor.can_be_rest(self._limits, self.size):
+            self._floor = floor
+            waited, self._learning = self._learning, []
+            self.moving = False
+            return self.feed(waited)
+        self._learning = rest
+        self._counts.moving += sum(len(block) for block in first)
+        if not self.moving:
+            self.moving = True
+            self._counts.cuts['motion'] += 1
+        self._cut = 'motion'
+        return []
+
+    # --- windows ----------------------------------------------------------------------------------
+
+    def _take(self, stretch: list[Block]) -> list[Block]:
+        """Take blocks that follow each other; the first may have a cut."""
+        out: list[Block] = []
+        if stretch[0].cut:
+            out += self._end_stretch()
+        self._stretch_cut = self._stretch_cut or stretch[0].cut
+        for block in stretch:
+            # only the window that began before is copied together, and what it looks ahead at
+            seam = -len(self._waiting) % self.size + SPIKE_NEIGHBORS
+            out += self._fill(block.part(slice(None, seam)))
+            if len(block) > seam:
+                out += self._fill(block.part(slice(seam, None)))
+        return out
+
+    def _fill(self, more: Block) -> list[Block]:
+        """Judge the windows that are complete and can look ahead; the other samples wait."""
+        have = Block.joined([self._waiting, more]) if len(self._waiting) else more
+        ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size
+        out: list[Block] = []
+        if ready:
+            samples = ready * self.size
+            after = have.rows[:, samples : samples + SPIKE_NEIGHBORS]
+            block, windows = self._without_spikes(have.part(slice(samples)), self.size, after)
+            at = 0
+            while at < ready:
+                k = min(ready - at, BLOCK_WINDOWS - self._in_block)
+                part = block.part(slice(at * self.size, (at + k) * self.size), self._stretch_cut)
+                self._stretch_cut = ''
+                out += self._judge(part, self.size, windows[at : at + k])
+                self._in_block += k
+                at += k
+                if self._in_block == BLOCK_WINDOWS:
+                    out += self._end_block()
+            have = have.part(slice(samples, None))
+        self._waiting = have.copy()
+        return out
 
     def _end_stretch(self) -> list[Block]:
-        """Judge the window that will not fill, and let go of the margin."""
+        """Judge the windows that cannot look ahead or will not fill, and release the margin."""
         out: list[Block] = []
-        if len(self._stamps) and self._floor is not None:
-            last = Block(self._stamps, self._rows, self._stretch_cut)
-            out += self._judge(last, len(last.stamps), Windows.of(last.rows, len(last.stamps)))
-        self._stretch_cut = ''
-        self._stamps = self._stamps[:0]
-        self._rows = self._rows[:, :0]
+        rest, self._waiting = self._waiting, self._waiting.part(slice(0))
+        while len(rest) and self._floor is not None:
+            size = min(len(rest), self.size)
+            last, rest = rest.part(slice(size)), rest.part(slice(size, None))
+            block, windows = self._without_spikes(last, size, rest.rows[:, :SPIKE_NEIGHBORS])
+            out += self._judge(block.part(slice(None), self._stretch_cut), size, windows)
+            self._stretch_cut = ''
+            if size == self.size:
+                self._in_block += 1
+                if self._in_block == BLOCK_WINDOWS:
+                    out += self._end_block()
+        self._before = self._before[:, :0]
         out += self._margin
         self._margin = []
         return out
 
-    def _judge(self, run: Block, size: int, windows: Windows) -> list[Block]:
-        """Judge the windows of a run; ``run.cut`` says why it does not follow on those before."""
+    def _without_spikes(self, block: Block, size: int, after: Floats) -> tuple[Block, Windows]:
+        """Replace isolated spikes by the mean of their neighbors; return also the windows.
+
+        Parameters
+        ----------
+        block : Block
+            Complete windows of ``size`` samples.
+        after : (axes, up to `SPIKE_NEIGHBORS`) array
+            The samples that follow.
+        """
+        floor, rows = self._floor, block.rows
+        assert floor is not None
+        windows = Windows.of(rows, size)
+        before = self._before
+        self._before = rows[:, -SPIKE_NEIGHBORS:].copy()
+        least = SPIKE_SIGMAS * np.sqrt(floor.scale)
+        flagged = (windows.peak > least[:, None]) & (least > 0.0)[:, None]
+        if not flagged.any() or size < LEAST_WINDOW:
+            return block, windows
+        axes, at = np.nonzero(flagged)
+        cube = rows.reshape(len(rows), -1, size)[axes, at]
+        level = np.median(cube, axis=1)
+        sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
+        # where the noise itself became louder, by more than the estimate scatters
+        louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * least[axes]
+        height = np.where(louder, SPIKE_SIGMAS * sigma, least[axes])
+        far = np.abs(cube - level[:, None]) > height[:, None]
+        few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more are a motion
+        around = np.concatenate([before, rows, after], axis=1)
+        changed = np.zeros(windows.mean.shape[1], bool)
+        new = rows.copy()
+        filled = np.zeros(rows.shape, bool) if block.filled is None else block.filled.copy()
+        for n, k in zip(*np.nonzero(far & few[:, None])):
+            axis, i = axes[n], at[n] * size + k
+            x, j = around[axis], i + before.shape[1]
+            near = np.abs(x[max(0, j - SPIKE_NEIGHBORS) : j + SPIKE_NEIGHBORS + 1] - level[n])
+            beside = np.abs(x[max(0, j - 1) : j + 2] - level[n]) > NEIGHBOR_RATIO * height[n]
+            most = np.count_nonzero(near > NEIGHBOR_RATIO * height[n])
+            isolated = np.count_nonzero(beside) == 1 and most <= 2
+            if isolated and 0 < j < len(x) - 1:
+                new[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
+                filled[axis, i] = changed[at[n]] = True
+                self._counts.spikes += 1
+        if not changed.any():
+            return block, windows
+        again = Windows.of(new.reshape(len(new), -1, size)[:, changed].reshape(len(new), -1), size)
+        for now, then in ((windows.mean, again.mean), (windows.variance, again.variance)):
+            now[:, changed] = then
+        windows.peak[:, changed] = again.peak
+        return Block(block.stamps, new, block.cut, filled), windows
+
+    # --- still or moving --------------------------------------------------------------------------
+
+    def _judge(self, block: Block, size: int, windows: Windows) -> list[Block]:
+        """Judge the windows of a block; ``block.cut`` is set if it does not follow the last."""
         out: list[Block] = []
-        if run.cut:
+        if block.cut:
             out, self._margin = self._margin, []
             self._last_mean = None
-            self._cut = self._cut or run.cut
+            self._cut = self._cut or block.cut
         assert self._floor is not None
-        verdict = classify_windows(
+        found = classify_windows(
             windows, self._last_mean, size, self._floor, self._ratio, self._rate_limit
         )
-        still = ~verdict.hot
-        if self.moving or verdict.hot.any():
+        still = ~found.moving
+        if self.moving or found.moving.any():
             for i in range(len(still)):
-                part = slice(i * size, (i + 1) * size)
-                window = Block(run.stamps[part], run.rows[:, part])
-                out += self._step(window, *(bool(v[i]) for v in verdict[:3]))
+                window = block.part(slice(i * size, (i + 1) * size))
+                out += self._step(window, *(bool(v[i]) for v in found[:3]))
                 still[i] = not self.moving
         else:
-            out += self._pass_on(Block(run.stamps, run.rows))
+            out += self._pass_on(block.part(slice(None)))
         self._last_mean = windows.mean[:, -1]
         if size == self.size:
-            self._block.append(_Judged(run, windows, still, verdict))
+            self._block.append(_Judged(block, windows, still, found))
         return out
 
-    def _step(self, run: Block, hot: bool, calm: bool, stuck: bool) -> list[Block]:
+    def _step(self, window: Block, moving: bool, quiet: bool, stuck: bool) -> list[Block]:
         """Take one window through the state machine."""
-        if not self.moving and not hot:
-            return self._pass_on(run)
+        if not self.moving and not moving:
+            return self._pass_on(window)
         if not self.moving:
             self.moving = True
             reason = 'stuck' if stuck else 'motion'
             self._counts.cuts[reason] += 1
-            self._counts.moving += sum(len(r.stamps) for r in self._margin)
+            self._counts.moving += sum(len(block) for block in self._margin)
             self._margin = []
             self._cut = self._cut or reason
         if stuck:
-            self._counts.stuck += len(run.stamps)
+            self._counts.stuck += len(window)
         else:
-            self._counts.moving += len(run.stamps)
-            self._counts.saturated += saturated(run.rows)
-        self._calm = self._calm + 1 if calm else 0
-        if self._calm >= MARGIN_AFTER:
+            self._counts.moving += len(window)
+            self._counts.saturated += self._saturated(window.rows)
+        self._quiet = self._quiet + 1 if quiet else 0
+        if self._quiet >= MARGIN_AFTER:
             self.moving = False
-            self._calm = 0
+            self._quiet = 0
         return []
 
-    def _pass_on(self, run: Block) -> list[Block]:
-        """Let a still run go, but for the last window: a motion may begin in the next."""
+    def _pass_on(self, block: Block) -> list[Block]:
+        """Release a still block, but for the last window: a motion may begin in the next."""
         out = self._margin
-        split = max(0, len(run.stamps) - MARGIN_BEFORE * self.size)
+        split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
         if split:
-            out = [*out, Block(run.stamps[:split], run.rows[:, :split], cut)]
+            out = [*out, block.part(slice(split), cut)]
             cut = ''
-        self._margin = [Block(run.stamps[split:], run.rows[:, split:], cut)]
+        self._margin = [block.part(slice(split, None), cut)]
         return out
 
-    def _follow(self) -> list[Block]:
-        """Follow the noise floor after a block of windows; start anew if it was none."""
+    def _saturated(self, rows: Floats) -> int:
+        """Return how many samples of a moving window are at the end of the range.
+
+        The end of the range is the largest value of the axis so far, kept for several samples
+        after a large step.
+        """
+        assert self._floor is not None
+        size = np.abs(rows)
+        self._extreme = np.maximum(self._extreme, size.max(axis=1))
+        top = size >= self._extreme[:, None]
+        inside = np.zeros(rows.shape[1], bool)
+        for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= LEAST_PLATEAU):
+            edges = np.flatnonzero(np.diff(top[axis], prepend=False, append=False))
+            for a, b in edges.reshape(-1, 2):
+                outside = [rows[axis, i] for i in (a - 1, b) if 0 <= i < rows.shape[1]]
+                step = max((abs(rows[axis, a] - x) for x in outside), default=0.0)
+                if b - a >= LEAST_PLATEAU and step >= PLATEAU_STEP_LSB * self._floor.lsb[axis] > 0:
+                    inside[a:b] = True
+        return int(np.count_nonzero(inside))
+
+    # --- the floor --------------------------------------------------------------------------------
+
+    def _end_block(self) -> list[Block]:
+        """Update the floor after a block of windows; start again if it was learned in motion."""
         floor = self._floor
         assert floor is not None
         block, self._block, self._in_block = self._block, [], 0
@@ -247,72 +397,78 @@ class StillnessStage:
         anew = floor.if_learned_in_motion(windows)
         if anew is not None:
             self._floor = anew
-            return self._judge_anew(block)
+            return self._judge_again(block)
         still = np.concatenate([judged.still for judged in block])
-        turning = all(judged.verdict.turning_only.all() for judged in block)
-        self._floor = floor.following(windows, still, turning)
+        turning = all(judged.windows_class.turning_only.all() for judged in block)
+        following = floor.following(windows, still, turning)
+        if following.can_be_rest(self._limits, self.size):
+            self._floor = following
+        self._note_louder(block, windows, still)
         return []
 
-    def _judge_anew(self, block: list[_Judged]) -> list[Block]:
-        """Judge a block again with the floor learned from it; all before it is void."""
+    def _note_louder(self, block: list[_Judged], windows: Windows, still: Flags) -> None:
+        """Tell a block of louder noise from motion, and count it apart."""
+        ratio = None
+        if not still.any() and not any(j.windows_class.stuck.any() for j in block):
+            assert self._floor is not None
+            rows = np.concatenate([judged.block.rows for judged in block], axis=1)
+            ratio = self._floor.louder(rows, windows, self.size, self._rate_limit, self._limits)
+        self._noisy_blocks = 0 if ratio is None else self._noisy_blocks + 1
+        self.louder = ratio if self._noisy_blocks >= LOUDER_BLOCKS else None
+        if self.louder is None:
+            return
+        blocks = LOUDER_BLOCKS if self._noisy_blocks == LOUDER_BLOCKS else 1
+        samples = blocks * BLOCK_WINDOWS * self.size
+        self._counts.moving -= samples
+        self._counts.louder += samples
+        before = self.louder if self.loudest is None else self.loudest
+        self.loudest = np.maximum(before, self.louder)
+
+    def _judge_again(self, block: list[_Judged]) -> list[Block]:
+        """Judge a block again with the floor learned from it; all data before it are void."""
         # what was passed on is counted as moving by whoever voids it
-        self._counts.moving += sum(len(r.stamps) for r in self._margin)
-        samples = sum(len(j.run.stamps) for j in block)
-        stuck = self.size * sum(int(np.count_nonzero(j.verdict.stuck)) for j in block)
+        self._counts.moving += sum(len(b) for b in self._margin)
+        samples = sum(len(j.block) for j in block)
+        stuck = self.size * sum(int(np.count_nonzero(j.windows_class.stuck)) for j in block)
         self._counts.moving -= samples - stuck
         self._counts.stuck -= stuck
         self._margin = []
         self._last_mean = None
-        self.moving, self._calm, self._cut = True, 0, 'motion'
-        out = [Block(block[0].run.stamps[:0], block[0].run.rows[:, :0], RELEARNED)]
+        self._noisy_blocks, self.louder = 0, None
+        self.moving, self._quiet, self._cut = True, 0, 'motion'
+        out = [block[0].block.part(slice(0), RELEARNED)]
         for judged in block:
-            out += self._judge(judged.run, self.size, judged.windows)
+            out += self._judge(judged.block, self.size, judged.windows)
         self._block = []
         return out
 
 
-def _stretches(runs: list[Block]) -> list[list[Block]]:
-    """Return the runs in groups that follow on each other."""
+def _stretches(blocks: list[Block]) -> list[list[Block]]:
+    """Return the blocks in groups that follow each other."""
     groups: list[list[Block]] = []
-    for run in runs:
-        if run.cut or not groups:
+    for block in blocks:
+        if block.cut or not groups:
             groups.append([])
-        groups[-1].append(run)
+        groups[-1].append(block)
     return groups
 
 
-LEAST_WINDOW = 16
-"""Samples from which the variance of a window says something."""
-
-
-LEAVE_SHARE = 0.8
-"""Motion ends below this share of the standard deviation at which it begins."""
-
-
-PEAK_SIGMAS = 20.0
-"""A sample this many floor deviations from its window's mean is a knock. Real accelerometers at
-rest show single samples at 10 deviations every few minutes: those are their noise."""
-
-
-STEP_SIGMAS = 8.0
-"""Means of neighbouring windows this many of their own deviations apart are a motion."""
-
-
-class WindowClass(NamedTuple):
-    """What k windows are, (k,) bool arrays.
-
-    ``hot``: motion, or an axis ``stuck`` at one value. ``calm``: may end a motion.
-    ``turning_only``: nothing stands out but the mean rate.
-    """
-
-    hot: Flags
-    calm: Flags
-    stuck: Flags
-    turning_only: Flags
+def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]:
+    """Return the first samples of blocks that came one after the other, and the others."""
+    first: list[Block] = []
+    for i, block in enumerate(blocks):
+        if len(block) > samples:
+            return (
+                [*first, block.part(slice(samples), block.cut)] if samples else first,
+                [block.part(slice(samples, None), '' if samples else block.cut), *blocks[i + 1 :]],
+            )
+        first.append(block)
+        samples -= len(block)
+    return first, []
 
 
 class _Limits(NamedTuple):
-    """Where a window begins to stand out, (axes, 1) arrays; infinite where the floor is unknown."""
+    """Thresholds of moving windows, (axes, 1) arrays; infinite where the floor is unknown."""
 
     variance: Floats
     peak: Floats
@@ -325,11 +481,11 @@ class _Limits(NamedTuple):
         unknown = np.where(scale > 0.0, 0.0, np.inf)
         sigma = np.sqrt(scale)
         step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
-        # few samples spread a variance: a short window is judged by its farthest sample alone
+        # the variance of few samples scatters: a short window is judged by its farthest sample
         unsure = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
         return cls(
             motion_ratio**2 * scale + unsure,
-            np.maximum(PEAK_SIGMAS * sigma, 2.5 * lsb) + unknown,
+            np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown,
             STEP_SIGMAS * step_sigma + lsb + unsure,
             np.maximum(rate_limit[:, None], STEP_SIGMAS * step_sigma),
         )
@@ -343,42 +499,33 @@ def classify_windows(
     motion_ratio: float,
     rate_limit: Floats,
 ) -> WindowClass:
-    """Hold windows of ``size`` samples against the floor.
+    """Compare windows of ``size`` samples with the floor.
 
     Parameters
     ----------
+    windows : Windows
     previous_mean : (axes,) array or None
-        Of the window before the first; None when it does not follow on any.
+        Of the window before the first; None when it does not follow any.
+    size : int
+    floor : NoiseFloor
     motion_ratio : float
         Standard deviation of a moving window over that of the floor.
     rate_limit : (axes,) array
-        Least mean rate, away from the still one, that is a turn.
+        Least mean rate, away from that at rest, that is a turn.
     """
     limits = _Limits.of(floor, size, motion_ratio, rate_limit)
     previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
     means = np.concatenate([previous, windows.mean], axis=1)
     step = np.abs(means[:, 1:] - means[:, :-1])
-    restless = windows.variance > LEAVE_SHARE**2 * limits.variance
+    restless = windows.variance > LEAVE_RATIO**2 * limits.variance
     knocked = (windows.peak > limits.peak) | (step > limits.step)
     turning = np.abs(windows.mean - floor.mean[:, None]) > limits.turn
-    quiet = np.zeros(windows.mean.shape[1], bool)
+    none = np.zeros(windows.mean.shape[1], bool)
     if windows.variance.all() and not (restless | knocked | turning).any():
-        return WindowClass(quiet, ~quiet, quiet, quiet)  # the common case: an IMU at rest
+        return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
     noisy = (floor.variance > floor.lsb**2)[:, None] & (size >= LEAST_WINDOW)
     stuck = ((windows.variance == 0.0) & noisy).any(axis=0)
     wild = windows.variance > limits.variance
-    hot = (wild | knocked | turning).any(axis=0) | stuck
+    moving = (wild | knocked | turning).any(axis=0) | stuck
     restless_any = (restless | knocked).any(axis=0) | stuck
-    return WindowClass(hot, ~(hot | restless_any), stuck, turning.any(axis=0) & ~restless_any)
-
-
-def saturated(rows: Floats) -> int:
-    """Return how many samples of a moving window stand at their axis' extreme, three in a row."""
-    size = np.abs(rows)
-    top = size == size.max(axis=1, keepdims=True)
-    three = top[:, 2:] & top[:, 1:-1] & top[:, :-2]
-    inside = np.zeros(rows.shape[1], bool)
-    for axis in np.flatnonzero(three.any(axis=1) & (rows.min(axis=1) < rows.max(axis=1))):
-        for shift in range(3):
-            inside[shift : shift + three.shape[1]] |= three[axis]
-    return int(np.count_nonzero(inside))
+    return WindowClass(moving, ~(moving | restless_any), stuck, turning.any(axis=0) & ~restless_any)

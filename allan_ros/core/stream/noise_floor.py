@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of a still sensor, and the windows of samples that are held against it."""
+"""The noise of a sensor at rest, and the windows of samples that are compared with it."""
 
 from __future__ import annotations
 
@@ -12,31 +12,72 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-
-QUIET = 0.25
+QUANTILE = 0.25
 """The floor is this quantile of the windows' variances: three quarters of them may be motion."""
-
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal variable over its median absolute value."""
 
-
 FLOOR_GAIN = 0.25
-"""Share by which the floor follows a block of still windows."""
-
+"""Weight of a new block of still windows when the floor is updated."""
 
 RELEARN_RATIO = 5.0
-"""When a block is quieter than the floor by this factor (standard deviation), the floor had been
-learned in motion: what was taken for evidence is none."""
-
+"""When a block is quieter than the floor by this factor (standard deviation), the floor was learned
+in motion, and so were the data taken with it."""
 
 ROUNDING = 1e-13
-"""A deviation below this share of the mean is rounding: no sensor resolves 43 bits."""
+"""A deviation below this fraction of the mean is rounding: no sensor resolves 43 bits."""
+
+COLOURED_STEP = 3.0
+"""Steps of the window means this many times those of white noise are not white noise."""
+
+SLOW = 0.2
+"""A ratio (see `smoothness`) below this is noise at low frequencies."""
+
+LOUDER_RATIO = 1.5
+"""Least standard deviation, over that of the floor, of an axis that became louder."""
+
+LOUDER_SPREAD = 4.0
+"""Variances of the windows of stationary noise lie within this factor of their median."""
+
+LOUDER_SPECTRUM = 0.5
+"""Least ratio (see `smoothness`) of louder noise to that of the floor, or to white noise: the
+energy of a motion lies at low frequencies."""
+
+SAME_DIRECTION = 0.035
+"""Largest change of gravity, relative to its size, of an IMU that did not tilt (2 degrees)."""
+
+
+@dataclass(frozen=True)
+class RestLimits:
+    """Limits of the slow changes that a sensor can show at rest, (axes,) arrays.
+
+    White noise has no limit: large values mean another unit, which is reported elsewhere.
+
+    Attributes
+    ----------
+    deviation : float64 array
+        Standard deviation within a window of noise at low frequencies.
+    step : float64 array
+        Change between the means of neighboring windows, if it is more than that of white noise.
+    gravity : bool array
+        Whether the axis measures gravity.
+    """
+
+    deviation: Floats
+    step: Floats
+    gravity: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, axes: tuple[str, ...]) -> RestLimits:
+        """Return the limits in rad/s and m/s^2: above what any IMU shows at rest."""
+        gyro = np.array([axis.startswith('gyro') for axis in axes])
+        return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), ~gyro)
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Statistics of k windows; (axes, k) arrays of the samples' unit."""
+    """Statistics of k windows; (axes, k) arrays in the unit of the samples."""
 
     mean: Floats
     variance: Floats
@@ -51,7 +92,7 @@ class Windows:
         peak = np.maximum(cube.max(axis=2) - mean, mean - cube.min(axis=2))
         from_mean = cube - mean[:, :, None]
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
-        # one value throughout has no variance, whatever the rounding of its mean leaves
+        # constant samples have no variance, whatever the rounding of their mean leaves
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         return cls(mean, variance, peak)
 
@@ -61,7 +102,7 @@ class Windows:
 
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
-        """Return windows that follow on each other as one."""
+        """Return the windows of all parts."""
         parts = list(parts)
         if len(parts) == 1:
             return parts[0]
@@ -69,30 +110,54 @@ class Windows:
         return cls(*(np.concatenate(arrays, axis=1) for arrays in columns))
 
 
+def smoothness(stretches: Iterable[Floats]) -> Floats:
+    """Return the von Neumann ratio per axis: 1 for white noise, near 0 for slow motion.
+
+    It is half the mean square of the differences between neighboring samples over the variance,
+    both about the mean of each stretch; NaN where the samples are constant.
+
+    Parameters
+    ----------
+    stretches : iterable of (axes, n) arrays
+    """
+    differences: Floats | float = 0.0
+    deviations: Floats | float = 0.0
+    for rows in stretches:
+        differences = differences + (np.diff(rows, axis=1) ** 2).sum(axis=1)
+        deviations = deviations + rows.var(axis=1) * rows.shape[1]
+    with np.errstate(invalid='ignore', divide='ignore'):
+        ratio: Floats = np.asarray(0.5 * np.asarray(differences) / deviations)
+    return ratio
+
+
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The noise of a still sensor, per axis, in the unit of the samples (squared).
+    """The noise of a sensor at rest, per axis, in the unit of the samples (squared).
 
     Attributes
     ----------
     variance : (axes,) float64 array
-        Of the samples of a window about their mean.
+        Variance of the samples of a window about their mean.
     step : (axes,) float64 array
-        Standard deviation of the step between the means of neighbouring windows.
+        Standard deviation of the step between the means of neighboring windows.
     mean : (axes,) float64 array
-        Of a still window.
+        Mean of a still window.
     lsb : (axes,) float64 array
-        Smallest change between two samples: the last bit of the sensor, or less.
+        Smallest change between two samples: the resolution of the sensor, or less.
+    smooth : (axes,) float64 array
+        `smoothness` of the samples the floor was learned from.
     """
 
     variance: Floats
     step: Floats
     mean: Floats
     lsb: Floats
+    smooth: Floats
 
     @classmethod
     def learned(cls, stretches: Iterable[Floats], size: int, axes: int) -> NoiseFloor:
         """Learn from the first samples, (axes, n) each, in windows of ``size`` samples."""
+        stretches = list(stretches)
         measured: list[Windows] = []
         steps: list[Floats] = []
         lsb = np.full(axes, np.inf)
@@ -107,27 +172,35 @@ class NoiseFloor:
         lsb[~np.isfinite(lsb)] = 0.0
         zero = np.zeros(axes)
         if not measured:
-            return cls(zero, zero, zero, lsb)
+            return cls(zero, zero, zero, lsb, np.full(axes, np.nan))
         windows, step = Windows.joined(measured), np.concatenate(steps, axis=1)
         return cls(
-            _quantile(windows.variance, QUIET),
+            _quantile(windows.variance, QUANTILE),
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
             _quantile(windows.mean, 0.5),
             lsb,
+            smoothness(stretches),
         )
 
     @property
     def scale(self) -> Floats:
         """Variance that thresholds are multiples of, (axes,): never below that of rounding.
 
-        Where noise is below the last bit, single flips of it are honest (LSB^2/4 at most).
+        Where noise is below the resolution, single steps of it are normal (LSB^2/4 at most).
         """
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
+    def can_be_rest(self, limits: RestLimits, size: int) -> bool:
+        """Return whether a sensor at rest can have this floor, in windows of ``size`` samples."""
+        white = np.sqrt(2.0 / size) * np.sqrt(self.scale)
+        steps = (self.step > limits.step) & (self.step > COLOURED_STEP * white)
+        swings = (self.variance > limits.deviation**2) & (self.smooth < SLOW)
+        return not bool((steps | swings).any())
+
     def if_learned_in_motion(self, block: Windows) -> NoiseFloor | None:
         """Return the floor of a block that is far quieter than this floor; None if it is not."""
-        # an axis that is stuck says nothing of its noise
-        quiet = _quantile(block.variance, QUIET)
+        # an axis that is stuck has no noise to compare
+        quiet = _quantile(block.variance, QUANTILE)
         quiet = np.where(quiet > 0.0, quiet, self.variance)
         if (quiet > self.variance / RELEARN_RATIO**2).all():
             return None  # the common case: no scale is below, either
@@ -137,7 +210,9 @@ class NoiseFloor:
         at_rest = (block.variance <= 2.0 * quiet[:, None]).all(axis=0)
         steps = np.abs(np.diff(block.mean, axis=1))
         mean = block.mean[:, at_rest] if at_rest.any() else block.mean
-        return replace(new, step=MAD_TO_SIGMA * _quantile(steps, QUIET), mean=_quantile(mean, 0.5))
+        return replace(
+            new, step=MAD_TO_SIGMA * _quantile(steps, QUANTILE), mean=_quantile(mean, 0.5)
+        )
 
     def following(self, block: Windows, still: NDArray[np.bool_], turning: bool) -> NoiseFloor:
         """Return the floor after a block of windows.
@@ -148,21 +223,65 @@ class NoiseFloor:
         still : (k,) bool array
             Which of them were still.
         turning : bool
-            Nothing stood out in any of them but the mean rate.
+            Whether only the mean rate differed from the floor, in all of them.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else block[still]
-            recent = _quantile(rest.variance, QUIET)
+            recent = _quantile(rest.variance, QUANTILE)
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
-            return NoiseFloor(variance, self.step, _quantile(rest.mean, 0.5), self.lsb)
+            return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
         if turning:
             # a steady rate for a whole block is a bias that jumped, or was learned in a turn
             return replace(self, mean=_quantile(block.mean, 0.5))
         return self
 
+    def louder(
+        self, rows: Floats, block: Windows, size: int, rate_limit: Floats, limits: RestLimits
+    ) -> Floats | None:
+        """Return how many times louder a block at rest is, (axes,); None if it is motion.
+
+        Noise that became louder is stationary, as broad in its spectrum as the floor or as white
+        noise, and leaves the mean rate and the direction of gravity where they were.
+
+        Parameters
+        ----------
+        rows : (axes, n) array
+            The samples of the block.
+        block : Windows
+            The same in windows of ``size`` samples.
+        rate_limit : (axes,) array
+            Least mean rate, away from that of the floor, that is a turn.
+        """
+        level = _quantile(block.variance, 0.5)
+        scale = self.scale
+        with np.errstate(invalid='ignore', divide='ignore'):
+            ratio = np.sqrt(level / scale)
+        ratio[scale == 0.0] = 1.0
+        louder = ratio > LOUDER_RATIO
+        if not louder.any() or not np.isfinite(ratio).all():
+            return None
+        within = block.variance <= LOUDER_SPREAD * level[:, None]
+        within &= LOUDER_SPREAD * block.variance >= level[:, None]
+        if (within[louder].mean(axis=1) < 0.9).any():
+            return None
+        least = LOUDER_SPECTRUM * np.fmin(self.smooth, 1.0)
+        if (smoothness([rows])[louder] < least[louder]).any():
+            return None
+        sigma = np.sqrt(np.maximum(level, scale))
+        white = np.sqrt(2.0 / size) * sigma
+        steps = np.abs(np.diff(block.mean, axis=1))
+        if (
+            MAD_TO_SIGMA * _quantile(steps, 0.5) > COLOURED_STEP * np.maximum(white, self.step)
+        ).any():
+            return None
+        moved = np.abs(_quantile(block.mean, 0.5) - self.mean)
+        gravity = float(np.linalg.norm(self.mean[limits.gravity]))
+        allowed = np.where(limits.gravity, SAME_DIRECTION * gravity, rate_limit) + white
+        return None if (moved > allowed).any() else ratio
+
 
 def _quantile(values: Floats, share: float) -> Floats:
-    """Return the lower quantile of each row: a value that is there, found without interpolation."""
+    """Return the lower quantile of each row: one of its values, found without interpolation."""
     k = int(share * (values.shape[1] - 1))
     found: Floats = np.partition(values, k, axis=1)[:, k]
     return found

@@ -1,11 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From batches to sums: the one way that the node and the offline tool share."""
+"""From batches of samples to sums: the path that nodes and offline tools share.
+
+`ImuStream` separates IMUs by their frame_id; each `FrameStream` chooses the stamps and separates
+the sensors where their rates differ; each `SensorStream` runs the stages from samples to sums.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,33 +19,37 @@ from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import AXES, ImuBatch, ImuIdentity
 from ..settings import SegmenterSettings
-from .cleaning import BACKWARD_RUN, plan_sensors
+from .cleaning import plan_sensors
 from .findings import stream_findings
 from .health import Counts, Segment, State, StreamHealth
 from .sensor_stream import SensorStream, StreamSums
 from .timing import LEARN
 
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
 KEPT_FRAMES = 8
-"""Different frame_ids in one stream whose evidence is kept: each is another IMU."""
+"""Different frame_ids in one stream whose sums are kept: each is another IMU."""
 
 
 @dataclass(frozen=True)
 class Accumulation:
-    """What an accumulator knows.
+    """The results of a stream so far.
 
     Attributes
     ----------
     sums : tuple of AllanSums
-        One with all axes, or one a sensor where their rates differ; sensors without a sample are
-        left out. Where the rate or the frame changed on the way: those of the longest time.
+        One with all axes, or one per sensor where their rates differ; sensors without samples are
+        left out. If the rate or the frame changed: those of the longest time.
     current : tuple of AllanSums
         The same, of the present rate and frame.
     health : StreamHealth
     findings : tuple of Finding
-    spans : tuple of Span
-        The longest 1000 segments of ``current``, in order of time.
+    spans : tuple of Segment
+        The longest 1000 segments of the first of ``sums``, in order of time;
+        ``sums[0].segment_count`` is their full number.
     spectra : tuple of SpectrumSums
-        Those of ``sums``, in the same order; empty unless they were asked for.
+        Those of ``sums``, in the same order; empty unless requested.
     """
 
     sums: tuple[AllanSums, ...]
@@ -54,7 +61,7 @@ class Accumulation:
 
 
 class ImuStream:
-    """Accumulates the Allan sums of one Imu stream.
+    """Accumulates the Allan sums of one stream of IMU samples.
 
     Any chunking of the same samples gives the same sums, bit for bit: all decisions are taken on
     samples counted from the start of the stream, with a fixed look-ahead.
@@ -64,17 +71,17 @@ class ImuStream:
     settings : SegmenterSettings
     hardware_id : str
     with_spectra : bool
-        Whether to keep the power spectral density of the evidence too.
+        Whether to keep the power spectral density too.
 
     Examples
     --------
     >>> import numpy as np
-    >>> accumulator = ImuStream()
+    >>> stream = ImuStream()
     >>> stamps = np.arange(5000) * 10_000_000
     >>> noise = np.random.default_rng(0).normal(size=(5000, 6))
-    >>> accumulator.update(ImuBatch(stamps, noise))
-    >>> accumulator.end()
-    >>> accumulator.result().sums[0].samples
+    >>> stream.update(ImuBatch(stamps, noise))
+    >>> stream.end()
+    >>> stream.result().sums[0].samples
     5000
     """
 
@@ -91,7 +98,7 @@ class ImuStream:
         self._frames: dict[str, FrameStream] = {}
         self._present = self._frame('')
         self._frame_changes = 0
-        self._forgotten = Counts()  # of the frames there was no room for
+        self._dropped = Counts()  # of the frames there was no room for
 
     def update(self, batch: ImuBatch) -> None:
         """Take the next samples of the stream."""
@@ -107,26 +114,26 @@ class ImuStream:
         self._present.update(batch)
 
     def end(self) -> None:
-        """Judge all that waits and close the segment: no more samples come."""
+        """Process all samples that wait and close the segment: no more come."""
         for frame in self._frames.values():
             frame.flush()
 
     def result(self) -> Accumulation:
-        """Return what is known, as if the input ended here; what follows is not disturbed."""
+        """Return the results as if the input ended here; the stream itself is not changed."""
         now = copy.deepcopy(self)
         state = now._present.state
         now.end()
-        lanes = now._present.lanes
+        streams = now._present.sensors
         longest = now._longest()
-        sums = tuple(sums for sums, _ in longest)
+        sums = tuple(each.sums for each in longest)
         health = now._health(state, sums)
         return Accumulation(
             sums,
-            tuple(lane.sums for lane in lanes if lane.sums.samples),
+            tuple(s.present.sums for s in streams if s.present.sums.samples),
             health,
             now._findings(health, sums),
-            tuple(lanes[0].spans) if lanes else (),
-            tuple(spectrum for _, spectrum in longest if spectrum is not None),
+            longest[0].segments if longest else (),
+            tuple(each.spectrum for each in longest if each.spectrum is not None),
         )
 
     # --- the frames ---------------------------------------------------------------------------
@@ -136,39 +143,36 @@ class ImuStream:
         return FrameStream(identity, self._settings, self._with_spectra)
 
     def _another(self, frame_id: str) -> FrameStream:
-        """Begin with another frame; where there are too many, that of the least evidence goes."""
+        """Add a frame; if there are too many, drop the one with the shortest data."""
         if len(self._frames) >= KEPT_FRAMES:
             least = min(self._frames.values(), key=lambda frame: frame.longest_ns)
             least.flush()
-            self._forgotten.add(least.counts)
+            self._dropped.add(least.counts)
             del self._frames[least.identity.frame_id]
         self._frames[frame_id] = self._frame(frame_id)
         return self._frames[frame_id]
 
-    # --- what is known ------------------------------------------------------------------------
+    # --- results ------------------------------------------------------------------------------
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return, for each sensor that ever came, the evidence of the longest time."""
+        """Return the sums of the longest time for each sensor that was ever present."""
         best: dict[str, StreamSums] = {}
         for frame in self._frames.values():
-            for evidence in frame.evidence:
-                sums = evidence.sums
+            for each in frame.by_rate():
+                sums = each.sums
                 for axis in sums.axes:
                     have = best.get(axis)
                     if sums.samples and (have is None or sums.elapsed_ns > have.sums.elapsed_ns):
-                        best[axis] = evidence
-        chosen: list[StreamSums] = []
-        for axis in AXES:
-            if axis in best and not any(best[axis] is evidence for evidence in chosen):
-                chosen.append(best[axis])
-        return tuple(chosen)
+                        best[axis] = each
+        return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
 
     def _health(self, state: State, longest: tuple[AllanSums, ...]) -> StreamHealth:
         frame = self._present
         counts = Counts(received=self._received)
-        for each in (self._forgotten, *(frame.counts for frame in self._frames.values())):
+        for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
             counts.add(each)
-        clock = frame.lanes[0].clock if frame.lanes else None
+        clock = frame.sensors[0].clock if frame.sensors else None
+        streams = [s for each in self._frames.values() for s in each.sensors]
         return StreamHealth(
             counts,
             state,
@@ -180,47 +184,42 @@ class ImuStream:
             frame.identity.frame_id,
             longest[0].identity.frame_id if longest else frame.identity.frame_id,
             self._frame_changes,
+            sum(stream.relearned for stream in streams),
+            {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
         )
 
     def _findings(
         self, health: StreamHealth, longest: tuple[AllanSums, ...]
     ) -> tuple[Finding, ...]:
-        frames = self._frames.values()
-        found = [note for frame in frames for note in frame.notes]
+        found = [note for frame in self._frames.values() for note in frame.notes]
         if self._frame_changes:
             times, frame_id = self._frame_changes, self._present.identity.frame_id
             found.append(finding('frame_changed', times=times, frame_id=frame_id))
-        relearned = sum(lane.relearned for frame in frames for lane in frame.lanes)
-        found += stream_findings(health, longest, self._settings, relearned)
+        found += stream_findings(health, longest, self._settings)
         return tuple(dict.fromkeys(found))
 
 
-Floats = NDArray[np.float64]
-
-Stamps = NDArray[np.int64]
-
-
 class FrameStream:
-    """Learns from the first samples what the stream is like, and feeds its lanes.
+    """The samples of one frame_id: chooses the stamps and feeds the sensor streams.
 
     Attributes
     ----------
     identity : ImuIdentity
-    lanes : tuple of SensorStream
-        One, or one a sensor where their rates differ; empty while the stream is learned.
+    sensors : tuple of SensorStream
+        One, or one per sensor where their rates differ; empty during the learning phase.
     notes : list of Finding
-        What was seen while it was learned.
+        Findings of the learning phase.
     first_ns, last_ns : int or None
         First and latest stamp.
     use_record : bool
-        Whether record times stand for the stamps.
+        Whether record times are used as stamps.
     """
 
     def __init__(
         self, identity: ImuIdentity, settings: SegmenterSettings, with_spectra: bool
     ) -> None:
         self.identity = identity
-        self.lanes: tuple[SensorStream, ...] = ()
+        self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.last_ns: int | None = None
@@ -231,38 +230,38 @@ class FrameStream:
         self._learned = 0
         self._skipped = 0
         self._skip_until: int | None = None
-        self._made_up = 0  # samples whose stamps come from the declared rate
+        self._placed = 0  # samples whose stamps come from the declared rate
         self._without_stamps = False
 
     @property
     def state(self) -> State:
-        """Where the stream stands."""
-        if self.lanes:
-            return self.lanes[0].state
+        """What the stream is doing."""
+        states = [sensor.state for sensor in self.sensors]
+        if states:
+            return 'louder' if 'louder' in states else states[0]
         return 'learning' if self._learned else 'waiting'
 
     @property
     def counts(self) -> Counts:
-        """What became of the samples, but for how many came."""
+        """What became of the samples, except how many came."""
         counts = Counts(skipped=self._skipped)
-        for lane in self.lanes:
-            counts.add(lane.counts)
+        for sensor in self.sensors:
+            counts.add(sensor.counts)
         return counts
 
-    @property
-    def evidence(self) -> list[StreamSums]:
-        """What there is of each lane at each rate it had."""
-        return [each for lane in self.lanes for each in lane.evidence_by_rate()]
+    def by_rate(self) -> list[StreamSums]:
+        """Return what there is of each sensor stream at each rate it had."""
+        return [each for sensor in self.sensors for each in sensor.by_rate()]
 
     @property
     def longest_ns(self) -> int:
-        """Length of the longest evidence in ns."""
-        return max((each.sums.elapsed_ns for each in self.evidence), default=0)
+        """Length of the longest data in ns."""
+        return max((each.sums.elapsed_ns for each in self.by_rate()), default=0)
 
     def update(self, batch: ImuBatch) -> None:
         """Take the next samples."""
         rows = batch.samples.T
-        if self.lanes:
+        if self.sensors:
             self._feed(batch.stamps_ns, batch.record_ns, rows)
             return
         # the first LEARN samples decide together, whatever chunks they came in
@@ -286,20 +285,20 @@ class FrameStream:
                 )
 
     def flush(self) -> None:
-        """Judge all that waits and close the segment: no more samples come."""
-        if not self.lanes and self._learned:
+        """Process all samples that wait and close the segment: no more come."""
+        if not self.sensors and self._learned:
             self._learn()
-        for lane in self.lanes:
-            lane.flush()
+        for sensor in self.sensors:
+            sensor.flush()
 
     def _learn(self) -> None:
-        """Choose the stamps and the lanes from the first samples, then take them."""
-        waited, self._learning = self._learning, []
+        """Choose the stamps and the sensor streams from the first samples, then take them."""
+        waiting, self._learning = self._learning, []
         self._learned = 0
-        stamps = np.concatenate([s for s, _, _ in waited])
-        records = [r for _, r, _ in waited if r is not None]
-        rows = np.concatenate([r for _, _, r in waited], axis=1)
-        record = np.concatenate(records) if len(records) == len(waited) else None
+        stamps = np.concatenate([s for s, _, _ in waiting])
+        records = [r for _, r, _ in waiting if r is not None]
+        rows = np.concatenate([r for _, _, r in waiting], axis=1)
+        record = np.concatenate(records) if len(records) == len(waiting) else None
         if not self.use_record and len(stamps) > 1 and stamps.min() == stamps.max():
             what = 'all zero' if not stamps.any() else 'all equal'
             if record is not None:
@@ -313,7 +312,7 @@ class FrameStream:
                 self.notes.append(finding('stamps_missing', what=what))
         plans, findings = plan_sensors(stamps, rows)
         self.notes += findings
-        self.lanes = tuple(
+        self.sensors = tuple(
             SensorStream(p, self.identity, self._settings, self._with_spectra) for p in plans
         )
         self._feed(stamps, record, rows)
@@ -322,8 +321,8 @@ class FrameStream:
         if self.use_record and record is not None:
             stamps = record
         elif self._without_stamps:
-            index = np.arange(self._made_up, self._made_up + len(stamps))
-            self._made_up += len(stamps)
+            index = np.arange(self._placed, self._placed + len(stamps))
+            self._placed += len(stamps)
             stamps = np.rint(index * (1e9 / self._settings.declared_rate)).astype(np.int64)
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
@@ -338,75 +337,5 @@ class FrameStream:
                 start = len(stamps)
             self._skipped += start
             stamps, rows = stamps[start:], rows[:, start:]
-        for lane in self.lanes:
-            lane.feed(stamps, rows)
-
-
-class RunSplitter:
-    """Splits a stream where its stamps go back and stay back.
-
-    A single backward stamp is left to the segmenter, which drops it. So samples behind the latest
-    stamp are held until `BACKWARD_RUN` of them have come in a row (a new run, from the first of
-    them on) or one ahead of it has.
-
-    Parameters
-    ----------
-    latest_ns : int or None
-        Latest stamp of the evidence there is already, as from a checkpoint.
-    """
-
-    def __init__(self, latest_ns: int | None = None) -> None:
-        self._latest = latest_ns
-        self._held: ImuBatch | None = None
-
-    def split(self, batch: ImuBatch) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield (begins a new run, samples) in order; joined, they are the stream."""
-        if self._held is not None:
-            if self._held.frame_id == batch.frame_id:
-                batch = joined(self._held, batch)
-            else:
-                yield False, self._held
-            self._held = None
-        new_run = False
-        while len(batch):
-            settled, another = self._look(batch)
-            if settled:
-                yield new_run, batch[:settled]
-            batch = batch[settled:]
-            if not another:
-                self._held = batch if len(batch) else None
-                return
-            self._latest, new_run = None, True
-
-    def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield what is held: no more samples come."""
-        held, self._held = self._held, None
-        if held is not None:
-            yield False, held
-
-    def _look(self, batch: ImuBatch) -> tuple[int, bool]:
-        """Return how many samples surely belong to this run, and whether another follows them."""
-        stamps = batch.stamps_ns
-        latest = stamps[0] if self._latest is None else self._latest
-        reached = np.maximum.accumulate(np.concatenate([[latest], stamps]))
-        ahead = np.flatnonzero(stamps >= reached[:-1])
-        # between two samples that are ahead lies a row of samples that are behind
-        edges = np.concatenate([[-1], ahead, [len(stamps)]])
-        long = np.flatnonzero(np.diff(edges) > BACKWARD_RUN)
-        if len(long):
-            return int(edges[long[0]]) + 1, True
-        self._latest = int(reached[-1])
-        return int(edges[-2]) + 1, False
-
-
-def joined(a: ImuBatch, b: ImuBatch) -> ImuBatch:
-    """Return the samples of both in one batch, with the frame_id of the second."""
-    record = None
-    if a.record_ns is not None and b.record_ns is not None:
-        record = np.concatenate([a.record_ns, b.record_ns])
-    return ImuBatch(
-        np.concatenate([a.stamps_ns, b.stamps_ns]),
-        np.concatenate([a.samples, b.samples]),
-        record,
-        b.frame_id,
-    )
+        for sensor in self.sensors:
+            sensor.feed(stamps, rows)

@@ -1,10 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One lane from raw samples to sums: sieve, stamp filter, clock, motion gate, engine."""
+"""The samples of one sensor stream on their way to sums.
+
+A sensor stream is the axes that are sampled together: all six, or one sensor where the two have
+different rates. Its stages: own samples, order of stamps, sample clock, motion gate, engine.
+"""
 
 from __future__ import annotations
 
-import heapq
+from bisect import insort
 from typing import NamedTuple
 
 import numpy as np
@@ -18,31 +22,34 @@ from ..imu import ImuIdentity
 from ..settings import SegmenterSettings
 from .cleaning import SampleHoldFilter, SensorPlan, StampFilter
 from .health import Counts, Segment, State
-from .motion import RELEARNED, StillnessStage
-from .timing import LEARN, Block, ClockStage, learn_clock
+from .motion import RELEARNED, MotionGate
+from .timing import LEARN, Block, SampleClock, learn_clock
 
 Floats = NDArray[np.float64]
-
 Stamps = NDArray[np.int64]
 
-
 Samples = tuple[Stamps, Floats, NDArray[np.bool_]]
-"""Stamps (n,), rows (axes, n), and where a clock that was set back starts anew (n,)."""
+"""Stamps (n,), rows (axes, n), and a flag for backward clock steps (n,)."""
 
-
-KEPT_SPANS = 1000
+LISTED_SEGMENTS = 1000
 """How many of the longest segments are listed."""
 
-
 KEPT_RATES = 8
-"""Rates a stream had whose evidence is kept."""
+"""Rates of one sensor stream whose sums are kept."""
+
+
+def longest_segments(segments: list[Segment]) -> tuple[Segment, ...]:
+    """Return the `LISTED_SEGMENTS` longest, in order of time."""
+    longest = sorted(segments, key=lambda s: (-s.samples, s.start_ns))[:LISTED_SEGMENTS]
+    return tuple(sorted(longest))
 
 
 class StreamSums(NamedTuple):
-    """What samples at one rate came to: their Allan sums, and their spectrum if asked for."""
+    """Sums, spectrum if requested, and the listed segments of the samples at one rate."""
 
     sums: AllanSums
     spectrum: SpectrumSums | None
+    segments: tuple[Segment, ...]
 
     def joined(self, other: StreamSums) -> StreamSums:
         """Return both together.
@@ -54,18 +61,28 @@ class StreamSums(NamedTuple):
         """
         spectra = (self.spectrum, other.spectrum)
         both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
-        return StreamSums(self.sums + other.sums, both)
+        segments = longest_segments([*self.segments, *other.segments])
+        return StreamSums(self.sums + other.sums, both, segments)
 
 
 class SensorStream:
-    """Feeds the engine with the evidence of the axes that tick together.
+    """Feeds the engine with the samples at rest of one sensor stream.
+
+    Parameters
+    ----------
+    plan : SensorPlan
+        Its axes, and which messages have samples of its own.
+    identity : ImuIdentity
+    settings : SegmenterSettings
+    with_spectrum : bool
+        Whether to keep the power spectral density too.
 
     Attributes
     ----------
     counts : Counts
-        What became of the samples of this lane.
+        What became of the samples.
     relearned : int
-        How often evidence was thrown away because it had been gathered in motion.
+        How often the sums were discarded because the data had been taken in motion.
     """
 
     def __init__(
@@ -77,40 +94,50 @@ class SensorStream:
     ) -> None:
         self.plan = plan
         self.counts = Counts()
-        self._former: list[StreamSums] = []  # one of each rate the stream had
         self.relearned = 0
+        self._former: list[StreamSums] = []  # one of each rate the stream had
         self._identity = identity
         self._settings = settings
         self._with_spectrum = with_spectrum
-        self._sieve = SampleHoldFilter(plan)
+        self._own = SampleHoldFilter(plan)
         self._filter = StampFilter(len(plan.axes), self.counts)
         self._start(_nothing(len(plan.axes)))
 
     def _start(self, waiting: Samples) -> None:
-        """Begin to learn a rate, with the samples that wait."""
+        """Start to learn a rate, with the samples that wait."""
         self._learning = waiting
-        self._clock: ClockStage | None = None
-        self._gate: StillnessStage | None = None
-        self._renew_engine()
+        self._clock: SampleClock | None = None
+        self._gate: MotionGate | None = None
+        self._clear()
 
-    def _renew_engine(self) -> None:
+    def _clear(self) -> None:
+        """Start with empty sums."""
         self._engine = RunningAllan(self._identity, self.plan.axes)
         self._spectrum = RunningSpectrum(self.plan.axes) if self._with_spectrum else None
-        self._spans: list[tuple[int, int, Segment]] = []
-        self._span_count = 0
-        self._span_start = self._span_end = 0
-        self._span_cut = ''
+        self._segments: list[tuple[int, Segment]] = []  # shortest first
+        self._start_ns = self._end_ns = 0
+        self._cut = ''
 
     @property
     def state(self) -> State:
-        """Where the lane stands."""
+        """What the stream is doing."""
         if self._clock is None:
             return 'learning' if len(self._learning[0]) else 'waiting'
-        if self._gate is None:
+        gate = self._gate
+        if gate is None:
             return 'still'
-        if self._gate.learning:
+        if gate.learning:
             return 'learning'
-        return 'moving' if self._gate.moving else 'still'
+        if gate.louder is not None:
+            return 'louder'
+        return 'moving' if gate.moving else 'still'
+
+    @property
+    def loudest(self) -> dict[str, float]:
+        """Axis -> how many times louder than its floor it became at rest; empty if it did not."""
+        if self._gate is None or self._gate.loudest is None:
+            return {}
+        return dict(zip(self.plan.axes, self._gate.loudest.tolist()))
 
     @property
     def clock(self) -> tuple[float, bool] | None:
@@ -120,18 +147,15 @@ class SensorStream:
         return self._clock.clock.period_ns, self._clock.clock.bursty
 
     @property
-    def sums(self) -> AllanSums:
-        """Sums at the present rate."""
-        return self._engine.sums
+    def present(self) -> StreamSums:
+        """What there is at the present rate."""
+        spectrum = None if self._spectrum is None else self._spectrum.sums
+        segments = tuple(sorted(segment for _, segment in self._segments))
+        return StreamSums(self._engine.sums, spectrum, segments)
 
-    @property
-    def evidence(self) -> StreamSums:
-        """Sums and spectrum at the present rate."""
-        return StreamSums(self.sums, None if self._spectrum is None else self._spectrum.sums)
-
-    def evidence_by_rate(self) -> list[StreamSums]:
-        """Return the evidence at each rate there was: a rate that comes back goes on."""
-        present = self.evidence
+    def by_rate(self) -> list[StreamSums]:
+        """Return what there is at each rate; a rate that returns is continued."""
+        present = self.present
         if not present.sums.samples:
             return self._former
         for i, former in enumerate(self._former):
@@ -142,14 +166,9 @@ class SensorStream:
             return [*self._former[:i], joined, *self._former[i + 1 :]]
         return [*self._former, present]
 
-    @property
-    def spans(self) -> list[Segment]:
-        """The longest closed segments at the present rate, in order of time."""
-        return sorted(span for _, _, span in self._spans)
-
     def feed(self, stamps: Stamps, rows: Floats) -> None:
         """Take samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
-        own = self._filter.feed(*self._sieve.pick(stamps, rows))
+        own = self._filter.feed(*self._own.pick(stamps, rows))
         if self._clock is not None:
             self._advance(self._clock.feed(*own))
             return
@@ -163,93 +182,87 @@ class SensorStream:
             self._learn()
 
     def flush(self) -> None:
-        """Judge all that waits, and close the segment: no more samples come."""
+        """Process all samples that wait, and close the segment: no more samples come."""
         while True:
             if self._clock is None:
                 self._learn()
             if self._clock is None:
                 break
-            runs = self._clock.flush()
-            self._pass_on(runs)
+            self._pass_on(self._clock.flush())
             if not self._clock.rate_changed:
                 break
             self._change_rate()
-        if self._gate is not None:
-            for run in self._gate.flush():
-                self._accumulate(run)
-        self._close_segment()
+        self._end_gate()
 
     def _learn(self) -> None:
         """Learn the clock from the first samples, then take them all."""
         clock = learn_clock(self._learning[0][:LEARN])
-        if clock is None:
-            # stamps that stand still time nothing; kept, they would fill the memory
-            self.counts.untimed += len(self._learning[0])
-            self._learning = _nothing(len(self.plan.axes))
-            return
-        settings = self._settings
         waiting = self._learning
         self._learning = _nothing(len(self.plan.axes))
-        axes = self.plan.axes
-        self._clock = ClockStage(clock, len(axes), settings.max_bridge, self.counts)
+        if clock is None:
+            # equal stamps give no time; kept, they would fill the memory
+            self.counts.untimed += len(waiting[0])
+            return
+        settings, axes = self._settings, self.plan.axes
+        self._clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
         if settings.motion_gate:
-            self._gate = StillnessStage(
+            self._gate = MotionGate(
                 clock.period_ns, axes, self.counts, settings.motion_ratio, settings.rate_limit
             )
         self._advance(self._clock.feed(*waiting))
 
-    def _advance(self, runs: list[Block]) -> None:
-        self._pass_on(runs)
+    def _advance(self, blocks: list[Block]) -> None:
+        self._pass_on(blocks)
         if self._clock is not None and self._clock.rate_changed:
             self._change_rate()
             if len(self._learning[0]) >= LEARN:
                 self._learn()
 
     def _change_rate(self) -> None:
-        """Put the sums of the former rate by, and start to learn the new one."""
+        """Keep the sums of the former rate, and start to learn the new one."""
         assert self._clock is not None
-        if self._gate is not None:
-            for run in self._gate.flush():
-                self._accumulate(run)
-        self._close_segment()
+        self._end_gate()
         self.counts.cuts['rate change'] += 1
-        by_rate = sorted(self.evidence_by_rate(), key=lambda each: -each.sums.elapsed_ns)
-        self._former = by_rate[:KEPT_RATES]
+        longest_first = sorted(self.by_rate(), key=lambda each: -each.sums.elapsed_ns)
+        self._former = longest_first[:KEPT_RATES]
         stamps, rows = self._clock.waiting
         self._start((stamps.copy(), rows.copy(), np.zeros(len(stamps), bool)))
 
-    def _pass_on(self, runs: list[Block]) -> None:
-        for run in runs if self._gate is None else self._gate.feed(runs):
-            self._accumulate(run)
+    def _end_gate(self) -> None:
+        if self._gate is not None:
+            for block in self._gate.flush():
+                self._accumulate(block)
+        self._close_segment()
 
-    def _accumulate(self, run: Block) -> None:
-        if run.cut == RELEARNED:
+    def _pass_on(self, blocks: list[Block]) -> None:
+        for block in blocks if self._gate is None else self._gate.feed(blocks):
+            self._accumulate(block)
+
+    def _accumulate(self, block: Block) -> None:
+        if block.cut == RELEARNED:
             self.counts.moving += self._engine.sums.samples
             self.counts.used -= self._engine.sums.samples
             self.relearned += 1
-            self._renew_engine()
-        elif run.cut:
+            self._clear()
+        elif block.cut:
             self._close_segment()
-        if not len(run.stamps):
+        if not len(block):
             return
         if not self._engine.open_samples:
-            self._span_start, self._span_cut = int(run.stamps[0]), run.cut
-        self._span_end = int(run.stamps[-1])
-        self.counts.used += len(run.stamps)
-        self._engine.update(run.rows.T, int(run.stamps[0]), self._span_end)
+            self._start_ns, self._cut = int(block.stamps[0]), block.cut
+        self._end_ns = int(block.stamps[-1])
+        self.counts.used += len(block)
+        self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns)
         if self._spectrum is not None:
-            self._spectrum.update(run.rows)
+            self._spectrum.update(block.rows)
 
     def _close_segment(self) -> None:
         samples = self._engine.open_samples
         if not samples:
             return
-        length = (self._span_end - self._span_start) * 1e-9
-        span = Segment(self._span_start, samples, length, self._span_cut)
-        heapq.heappush(self._spans, (samples, self._span_count, span))
-        if len(self._spans) > KEPT_SPANS:
-            heapq.heappop(self._spans)
-        self._span_count += 1
+        length = (self._end_ns - self._start_ns) * 1e-9
+        insort(self._segments, (samples, Segment(self._start_ns, samples, length, self._cut)))
+        del self._segments[:-LISTED_SEGMENTS]
         self._engine.end_segment()
         if self._spectrum is not None:
             self._spectrum.end_segment()

@@ -113,20 +113,58 @@ def learn_clock(stamps: Stamps) -> Clock | None:
 
 @dataclass(frozen=True)
 class Block:
-    """Evenly spaced samples that follow on the run before, unless ``cut`` says why they do not.
+    """Evenly spaced samples that follow those of the previous block, unless ``cut`` is set.
 
     Attributes
     ----------
     stamps : (n,) int64 array
-        In ns, as they came (interpolated for bridged samples).
+        In ns, as they came (interpolated for filled samples).
     rows : (axes, n) float64 array
     cut : str
-        '' or the reason why no difference may straddle the start of this run.
+        '' or the reason why no difference may straddle the start of this block.
+    filled : (axes, n) bool array or None
+        Values that were interpolated; None if there are none.
     """
 
     stamps: NDArray[np.int64]
     rows: NDArray[np.float64]
     cut: str = ''
+    filled: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def part(self, which: slice, cut: str = '') -> Block:
+        """Return some of the samples as a block of its own (views)."""
+        filled = None if self.filled is None else self.filled[:, which]
+        return Block(self.stamps[which], self.rows[:, which], cut, filled)
+
+    def copy(self) -> Block:
+        """Return a block that shares no memory with this one."""
+        filled = None if self.filled is None else self.filled.copy()
+        return Block(self.stamps.copy(), self.rows.copy(), self.cut, filled)
+
+    @classmethod
+    def empty(cls, axes: int) -> Block:
+        """Return a block without samples."""
+        return cls(np.empty(0, np.int64), np.empty((axes, 0)))
+
+    @classmethod
+    def joined(cls, parts: list[Block]) -> Block:
+        """Return the samples of all parts as one block, with the cut of the first."""
+        parts = [part for part in parts if len(part)] or parts[:1]
+        if len(parts) == 1:
+            return parts[0]
+        filled = None
+        if any(part.filled is not None for part in parts):
+            none = [np.zeros(p.rows.shape, bool) if p.filled is None else p.filled for p in parts]
+            filled = np.concatenate(none, axis=1)
+        return cls(
+            np.concatenate([part.stamps for part in parts]),
+            np.concatenate([part.rows for part in parts], axis=1),
+            parts[0].cut,
+            filled,
+        )
 
 
 Floats = NDArray[np.float64]
@@ -152,7 +190,7 @@ BRIDGED_SHARE = 0.1
 """Where more than this share of a block would be interpolated, lost samples cut instead."""
 
 
-class ClockStage:
+class SampleClock:
     """Turns filtered samples into runs; at most a block and the look-ahead wait.
 
     Attributes
@@ -356,36 +394,31 @@ class ClockStage:
 
     def _runs(self, begin: int, n: int, advance: NDArray[np.int64]) -> list[Block]:
         """Return the judged samples as runs, lost ones interpolated."""
-        runs: list[Block] = []
-        stamps: list[Stamps] = []
-        rows: list[Floats] = []
+        judged = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
+        blocks: list[Block] = []
+        parts: list[Block] = []
         cut, at = '', 0
-
-        def close() -> None:
-            if stamps:
-                runs.append(Block(np.concatenate(stamps), np.concatenate(rows, axis=1), cut))
-            stamps.clear()
-            rows.clear()
-
-        for j in (*np.flatnonzero(advance != 1), n):
+        for j in (*np.flatnonzero(advance != 1).tolist(), n):
             if j > at:
-                stamps.append(self._stamps[begin + at : begin + j])
-                rows.append(self._rows[:, begin + at : begin + j])
-            at = int(j)
+                parts.append(judged.part(slice(at, j), parts[0].cut if parts else cut))
+            at = j
             if j == n:
                 break
             if advance[j] == 0:
-                close()
-                cut = 'clock jump' if self._jumped[begin + j] else 'gap'
+                if parts:
+                    blocks.append(Block.joined(parts))
+                parts, cut = [], 'clock jump' if self._jumped[begin + j] else 'gap'
                 continue
             left, right = begin + j - 1, begin + j
             share = np.arange(1, advance[j]) / advance[j]
             gap_ns = self._stamps[right] - self._stamps[left]
-            stamps.append(self._stamps[left] + np.rint(share * gap_ns).astype(np.int64))
             step = (self._rows[:, right] - self._rows[:, left])[:, None]
-            rows.append(self._rows[:, left][:, None] + share * step)
-        close()
-        return runs
+            rows = self._rows[:, left][:, None] + share * step
+            stamps = self._stamps[left] + np.rint(share * gap_ns).astype(np.int64)
+            parts.append(Block(stamps, rows, cut, np.ones(rows.shape, bool)))
+        if parts:
+            blocks.append(Block.joined(parts))
+        return blocks
 
     def _step_forward(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
         """Move the judged samples into the past, follow the period; None: one index a sample."""

@@ -46,6 +46,9 @@ LIVE_FINDINGS = (
     'held',
     'never_still',
     'no_noise',
+    'gyro_unit',
+    'accel_unit',
+    'accel_scale',
 )
 """Findings of the whole stream that stay true while it runs."""
 
@@ -164,7 +167,8 @@ class TransportMonitor:
             count = len(publishers)
             found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
         found += self._lately(health)
-        found += [f for f in stream if f.id in LIVE_FINDINGS]
+        louder = ('noise_louder',) if health.state == 'louder' else ()
+        found += [f for f in stream if f.id in (*LIVE_FINDINGS, *louder)]
         gravity = ('error', 'warning', 'info')
         return tuple(sorted(found, key=lambda f: gravity.index(f.severity)))
 

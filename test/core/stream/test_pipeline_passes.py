@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.core.stream.cleaning import BACKWARD_RUN
-from allan_ros.core.stream.pipeline import RunSplitter
+from allan_ros.core.stream.cleaning import BACKWARD_RUN, PassSplitter
 
 
 def batch(stamps) -> ImuBatch:
@@ -20,7 +19,7 @@ def batch(stamps) -> ImuBatch:
 
 
 def runs(stamps, chunk: int, latest: int | None = None) -> list[list[int]]:
-    splitter, found = RunSplitter(latest), [[]]
+    splitter, found = PassSplitter(latest), [[]]
     pieces = [batch(stamps[i : i + chunk]) for i in range(0, len(stamps), chunk)]
     parts = [part for piece in pieces for part in splitter.split(piece)]
     for new_run, part in [*parts, *splitter.flush()]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.stream.health import Counts
-from allan_ros.core.stream.timing import Block, Clock, ClockStage, learn_clock
+from allan_ros.core.stream.timing import Block, Clock, SampleClock, learn_clock
 
 MS = 1_000_000
 
@@ -25,7 +25,7 @@ def run(stamps, rows=None, max_bridge=3, clock=None):
     """Return the runs between cuts, the counts and the stage after all stamps."""
     counts = Counts()
     rows = np.arange(float(len(stamps)))[None, :] if rows is None else rows
-    stage = ClockStage(clock or learn_clock(stamps[:1024]), len(rows), max_bridge, counts)
+    stage = SampleClock(clock or learn_clock(stamps[:1024]), len(rows), max_bridge, counts)
     runs = stage.feed(stamps, rows, np.zeros(len(stamps), bool)) + stage.flush()
     joined = []
     for r in runs:
