@@ -27,9 +27,9 @@ from .core.fit import METHODS
 from .core.imu import ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import simulate_imu
-from .io.comparison import DOCUMENTS, RunComparison, Subject, compare_runs, labels_of
+from .io.comparison import RunComparison, Subject, compare_runs, labels_of
 from .io.datasheets import load_sensor
-from .io.documents import SUMS_SCHEMA, results_from_document, sums_file_from_document
+from .io.documents import RESULTS, SUMS, SUMS_SCHEMA, results_from_document, sums_file_from_document
 from .io.inflation import Inflation
 from .io.inflation import inflate as inflation_of
 from .io.readers.memory import recording_in_memory, without_absent
@@ -41,9 +41,6 @@ from .io.text import read_json
 from .io.truth import stated_noise
 
 T = TypeVar('T')
-
-RESULTS, SUMS = 'results.json', 'sums.json'
-"""Files in the folder of an analysis: the results, and the sums they were computed from."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,8 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     """
     place = Path(path)
     if place.is_dir():
-        place = Path(file_in(path, next((n for n in DOCUMENTS if (place / n).is_file()), RESULTS)))
+        has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()
+        place = Path(file_in(path, RESULTS if has_results else SUMS))
     document = read_json(place)
     if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
         sums, provenance = sums_file_from_document(document, str(place))
@@ -191,7 +189,8 @@ def results_of(
 ) -> Results:
     """Return the results of a document, as `load` does, or of a recording, which is analyzed."""
     place = Path(path)
-    if place.suffix.lower() == '.json' or any((place / name).is_file() for name in DOCUMENTS):
+    is_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
+    if is_folder or place.suffix.lower() == '.json':
         return load(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
     return analyse_recorded(recorded, method)

@@ -20,6 +20,8 @@ from pathlib import Path
 
 from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
+from ..io.files import read_bounded
+from ..io.text import MAX_BYTES
 from .console import Console
 from .options import add_settings, settings_of
 
@@ -58,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if not args.results or not args.to:
         raise AllanError('give a results.json or its folder, and --to TARGET; --list tells them')
-    from ..api import RESULTS, file_in, load
+    from ..api import file_in, load
+    from ..io.documents import RESULTS
     from ..io.exporters import make_export, target_of
     from ..io.files import write_atomic
 
@@ -92,7 +95,7 @@ def _text(path: str) -> str:
         When it cannot be read, or is no text.
     """
     try:
-        return Path(path).read_bytes().decode('utf-8')
+        return read_bounded(path, MAX_BYTES).decode('utf-8')
     except OSError as error:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
     except UnicodeDecodeError:

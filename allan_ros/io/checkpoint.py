@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The file in which running sums survive a restart. It is a `sums.json` like any other."""
+"""The checkpoint: a `sums.json` in which running sums survive a restart."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from ..core.allan.sums import AllanSums, add_sums, check_same_imu
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
-from .files import remove_drafts, write_atomic
+from .files import check_replaceable, read_bounded, remove_drafts, write_atomic
 from .recorded import Provenance
-from .text import read_json, to_json
+from .text import MAX_BYTES, parse_json, to_json
 
 
 class Checkpoint:
-    """One checkpoint file, loaded when made.
+    """One checkpoint file, loaded on construction.
 
-    A file that is not whole is renamed aside. A file of another version or IMU is left alone,
-    until it is moved away or its own IMU is back: nothing is ever written over it.
+    A damaged file is renamed. A file of another version or IMU is never overwritten: nothing is
+    written until it is moved away, or until its IMU is back. Only regular files are read, renamed
+    or replaced; a folder, FIFO or device at the path is left alone.
 
     Attributes
     ----------
     sums : tuple of AllanSums
-        What the file held; empty when there was none that can be used.
+        Content of the file; empty if there is no usable one.
     provenance : Provenance
-        What stood beside them.
+        Provenance of the sums.
     loaded : Finding or None
         What was wrong with the file.
     refused : Finding or None
@@ -42,16 +43,15 @@ class Checkpoint:
         self.refused: Finding | None = None
         self._readable = True
         self._holds: tuple[tuple[AllanSums, ...], Provenance] = (), Provenance()
-        if self.path.exists():
+        if os.path.lexists(self.path):
             self._load()
 
     def add(self, sums: tuple[AllanSums, ...]) -> tuple[AllanSums, ...]:
-        """Return these sums with those of the runs before.
+        """Return these sums plus those of the file.
 
-        While they are of another IMU than the file, or of other axes, they come back alone, and
-        the file is left alone.
+        While the file is of another IMU or of other axes, these sums are returned alone.
         """
-        if self.refused is not None and not self.path.exists():
+        if self.refused is not None and not os.path.lexists(self.path):
             self._forget()
         if not self._readable:
             return sums
@@ -65,7 +65,7 @@ class Checkpoint:
         return total
 
     def save(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> None:
-        """Write the sums, unless there are none or the file is to be left alone.
+        """Write the sums, unless there are none or the file must be left alone.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class Checkpoint:
             self._holds = sums, provenance
 
     def try_to_write(self) -> None:
-        """Find out now, not at the first period, whether the folder can be written.
+        """Check now, not at the first period, whether the folder can be written.
 
         Raises
         ------
@@ -88,12 +88,12 @@ class Checkpoint:
         self._trial.unlink(missing_ok=True)
 
     def remove_drafts(self) -> None:
-        """Remove what a process that was killed while it wrote left; nobody else may write now."""
+        """Remove drafts of killed processes; no other process may write this path now."""
         for path in (self.path, self._trial):
             remove_drafts(path, older_s=0.0)
 
     def set_aside(self) -> Path:
-        """Begin anew: the file, if any, becomes ``<name>.previous``; return that path.
+        """Start again: rename the file, if any, to ``<name>.previous`` and return that path.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class Checkpoint:
         return previous
 
     def resume(self) -> None:
-        """Begin anew after what the file holds, as it stays where it is."""
+        """Start again from the content of the file, which stays where it is."""
         self.sums, self.provenance = self._holds
 
     @property
@@ -116,7 +116,13 @@ class Checkpoint:
 
     def _load(self) -> None:
         try:
-            document = read_json(self.path)
+            data = read_bounded(self.path, MAX_BYTES)
+        except (AllanError, OSError) as error:  # no regular file, too large, not ours to read
+            self._readable = False
+            self._refuse(str(error) if isinstance(error, AllanError) else str(error.strerror))
+            return
+        try:
+            document = parse_json(data.decode('utf-8'), str(self.path))
             schema = document.get('schema') if isinstance(document, dict) else None
             if isinstance(schema, str) and schema != SUMS_SCHEMA:
                 self._readable = False
@@ -124,11 +130,11 @@ class Checkpoint:
                 return
             self.sums, self.provenance = sums_file_from_document(document, str(self.path))
             self._holds = self.sums, self.provenance
-        except AllanError as error:
+        except (AllanError, UnicodeDecodeError) as error:
             self._set_corrupt_aside(str(error))
 
     def _forget(self) -> None:
-        """Begin with nothing: the file is not there, or will not be."""
+        """Start from nothing: the file is gone, or about to be."""
         self.sums, self.provenance = self._holds = (), Provenance()
         self.refused, self._readable = None, True
 
@@ -139,7 +145,7 @@ class Checkpoint:
         aside = next(
             p
             for i in range(10**6)
-            if not (p := self.path.with_name(f'{self.path.name}.corrupt{i or ""}')).exists()
+            if not os.path.lexists(p := self.path.with_name(f'{self.path.name}.corrupt{i or ""}'))
         )
         try:
             self._rename(aside)
@@ -150,6 +156,8 @@ class Checkpoint:
         self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
 
     def _rename(self, to: Path) -> None:
+        for path in (self.path, to):
+            check_replaceable(path)
         try:
             self.path.replace(to)
         except OSError as error:

@@ -22,15 +22,11 @@ from ..core.errors import AllanError
 from ..core.imu import AXES
 from .datasheet_comparison import DatasheetComparison, against_datasheet, comparison_to_document
 from .datasheets import Datasheet
-from .documents import results_to_document
+from .documents import RESULTS, SUMS, results_to_document
 from .format import significant
 from .results import AxisCurve, Results
 
 SCHEMA = 'allan_ros/comparison/1'
-
-
-DOCUMENTS = ('results.json', 'sums.json')
-"""What is read of a folder of results, the first that is there."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,7 @@ def compare_runs(
 def labels_of(paths: Sequence[str]) -> list[str]:
     """Return a short name for each path: its folder or stem where that tells them apart."""
     short = [
-        Path(path).resolve().parent.name if Path(path).name in DOCUMENTS else Path(path).stem
+        Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
         for path in paths
     ]
     unique = len(set(short)) == len(short) and all(short)

@@ -36,7 +36,7 @@ from .comparison import (
     verdict_text,
 )
 from .datasheet_comparison import VERDICT_TEXT
-from .files import write_atomic
+from .files import write_together
 from .format import SENSOR_NAMES, interval_text, pretty_unit, shown_unit, value_text
 from .plot_style import (
     FOOT_IN,
@@ -308,8 +308,7 @@ def write_comparison(
             continue
         for form in pictures.plot_format:
             contents[f'compare_{sensor}.{form}'] = to_form(figure, form, style)
-    for name, content in contents.items():
-        write_atomic(place / name, content)
+    write_together(place, contents)
     return [place / name for name in contents]
 
 

@@ -20,6 +20,7 @@ import yaml
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
+from .files import read_bounded
 from .text import parse_yaml
 
 MAX_BYTES = 100_000
@@ -43,9 +44,7 @@ def read_yaml(path: Path) -> Any:
         When it cannot be read or parsed, or is over 100 kB.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AllanError(f'{path}: over {MAX_BYTES} bytes, this is no file of settings')
-        return parse_yaml(path.read_text(encoding='utf-8'))
+        return parse_yaml(read_bounded(path, MAX_BYTES).decode('utf-8'))
     except OSError as error:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
     except (UnicodeDecodeError, yaml.YAMLError) as error:

@@ -34,6 +34,9 @@ from .results import AxisCurve, AxisResult, Results
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'
 
+RESULTS, SUMS = 'results.json', 'sums.json'
+"""The documents in the folder of an analysis: its results, and the sums they are computed from."""
+
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 """Sample periods: stamps are in ns, and a sample in thirty years is none."""
 

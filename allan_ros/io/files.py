@@ -1,15 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A path that one process keeps for as long as it lives."""
+"""Read and write files safely: regular files only, bounded, never half written."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import stat
 import time
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 from uuid import uuid4
@@ -17,7 +17,7 @@ from uuid import uuid4
 from ..core.errors import AllanError
 
 ABANDONED_S = 3600.0
-"""A draft that nobody has written to for an hour was left by a process that was killed."""
+"""A draft unchanged for an hour was left by a process that was killed."""
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
@@ -69,53 +69,100 @@ def _not_regular(path: str | os.PathLike[str]) -> AllanError:
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Put the content at the path so that a reader, or a crash, never sees half of it.
+    """Write a file so that neither a reader nor a crash ever sees half of it.
 
-    It is written to a draft in the same folder, synced to the disk and renamed.
+    The content is written to a draft in the same folder, synced to the disk and renamed.
 
     Raises
     ------
     AllanError
-        When the folder is missing or not writable, or the disk is full.
+        When the path is no regular file, the folder is missing or not writable, or the disk is
+        full.
     """
-    path = Path(path)
-    data = content.encode() if isinstance(content, str) else content
-    draft = path.with_name(f'.{path.name}.{uuid4().hex}.part')
+    write_together(Path(path).parent, {Path(path).name: content})
+
+
+def write_together(
+    folder: Path, contents: Mapping[str, str | bytes], remove: Iterable[str] = ()
+) -> None:
+    """Write several files of one folder; none is replaced before all are on the disk.
+
+    Parameters
+    ----------
+    folder : Path
+    contents : mapping of file name to content
+        Replaced in this order: the last file is replaced when all others are.
+    remove : iterable of str
+        Files to remove before the first is replaced.
+
+    Raises
+    ------
+    AllanError
+        When a path is no regular file, the folder is missing or not writable, or the disk is
+        full. Then no file has changed, unless a rename failed.
+    """
+    drafts: dict[Path, Path] = {}
+    path = folder
     try:
         try:
-            with draft.open('xb') as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            draft.replace(path)
+            for name, content in contents.items():
+                path = folder / name
+                check_replaceable(path)
+                drafts[path] = path.with_name(f'.{name}.{uuid4().hex}.part')
+                with drafts[path].open('xb') as file:
+                    file.write(content.encode() if isinstance(content, str) else content)
+                    file.flush()
+                    os.fsync(file.fileno())
+            for name in remove:
+                path = folder / name
+                check_replaceable(path)
+                path.unlink(missing_ok=True)
+            for path, draft in drafts.items():
+                draft.replace(path)
         finally:
-            draft.unlink(missing_ok=True)
-        _sync_folder(path.parent)
+            for draft in drafts.values():
+                draft.unlink(missing_ok=True)
+        _sync_folder(folder)
     except OSError as error:
         raise unwritable(path, error) from error
-    remove_drafts(path)
+    for path in drafts:
+        remove_drafts(path)
+
+
+def check_replaceable(path: Path) -> None:
+    """Do nothing if a file may be written or renamed to the path.
+
+    Raises
+    ------
+    AllanError
+        When a folder, FIFO, device or socket, or a link to one, is there.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise _not_regular(path)
 
 
 def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
-    """Remove the drafts of this path that killed processes left.
+    """Remove the drafts of this path that killed processes left behind.
 
     Parameters
     ----------
     path : Path
     older_s : float
-        How old a draft must be in s; 0 is for who knows that nobody else writes this path.
+        How old a draft must be in s; 0 only where no other process writes this path.
     """
     of_this_path = re.compile(rf'\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.part')
     with contextlib.suppress(OSError):
         for name in filter(of_this_path.fullmatch, os.listdir(path.parent)):
             draft = path.with_name(name)
-            with contextlib.suppress(OSError):  # gone meanwhile, or somebody else's
-                if time.time() - draft.lstat().st_mtime >= older_s:
+            with contextlib.suppress(OSError):  # gone meanwhile, or of another user
+                found = draft.lstat()
+                if stat.S_ISREG(found.st_mode) and time.time() - found.st_mtime >= older_s:
                     draft.unlink()
 
 
 def unwritable(path: Path, error: OSError) -> AllanError:
-    """Return what to tell of a path that cannot be written."""
+    """Return the error for a path that cannot be written."""
     return AllanError(
         f'{path}: cannot be written ({error.strerror}): check the folder, its permissions '
         'and the space left'
@@ -123,7 +170,7 @@ def unwritable(path: Path, error: OSError) -> AllanError:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself last over a power cut, where the system can (not on Windows)."""
+    """Make renames survive a power cut, where the system can do this (not on Windows)."""
     if os.name != 'posix':
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -131,69 +178,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-class PathLock:
-    """Marks a path as that of one process, in a hidden file beside it.
-
-    The file itself cannot be locked: it is replaced whenever it is written.
-
-    Parameters
-    ----------
-    path : Path
-        What is to be kept by one process only; it need not exist.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._handle: int | None = None
-
-    @property
-    def _mark(self) -> Path:
-        return self._path.with_name(f'.{self._path.name}.lock')
-
-    def acquire(self) -> str:
-        """Hold the path and return '', or else who holds it.
-
-        Raises
-        ------
-        AllanError
-            When the folder is missing or not writable.
-        """
-        while self._handle is None:
-            try:
-                # not for writing: that would keep a file system from being remounted read-only
-                handle = os.open(self._mark, os.O_CREAT | os.O_RDONLY | os.O_NOFOLLOW, 0o644)
-            except OSError as error:
-                raise unwritable(self._path, error) from error
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                owner = os.pread(handle, 20, 0).decode(errors='replace').strip()
-                os.close(handle)
-                return f'process {owner}' if owner.isdigit() else 'another process'
-            except OSError:
-                pass  # a file system without locks: then nobody can be found out
-            if not _is_at(handle, self._mark):
-                os.close(handle)  # released, and removed, before it was locked
-                continue
-            self._handle = handle
-            with contextlib.suppress(OSError):  # a full disk: then nobody can be named
-                self._mark.write_text(f'{os.getpid()}\n')
-        return ''
-
-    def release(self) -> None:
-        """Let it go, and take the mark away."""
-        handle, self._handle = self._handle, None
-        if handle is not None:
-            with contextlib.suppress(OSError):
-                self._mark.unlink()
-            os.close(handle)
-
-
-def _is_at(handle: int, path: Path) -> bool:
-    """Return whether the open file is the one that is at the path now."""
-    try:
-        return os.path.samestat(os.fstat(handle), os.stat(path))
-    except FileNotFoundError:
-        return False

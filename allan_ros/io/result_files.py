@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,20 +16,24 @@ from ..core.allan.spectrum import spectrum_of
 from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import SENSORS
-from .documents import results_to_document, sums_file_to_document
-from .exporters import export, target_of
-from .files import write_atomic
-from .plot_style import PictureSettings, load_style
+from .documents import RESULTS, SUMS, results_to_document, sums_file_to_document
+from .exporters import TARGETS, make_export, target_of
+from .files import write_together
+from .locks import PathLock
+from .plot_style import FORMATS, PictureSettings, load_style
 from .report import ReportContext, render_report
 from .results import Results
 from .signal_summary import summarize_signal
-from .text import to_json
+from .text import read_json, to_json
 
-OUTLINE_BINS = 1000
-"""Spans of the raw signal in pictures and page: as many as a plot has pixels across."""
+SIGNAL_BINS = 1000
+"""Bins of the raw signal in pictures and page: about as many as a plot has pixels."""
 
 FINGERPRINT_DIGITS = 16
-"""Of the hash that tells one evidence from another: 64 bits."""
+"""Hexadecimal digits of the fingerprint of the sums: 64 bits."""
+
+LONGEST_WAIT_S = 60.0
+"""How long to wait for another process that writes into the same folder."""
 
 
 def write_result_files(
@@ -73,24 +79,17 @@ def write_result_files(
         When the results have no sums, the folder cannot be made or written, or the style of the
         pictures is unknown.
     """
-    # Heavy to import (0.3 s), and merging sums on a robot needs no pictures until here.
+    # takes 0.3 s to import, and merging sums on a robot needs no pictures before
     from .plots import sensor_figure, to_form
 
     recorded = results.recorded
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
     style = load_style(pictures.plot_style)
-    folder = made_folder(Path(folder))
-    paths = []
-    for target in dict.fromkeys(('kalibr', *targets)):
-        try:
-            paths.append(export(results, target, folder))
-        except AllanError as error:
-            left_out = finding('file_left_out', file=target_of(target).file_name, why=str(error))
-            results = replace(results, findings=(*results.findings, left_out))
+    filters, results = _filter_files(results, targets)
     known = results.provenance
     outline = summarize_signal(
-        recorded.signals, known.spans, OUTLINE_BINS, known.counts.cuts, recorded.temperatures
+        recorded.signals, known.spans, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:
@@ -105,7 +104,7 @@ def write_result_files(
         for of, s in zip(recorded.spectra, recorded.sums)
         if s.tau0 is not None
     )
-    others = [*(path.name for path in paths), *contents, 'results.json', 'sums.json']
+    others = [*filters, *contents, RESULTS, SUMS]
     context = ReportContext(
         outline,
         [density for density in densities if density is not None],
@@ -115,33 +114,81 @@ def write_result_files(
         others,
     )
     contents['report.html'] = render_report(results, context, units)
-    contents['results.json'] = to_json(results_to_document(results))
-    contents['sums.json'] = to_json(sums_document)
-    for name, content in contents.items():
-        write_atomic(folder / name, content)
-        paths.append(folder / name)
-    return results, paths
+    files = sorted({*others, *contents})
+    contents[RESULTS] = to_json({**results_to_document(results), 'files': files})
+    contents[SUMS] = to_json(sums_document)
+    folder = made_folder(Path(folder))
+    with _folder_locked(folder):
+        # The filter files are removed first and written last: none is ever of another analysis.
+        former_files = _files_of(folder).difference(contents)
+        write_together(folder, {**contents, **filters}, {*filters, *former_files})
+    return results, [folder / name for name in (*filters, *contents)]
 
 
-def _repeat(command: str, sums: str) -> dict[str, str]:
-    """Return what one needs to do an analysis again, and to know that it was of the same data."""
-    digest = hashlib.sha256(sums.encode()).hexdigest()[:FINGERPRINT_DIGITS]
-    said = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
-    return {'command': command, **said} if command else said
-
-
-def made_folder(folder: Path) -> Path:
-    """Return the folder, made where it was missing.
+@contextmanager
+def _folder_locked(folder: Path) -> Iterator[None]:
+    """Own the folder, after another process has finished writing to it.
 
     Raises
     ------
     AllanError
-        When it cannot be made.
+        When the other process takes longer than a minute.
+    """
+    lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
+    while owner := lock.acquire():
+        if time.monotonic() > deadline:
+            raise AllanError(f'{folder}: {owner} is writing there: wait for it or give another -o')
+        time.sleep(0.1)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _files_of(folder: Path) -> set[str]:
+    """Return the names of the files that an earlier analysis wrote into the folder."""
+    try:
+        document = read_json(folder / RESULTS)
+    except AllanError:
+        return set()
+    named = document.get('files') if isinstance(document, dict) else None
+    ours = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FORMATS}
+    ours |= {target_of(name).file_name for name in TARGETS}
+    return ours.intersection(name for name in named or () if isinstance(name, str))
+
+
+def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
+    """Return file name -> text of Kalibr and the targets, and the results with what is left out."""
+    files = {}
+    for name in dict.fromkeys(('kalibr', *targets)):
+        target = target_of(name)
+        try:
+            files[target.file_name] = make_export(results, name).text
+        except AllanError as error:
+            left_out = finding('file_left_out', file=target.file_name, why=str(error))
+            results = replace(results, findings=(*results.findings, left_out))
+    return files, results
+
+
+def _repeat(command: str, sums: str) -> dict[str, str]:
+    """Return the command that repeats an analysis, and the fingerprint of its sums."""
+    digest = hashlib.sha256(sums.encode()).hexdigest()[:FINGERPRINT_DIGITS]
+    fingerprint = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
+    return {'command': command, **fingerprint} if command else fingerprint
+
+
+def made_folder(folder: Path) -> Path:
+    """Return the folder, which is created if it is missing.
+
+    Raises
+    ------
+    AllanError
+        When it cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise AllanError(
-            f'{folder}: cannot be made a folder ({error.strerror}): give another one with -o'
+            f'{folder}: cannot be created as a folder ({error.strerror}): give another one with -o'
         ) from error
     return folder

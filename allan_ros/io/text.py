@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from ..core.errors import AllanError
+from .files import read_bounded
 
 MAX_BYTES = 16 * 2**20
 """No document of ours comes near this; a longer one is not read."""
@@ -58,9 +59,7 @@ def read_json(path: str | os.PathLike[str]) -> object:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AllanError(f'{path}: has more than {MAX_BYTES} bytes: it is not a file of ours')
-        text = path.read_text(encoding='utf-8')
+        text = read_bounded(path, MAX_BYTES).decode('utf-8')
     except FileNotFoundError:
         raise AllanError(f'{path}: no such file: check the path') from None
     except OSError as error:

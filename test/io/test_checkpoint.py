@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -140,3 +141,60 @@ def test_a_folder_that_is_not_there_is_found_at_once(tmp_path: Path):
         Checkpoint(tmp_path / 'missing' / 'sums.json').try_to_write()
     Checkpoint(tmp_path / 'sums.json').try_to_write()
     assert list(tmp_path.iterdir()) == []
+
+
+def special(kind: str, path: Path) -> None:
+    """Put something at the path that is no regular file."""
+    if kind == 'folder':
+        path.mkdir()
+    elif kind == 'FIFO':
+        os.mkfifo(path)
+    elif kind == 'link to a FIFO':
+        os.mkfifo(path.with_name('fifo'))
+        path.symlink_to(path.with_name('fifo'))
+    else:
+        path.symlink_to('/dev/zero')
+
+
+SPECIAL = ('folder', 'FIFO', 'link to a FIFO', 'link to a device')
+
+
+@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
+@pytest.mark.parametrize('kind', SPECIAL)
+def test_what_is_no_regular_file_is_left_alone(kind: str, tmp_path: Path, sums) -> None:
+    path = tmp_path / 'sums.json'
+    special(kind, path)
+    before = os.lstat(path)
+    checkpoint = Checkpoint(path)
+    assert 'give a regular file' in str(checkpoint.refused)
+    assert checkpoint.add(sums) == sums
+    checkpoint.save(sums, Provenance())
+    with pytest.raises(AllanError, match='regular file'):
+        checkpoint.set_aside()
+    assert os.path.samestat(before, os.lstat(path))
+    assert not [p for p in tmp_path.iterdir() if 'corrupt' in p.name or 'previous' in p.name]
+
+
+@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
+@pytest.mark.parametrize('kind', SPECIAL)
+def test_nothing_is_renamed_onto_what_is_no_regular_file(kind: str, tmp_path: Path, sums) -> None:
+    path = tmp_path / 'sums.json'
+    checkpoint = Checkpoint(path)
+    checkpoint.save(sums, Provenance())
+    special(kind, tmp_path / 'sums.json.previous')
+    with pytest.raises(AllanError, match='regular file'):
+        checkpoint.set_aside()
+    assert Checkpoint(path).sums == sums
+
+
+@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
+def test_a_file_that_becomes_a_fifo_is_not_replaced(tmp_path: Path, sums) -> None:
+    path = tmp_path / 'sums.json'
+    checkpoint = Checkpoint(path)
+    checkpoint.save(sums, Provenance())
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(AllanError, match='regular file'):
+        checkpoint.save(sums, Provenance())
+    assert path.is_fifo()
+    assert [p.name for p in tmp_path.iterdir()] == ['sums.json']

@@ -8,17 +8,19 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.files import PathLock
+from allan_ros.io.locks import PathLock
 
 HOLD = """
 import sys
 from pathlib import Path
-from allan_ros.io.files import PathLock
+from allan_ros.io.locks import PathLock
 lock = PathLock(Path(sys.argv[1]))
 assert lock.acquire() == ''
 print('held', flush=True)
@@ -83,3 +85,58 @@ def test_a_link_in_its_place_is_not_followed(tmp_path: Path) -> None:
 def test_a_missing_folder_is_said(tmp_path: Path) -> None:
     with pytest.raises(AllanError, match='No such file or directory'):
         PathLock(tmp_path / 'missing' / 'imu.json').acquire()
+
+
+@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
+@pytest.mark.parametrize('make', [os.mkfifo, os.mkdir])
+def test_a_lock_file_that_is_no_regular_file_is_refused(
+    make: Callable[[Path], None], tmp_path: Path
+) -> None:
+    make(tmp_path / '.imu.json.lock')
+    with pytest.raises(AllanError, match=r'regular file|directory'):
+        PathLock(tmp_path / 'imu.json').acquire()
+
+
+def test_without_posix_locks_the_fallback_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held: set[tuple[int, int]] = set()
+
+    def locking(handle: int, _mode: int, _bytes: int) -> None:
+        stat = os.fstat(handle)
+        key = stat.st_dev, stat.st_ino
+        if key in held:
+            raise OSError(36, 'locked')
+        held.add(key)
+
+    monkeypatch.setitem(sys.modules, 'fcntl', None)
+    monkeypatch.setitem(sys.modules, 'msvcrt', SimpleNamespace(locking=locking, LK_NBLCK=2))
+    first, second = (PathLock(tmp_path / 'imu.json') for _ in range(2))
+    assert first.acquire() == ''
+    assert second.acquire() == f'process {os.getpid()}'
+    monkeypatch.setitem(sys.modules, 'msvcrt', None)
+    assert PathLock(tmp_path / 'other.json').acquire() == ''
+
+
+def test_the_offline_part_imports_without_posix() -> None:
+    program = """
+import os, signal, sys
+for name in ('fcntl', 'grp', 'pwd', 'resource', 'termios', 'tty', 'pty'):
+    sys.modules[name] = None
+for name in ('pthread_sigmask', 'SIG_BLOCK', 'SIG_SETMASK', 'SIGKILL', 'SIGHUP', 'SIGALRM',
+             'SIGUSR1', 'SIGPIPE', 'setitimer', 'alarm'):
+    if hasattr(signal, name):
+        delattr(signal, name)
+for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC', 'mkfifo', 'pread', 'fork', 'getuid'):
+    if hasattr(os, name):
+        delattr(os, name)
+import tempfile
+import allan_ros as ar
+from allan_ros.cli.main import main
+with tempfile.TemporaryDirectory() as folder:
+    assert main(['simulate', f'{folder}/a.npz', '--preset', 'paper', '--hours', '0.02']) == 0
+    assert main(['analyze', f'{folder}/a.npz', '--method', 'relative', '-o', f'{folder}/out']) == 0
+    assert ar.load(f'{folder}/out').samples == 7200
+"""
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
