@@ -16,8 +16,8 @@ from .intervals import (
     CoefficientInterval,
     RampInterval,
     coefficient_interval,
+    process_intervals,
     ramp_interval,
-    shape_intervals,
 )
 from .model import (
     RANDOM_TERMS,
@@ -72,7 +72,8 @@ def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, lis
     table = options.table(pooled, axis, power, tangents=True)
     power = np.concatenate([power, np.zeros(table.terms.shape[1] - len(power))])
     sizes = range(table.noises + table.lines)
-    intervals = [coefficient_interval(table, t, power, options.misfit) for t in sizes]
+    terms = range(len(RANDOM_TERMS))
+    intervals = [coefficient_interval(table, t, power, options.misfit) for t in terms]
     values = _consistent(table, power, intervals, options.misfit)
     noise = {
         name: _coefficient(name, float(values[t]), intervals[t], tau0)
@@ -95,7 +96,7 @@ def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, lis
         options.misfit.size,
         options.m_min,
         selected.first.z,
-        _processes(selected.fit, table, intervals, tau0),
+        _processes(selected.fit, table, tau0),
         largest_deviation(selected.fit, tau0),
     )
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
@@ -156,21 +157,20 @@ def _nothing() -> AxisFit:
     return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
 
 
-def _processes(
-    fit: PointFit, table: Table, intervals: list[CoefficientInterval], tau0: float
-) -> Processes:
+def _processes(fit: PointFit, table: Table, tau0: float) -> Processes:
     """Return the Gauss-Markov processes and sinusoids in SI units."""
     gauss_markov: list[GaussMarkov] = []
     sinusoid: list[Sinusoid] = []
     four = len(RANDOM_TERMS)
-    reach = shape_intervals(fit, table)
+    of_power, of_shape = process_intervals(fit, table)
     for k, extra in enumerate(fit.options.extras):
-        power, interval = max(float(fit.power[four + k]), 0.0), intervals[four + k]
+        power = max(float(fit.power[four + k]), 0.0)
         if power == 0.0:
             continue
         size = math.sqrt(power)
-        ends = (math.sqrt(min(interval.low, power)), math.sqrt(max(interval.high, power)))
-        low, high = extra.shape / reach[k], extra.shape * reach[k]
+        ratio = math.sqrt(float(of_power[k]))
+        ends = (size / ratio, size * ratio)
+        low, high = extra.shape / float(of_shape[k]), extra.shape * float(of_shape[k])
         if isinstance(extra, GaussMarkovTerm):
             times = (low * tau0, high * tau0)
             gauss_markov.append(GaussMarkov(size, ends, extra.shape * tau0, times))

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from .model import Floats
+from .model import RANDOM_TERMS, Floats
 from .solve import (
     NO_MISFIT,
     RIDGE,
@@ -196,33 +196,38 @@ WIDEST_SHAPE = 100.0
 """Ratio of a correlation time or frequency to the ends of its interval at most."""
 
 
-def shape_intervals(fit: PointFit, table: Table) -> Floats:
-    """Return the ratio of each shape to the ends of its 95 % interval, (processes,).
+def process_intervals(fit: PointFit, table: Table) -> Floats:
+    """Return the ratios of powers and of shapes to the ends of their 95 % intervals.
 
     From the linear fit in which the derivatives of the columns by the logarithms of their shapes
-    are free: the interval is symmetric in the logarithm.
+    are free: the intervals are symmetric in the logarithm.
 
     Parameters
     ----------
     fit : PointFit
     table : Table
         Of the fit, with tangents.
+
+    Returns
+    -------
+    (2, processes) float64 array
     """
     processes = len(fit.options.extras)
     if not processes:
-        return np.ones(0)
+        return np.ones((2, 0))
     first = table.terms.shape[1] - processes
     power = np.concatenate([fit.power, np.zeros(processes)])
-    active = np.flatnonzero((power != 0.0) | (np.arange(len(power)) >= first))
+    active = np.flatnonzero((power != 0.0) | (np.arange(len(power)) >= len(RANDOM_TERMS)))
     whitening = Whitening.of(weights_at(table, power, fit.options.misfit))
     design = whitening.apply(table.terms[:, active])
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
     unit = design / size
     inverse = np.linalg.inv(unit.T @ unit + RIDGE * np.eye(len(size)))
-    deviation = (np.sqrt(np.diag(inverse)) / size)[-processes:]
-    sizes = np.maximum(fit.power[-processes:], np.finfo(float).tiny)
-    reach = Z_TWO_SIDED * np.minimum(deviation / sizes, 1e3)
+    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
+    powers = np.maximum(power[first - processes : first], np.finfo(float).tiny)
+    relative = deviation[-2 * processes :].reshape(2, processes) / powers
+    reach = Z_TWO_SIDED * np.minimum(relative, WIDEST_SHAPE)
     return np.asarray(np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))))
 
 

@@ -14,6 +14,7 @@ from .goodness import (
     Goodness,
     best_case_goodness,
     degrees_of_freedom,
+    goodness,
     long_tau_deficit,
     misfit_of,
     misfit_without_deficit,
@@ -36,7 +37,7 @@ from .solve import (
 )
 from .table import PooledTable, Table
 
-M_MIN = (2, 4, 8, 16, 32, 64)
+M_MIN = (2, 4, 8, 16, 64)
 """Smallest averaging factors that are tried where the shortest averages do not fit."""
 
 Z_LOW_PASS = -3.0
@@ -107,7 +108,7 @@ class Selection:
 
 def _fits(fit: PointFit) -> bool:
     """Return whether a model describes its table, long averages included."""
-    if best_case_goodness(fit.table, fit.power).fails:
+    if _z(fit) >= Z_FAIL:
         return False
     return long_tau_deficit(fit.table, fit.power) > DEFICIT_LIMIT
 
@@ -196,7 +197,7 @@ def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selecti
     """Return the fit with the model error that makes it pass, on the averages that need one."""
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
-    if best_case_goodness(fit.table, fit.power).fails:
+    if _z(fit) >= Z_FAIL:
         misfit = misfit_of(fit.table, fit.power, signed)
     levels_off = long_tau_deficit(fit.table, fit.power, misfit) <= DEFICIT_LIMIT
     if levels_off:
@@ -271,7 +272,8 @@ def _replaces_white(fit: PointFit) -> bool:
 
 def _z(fit: PointFit) -> float:
     """Return the goodness of fit as a normal deviate."""
-    return best_case_goodness(fit.table, fit.power).z
+    z = goodness(fit.table, fit.power).z
+    return best_case_goodness(fit.table, fit.power).z if Z_FAIL <= z < Z_CUT else z
 
 
 def _without_the_shortest(
