@@ -42,7 +42,7 @@ const AllanChart = (() => {
       { label: `${a.label} low`, width: 0, points: { show: false } },
       { label: `${a.label} high`, width: 0, points: { show: false } },
       { label: `${a.label} fit`, stroke: () => colour(a.label), width: 1.6, points: { show: false } },
-      { label: a.label, paths: () => null, points: { show: false } },
+      { label: a.label, bare: true, paths: () => null, points: { show: false } },
     ]);
     const bands = axes.map((a, i) => ({ series: [4 * i + 2, 4 * i + 1], fill: () => colour(`${a.label}-faint`) }));
 

@@ -107,7 +107,15 @@ const Chart = (() => {
           return splits(min, max, labels);
         },
         values: (u, values) => values.map((v) => (labels.includes(v) ? tick(v) : '')),
-      } : { values: (u, values) => values.map(tick) }),
+      } : {
+        splits(u, index, min, max) {
+          const pixels = (which === 'x' ? u.bbox.width : u.bbox.height) / devicePixelRatio;
+          let values = [];
+          for (let count = Math.max(2, Math.floor(pixels / (which === 'x' ? 70 : 30))); values.length < 3 && count < 20; count += 1) values = even(min, max, count);
+          return values;
+        },
+        values: (u, values) => values.map(tick),
+      }),
     };
   }
 

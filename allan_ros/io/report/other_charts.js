@@ -84,8 +84,12 @@ const OtherCharts = (() => {
     context.restore();
   }
 
-  // Time as it is drawn: in minutes, or in hours where there are many.
-  const clock = (seconds) => (seconds[seconds.length - 1] > 7200 ? [3600, 'h'] : [60, 'min']);
+  // Time as it is drawn: in seconds, minutes or hours.
+  function clock(seconds) {
+    const length = seconds[seconds.length - 1];
+    if (length > 7200) return [3600, 'h'];
+    return length > 180 ? [60, 'min'] : [1, 's'];
+  }
 
   function signal(host, sensor, units, temperatures) {
     const { time, axes, leftOut, gaps, starts } = sensor.signal;

@@ -74,7 +74,7 @@ const Picture = (() => {
     pen.clip();
     for (const band of u.bands) area(pen, u, band);
     u.series.forEach((series, i) => {
-      if (i && series.show && series.width && series.stroke && !(series.paths && series.paths() === null)) {
+      if (i && series.show && series.width && series.stroke && !series.bare) {
         trace(pen, u, u.data[i]);
         pen.setLineDash((series.dash || []).map((d) => d * ratio));
         pen.lineWidth = series.width * ratio;
