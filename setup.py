@@ -116,5 +116,6 @@ setup(
             f'allan_player = {PACKAGE}.nodes.player:main',
             f'allan_watch = {PACKAGE}.nodes.watch:main',
         ],
+        'ros2cli.command': [f'allan = {PACKAGE}.ros2_command:AllanCommand'],
     },
 )

@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Watch one IMU: allan_monitor, or the nodes it is made of apart.
+"""Monitor one or several IMUs with allan_monitor, or with its parts in separate processes.
 
 ros2 launch allan_ros allan_ros.launch.py imu:=/camera/imu sensor:=adis16475-3
+ros2 launch allan_ros allan_ros.launch.py imu:=/left/imu,/right/imu checkpoint:=/var/lib/imus
 """
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -15,32 +16,43 @@ from launch import LaunchDescription
 PACKAGE = 'allan_ros'
 
 ARGUMENTS = {
-    'imu': ('imu/data', 'Imu topic to watch'),
+    'imu': ('imu/data', 'Imu topic, or several separated by commas'),
+    'labels': ('', 'short name of each of several IMUs, separated by commas; else from the topic'),
     'namespace': ('', 'namespace of the nodes'),
     'sensor': ('', 'datasheet to compare with: a name in config/sensors, or a file'),
     'baseline': ('', 'results.json of a former run to compare with'),
-    'checkpoint': ('', 'file in which the sums survive a restart'),
-    'hardware_id': ('', 'serial number of the IMU'),
-    'relay': ('false', 'true: hand the Imu on with covariances, to imu/data_with_covariance'),
-    'apart': ('false', 'true: accumulator, estimator and relay in processes of their own'),
+    'checkpoint': ('', 'file in which the sums survive a restart; a folder for several IMUs'),
+    'hardware_id': ('', 'serial number of each IMU, separated by commas'),
+    'relay': ('false', 'true: republish with covariances, to imu/data_with_covariance'),
+    'apart': ('false', 'true: accumulator, estimator and relay as separate processes'),
     'use_sim_time': ('false', 'true: time comes from /clock'),
 }
-"""Argument -> its default and what it is; `config` is declared beside them."""
+"""Argument -> its default and description; `config` is declared separately."""
 
 PARAMETERS = {
     'sensor': 'estimator.sensor',
     'baseline': 'estimator.baseline',
     'checkpoint': 'checkpoint.path',
 }
-"""Argument -> the parameter it sets where it is given; else the configuration file decides."""
+"""Argument -> the parameter that it sets if given; else the configuration file decides."""
+
+
+def items(text):
+    """Return the words of a list separated by commas."""
+    return [word.strip() for word in text.split(',') if word.strip()]
 
 
 def nodes(context):
     """Return the nodes that the arguments ask for."""
     given = {name: LaunchConfiguration(name).perform(context) for name in (*ARGUMENTS, 'config')}
     overrides = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
-    if given['hardware_id']:
-        overrides['input.hardware_ids'] = [given['hardware_id']]
+    topics = items(given['imu'])
+    several = len(topics) > 1
+    if several:
+        overrides['input.topics'] = topics
+    for name, parameter in (('labels', 'input.labels'), ('hardware_id', 'input.hardware_ids')):
+        if given[name]:
+            overrides[parameter] = items(given[name])
     overrides['use_sim_time'] = given['use_sim_time'].lower() == 'true'
     relay = given['relay'].lower() == 'true'
     if relay:
@@ -58,7 +70,9 @@ def nodes(context):
 
     imu = ('imu/data', given['imu'])
     if given['apart'].lower() != 'true':
-        return [node('allan_monitor', [imu])]
+        return [node('allan_monitor', [] if several else [imu])]
+    if several:
+        raise RuntimeError(f'apart:=true takes one IMU, but imu:={given["imu"]} names several')
     apart = [
         node('allan_accumulator', [imu]),
         node('allan_estimator', [('sums', 'allan_accumulator/sums')]),

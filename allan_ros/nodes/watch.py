@@ -209,6 +209,10 @@ HINT_S = 8.0
 """Silence after which the hint is shown: a node started at the same time needs some seconds."""
 
 
+EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
+"""Exit code of ``--check`` by the most severe level."""
+
+
 EXIT_NOTHING = 1
 """Exit code: no status was received."""
 
@@ -249,6 +253,13 @@ class Watch(Node):
     def heard(self) -> bool:
         """Whether any status was received."""
         return bool(self._latest)
+
+    def exit_code(self) -> int:
+        """Return the exit code: by the most severe level with ``--check``."""
+        rows = self._rows()
+        if not rows:
+            return EXIT_NOTHING
+        return max(EXIT_LEVEL[row.level] for row in rows) if self._options.check else 0
 
     def close(self) -> None:
         """Show the final state."""
@@ -390,6 +401,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         '--json', action='store_true', help='print the present state as one JSON document and exit'
     )
+    parser.add_argument(
+        '--check', action='store_true', help='as --once; exit code 3 on a warning, 4 on an error'
+    )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument('--plain', action='store_true', help='lines of text instead of a table')
     parser.add_argument(
@@ -403,7 +417,7 @@ def main(args: Sequence[str] | None = None) -> int:
     made: list[Watch] = []
 
     def make(stop: threading.Event, options: argparse.Namespace) -> Watch:
-        options.once = options.once or options.json
+        options.once = options.once or options.json or options.check
         made.append(Watch(options, stop))
         return made[0]
 
@@ -413,7 +427,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader (head, less) has exited
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    return code or (0 if made[0].heard else EXIT_NOTHING)
+    return code or made[0].exit_code()
 
 
 if __name__ == '__main__':

@@ -1,0 +1,64 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 allan`: the verbs of `allan`, and those for running nodes, as a command of ros2cli.
+
+ros2cli finds it by an entry point of the package. Without ros2cli nothing imports it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    Base: Any = object
+else:
+    try:
+        from ros2cli.command import CommandExtension as Base
+    except ImportError:
+        Base = object
+
+NODE_VERBS = {
+    'watch': 'show /diagnostics of running nodes as a live table',
+    'check': 'show the present state; exit code 0 ok, 3 warning, 4 error, 1 no node',
+    'save': 'write the checkpoint of running nodes now',
+    'fit': 'fit the sums of running nodes now',
+}
+"""Verb for running nodes -> its help."""
+
+
+class AllanCommand(Base):  # type: ignore[misc]
+    """Measure and watch the noise of IMUs."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser, cli_name: str) -> None:
+        """Declare the verb; its own options are parsed by the verb."""
+        from .cli.main import VERBS
+
+        width = max(map(len, (*VERBS, *NODE_VERBS)))
+        lines = ['recordings and results:']
+        lines += [f'  {name:{width}}  {text}' for name, text in VERBS.items()]
+        lines += ['', 'running nodes:']
+        lines += [f'  {name:{width}}  {text}' for name, text in NODE_VERBS.items()]
+        lines += ['', 'Options of a verb: ros2 allan VERB --help']
+        parser.epilog = '\n'.join(lines)
+        parser.formatter_class = argparse.RawDescriptionHelpFormatter
+        parser.add_argument('verb', choices=[*VERBS, *NODE_VERBS], metavar='VERB')
+        parser.add_argument('arguments', nargs=argparse.REMAINDER, metavar='...')
+
+    def main(self, *, parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
+        """Run the verb and return its exit code."""
+        verb, words = args.verb, list(args.arguments)
+        if verb in ('watch', 'check'):
+            from .nodes import watch
+
+            return watch.main(['--check', *words] if verb == 'check' else words)
+        if verb in NODE_VERBS:
+            from .nodes import services
+
+            return services.main(verb, words)
+        from .cli.main import console
+
+        sys.argv = ['allan', verb, *words]
+        console()
+        return 0
