@@ -77,7 +77,6 @@ setup(
         'PyYAML>=5.4',
         'rich>=10',  # draws the table of allan_watch, which is plain without it
         'lz4>=3.1',  # mcap and ROS 1 bags, only where compressed so
-        ROSBAGS,
         'scipy>=1.8',
         'zstandard>=0.18',  # mcap and sqlite3 bags, only where compressed so
     ],

@@ -112,7 +112,7 @@ def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
 def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
     """Return the Imu topics of the bags that are named already, or all topics of them."""
     from ..io.readers.folder import bag_files, open_storage
-    from ..io.writing import IMU_TYPE
+    from ..io.readers.message_fields import IMU_TYPE
 
     topics = []
     for path in getattr(parsed_args, 'inputs', None) or ():

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,7 @@ def test_what_stands_there_is_replaced_only_on_request(
 
 def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path: Path, imu_batches: Any) -> None:
     (tmp_path / 'thesis').mkdir()
-    with pytest.raises(AllanError, match='no bag'):
+    with pytest.raises(AllanError, match='not a bag'):
         write_recording(tmp_path / 'thesis', imu_batches(10), overwrite=True)
 
 
@@ -114,10 +115,46 @@ def test_what_cannot_be_written_is_said(
         write_recording(tmp_path / 'run', imu_batches(10), **how)
 
 
-def test_a_path_the_sqlite_writer_would_miss_is_refused(tmp_path: Path, imu_batches: Any) -> None:
-    with pytest.raises(AllanError, match='choose another name, or mcap'):
-        write_recording(tmp_path / 'run?', imu_batches(10), storage='sqlite3')
-    assert write_recording(tmp_path / 'run?', imu_batches(10), storage='mcap') == 10
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_no_character_of_a_path_is_special(storage: str, tmp_path: Path, imu_batches: Any) -> None:
+    assert write_recording(tmp_path / 'run?a=1#50%', imu_batches(10), storage=storage) == 10
+
+
+@pytest.mark.parametrize(
+    'storage, compression', [(s, c) for s in ('mcap', 'sqlite3') for c in COMPRESSIONS[s]]
+)
+def test_others_read_our_bags(
+    storage: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any
+) -> None:
+    from rosbags.highlevel import AnyReader
+
+    batches = [*imu_batches(4000), *imu_batches(50, frame_id='another_frame')]
+    write_recording(tmp_path / 'run', batches, storage=storage, compression=compression)
+    rows = []
+    with AnyReader([tmp_path / 'run']) as reader:
+        [connection] = reader.connections
+        assert (connection.topic, connection.msgcount) == ('/imu/data', 4050)
+        for _, time, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = message.header.stamp
+            v, a = message.angular_velocity, message.linear_acceleration
+            rows.append((time, stamp.sec * 10**9 + stamp.nanosec, v.x, v.y, v.z, a.x, a.y, a.z))
+    parts = [joined(batches[:3]), joined(batches[3:])]
+    expected = [
+        (int(part.record_ns[i]), int(part.stamps_ns[i]), *part.samples[i].tolist())
+        for part in parts
+        for i in range(len(part))
+    ]
+    assert rows == sorted(expected, key=lambda row: row[0])
+
+
+def test_a_ros1_bag_without_rosbags_is_one_line(
+    tmp_path: Path, imu_batches: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, 'rosbags.rosbag1', None)
+    with pytest.raises(AllanError, match="needs the Python package 'rosbags': \"pip install ros"):
+        write_recording(tmp_path / 'run.bag', imu_batches(10))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_npz_refuses_two_frames(tmp_path: Path, imu_batches: Any) -> None:

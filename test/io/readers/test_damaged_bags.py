@@ -309,18 +309,18 @@ def test_a_ros1_chunk_that_expands_without_limit(tmp_path: Path, imu_batches: An
     at = data.index(b'compression=bz2') - 4
     head_at = data.rindex(b'op=\x05') - 8 if data.find(b'op=\x05') < at else at - 8
     packer = bz2.BZ2Compressor(1)
-    packed = b''.join(packer.compress(ZEROS) for _ in range(40)) + packer.flush()
+    packed = b''.join(packer.compress(ZEROS) for _ in range(9)) + packer.flush()
 
     def fields(**values: bytes) -> bytes:
         pairs = [name.encode() + b'=' + value for name, value in values.items()]
         return b''.join(struct.pack('<I', len(pair)) + pair for pair in pairs)
 
-    for size in (1000, 40 << 24):
+    for size in (1000, 9 << 24):
         head = fields(op=b'\x05', compression=b'bz2', size=struct.pack('<I', size))
         chunk = struct.pack('<I', len(head)) + head + struct.pack('<I', len(packed)) + packed
         path = tmp_path / 'bomb.bag'
         path.write_bytes(data[:head_at][:4109] + chunk)
-        assert 'the chunk at byte' in limited(path)
+        assert 'the chunk at byte' in limited(path, 300)
 
 
 @pytest.mark.parametrize('which', ['stated', 'not stated'])
@@ -335,12 +335,12 @@ def test_messages_that_expand_without_limit(
 
 def test_many_messages_that_expand_a_little(tmp_path: Path, imu_batches: Any) -> None:
     """4 MB each is allowed, but not all of them in memory at the same time."""
-    path = database(tmp_path, imu_batches(1000), 'message')
+    path = database(tmp_path, imu_batches(200), 'message')
     [payload] = encode_imus(imu_batches(1, parts=1)[0], 'cdr')
     packed = zstandard.ZstdCompressor().compress(bytes(payload) + bytes(4_000_000))
     with sqlite3.connect(path) as connection:
         connection.execute('UPDATE messages SET data = ?', (packed,))
-    assert limited(path) == '1000\n'
+    assert limited(path) == '200\n'
 
 
 @pytest.mark.parametrize('which', ['stated', 'not stated'])
@@ -380,9 +380,9 @@ def test_an_array_header_that_expands_without_limit(tmp_path: Path) -> None:
         archive.open('imu.npy', 'w', force_zip64=True) as member,
     ):
         member.write(b'\x93NUMPY\x02\x00' + struct.pack('<I', 2**32 - 16))
-        for _ in range(64):
+        for _ in range(8):
             member.write(ZEROS.replace(b'\0', b' '))
-    assert 'cannot be read as a numpy file' in limited(path)
+    assert 'cannot be read as a numpy file' in limited(path, 60)
 
 
 # --- special files -------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io.writing import write_recording
 
 pytest.importorskip('rosbags')
 
@@ -115,13 +116,46 @@ def test_bad_options_are_refused() -> None:
         ReadOptions(rate_hz=-1.0)
 
 
-def test_opening_a_table_imports_no_bag_library(tmp_path: Path) -> None:
-    """A machine without rosbags reads CSV and npz."""
-    (tmp_path / 'run.csv').write_text('t,gx,gy,gz\n0,1,2,3\n')
-    code = (
-        'import sys; from allan_ros.io.readers.open import open_recordings; '
-        f'list(open_recordings([{str(tmp_path / "run.csv")!r}])[0].batches()); '
-        'sys.exit(any(name.split(".")[0] == "rosbags" for name in sys.modules))'
-    )
+READ_ALL = """
+import sys
+from allan_ros.core.errors import AllanError
+from allan_ros.io.readers.open import open_recordings
+
+for name in {hidden}:
+    sys.modules[name] = None
+for path in sys.argv[1:]:
+    try:
+        [recording] = open_recordings([path])
+        print(sum(map(len, recording.batches())), recording.temperature('imu_link') is not None)
+    except AllanError as error:
+        print(error)
+"""
+
+
+def read_without(hidden: list[str], *paths: Path) -> list[str]:
+    """Read recordings in a process in which these packages cannot be imported."""
     root = Path(__file__).resolve().parents[3]
-    assert subprocess.run([sys.executable, '-c', code], cwd=root, check=False).returncode == 0
+    command = [sys.executable, '-c', READ_ALL.format(hidden=hidden), *map(str, paths)]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_bags_are_read_without_optional_packages(tmp_path: Path, imu_batches: Any) -> None:
+    """Only an Imu in another message needs rosbags, and only compressed bags need a package."""
+    paths = []
+    for name, storage in (('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1'), ('t.csv', 'csv')):
+        write_recording(tmp_path / name, imu_batches(30), storage=storage)
+        paths.append(tmp_path / name)
+    hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']
+    assert read_without(hidden, *paths) == ['30 False'] * 4
+
+
+def test_a_missing_package_is_one_line(tmp_path: Path, imu_batches: Any, shared_data: Path) -> None:
+    write_recording(tmp_path / 'z', imu_batches(30), compression='chunk')
+    write_recording(tmp_path / 'l.bag', imu_batches(30), compression='lz4')
+    hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']
+    log = shared_data / 'ulog' / 'sample.ulg'
+    said = read_without(hidden, tmp_path / 'z', tmp_path / 'l.bag', log)
+    for line, package in zip(said, ('zstandard', 'lz4', 'pyulog')):
+        assert f'needs the Python package \'{package}\': "pip install {package}"' in line

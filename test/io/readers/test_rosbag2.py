@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.io.readers.message_fields import IMU_TYPE
 from allan_ros.io.readers.open import open_recordings
-from allan_ros.io.writing import IMU_TYPE, write_recording
+from allan_ros.io.writing import write_recording
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
 typesys = pytest.importorskip('rosbags.typesys')

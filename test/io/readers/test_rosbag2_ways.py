@@ -20,9 +20,9 @@ from allan_ros.io.readers import sqlite3 as bag_sqlite3
 from allan_ros.io.readers import sqlite3_pages
 from allan_ros.io.readers.cdr import decode_imus, encode_imus
 from allan_ros.io.readers.mcap import chunk_messages
+from allan_ros.io.readers.message_fields import IMU_TYPE
 from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.readers.recording import ReadOptions
-from allan_ros.io.writing import IMU_TYPE
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
 highlevel = pytest.importorskip('rosbags.highlevel')
