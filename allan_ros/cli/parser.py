@@ -49,7 +49,13 @@ class AllanParser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         """Refuse here what is not known: the parser of a verb knows better than the one above."""
-        known, unknown = super().parse_known_args(args, namespace)
+        words: list[str] = []
+        for word in sys.argv[1:] if args is None else args:
+            if words and word.startswith('-,'):  # --columns -,t,gx: a value, not an option
+                words[-1] += f'={word}'
+            else:
+                words.append(word)
+        known, unknown = super().parse_known_args(words, namespace)
         if unknown:
             self.error(f'unrecognized arguments: {" ".join(unknown)}')
         return known or argparse.Namespace(), unknown

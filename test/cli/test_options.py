@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 
 import pytest
 
+from allan_ros.cli.main import build_parser
 from allan_ros.cli.options import add_settings, settings_of
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import SegmenterSettings, check, parameter
@@ -61,3 +62,10 @@ def test_help_says_unit_and_default() -> None:
     said = ' '.join(parser.format_help().split())
     assert 'A limit of 50 % [s] (default 2.5)' in said
     assert all(f.name in said for f in fields(Some))
+
+
+@pytest.mark.parametrize('columns', [['--columns', '-,t,gx'], ['--columns=-,t,gx']])
+def test_a_list_of_columns_may_begin_with_a_dash(columns: list[str]) -> None:
+    args = build_parser('analyze').parse_args(['analyze', 'a.csv', *columns, '-o', 'out'])
+    assert args.columns == ('-', 't', 'gx')
+    assert (args.inputs, args.output) == (['a.csv'], 'out')
