@@ -104,8 +104,7 @@ CATALOGUE = {
     ),
     'bridged': Wording(
         'warning',
-        '{bridged} lost samples ({share:.2%}) were interpolated, which raises N by up to '
-        '{bias:.2%}.',
+        '{bridged} lost samples ({share:.2%}) were interpolated; N is corrected for it.',
         'Record with a deeper queue or a reliable publisher.',
     ),
     'not_finite': Wording(

@@ -34,6 +34,7 @@ from .sums import (
     FIRST_FACTORS,
     KEPT_SEGMENTS,
     LEVEL_FACTORS,
+    LONGEST_FILLED,
     MAX_LEVELS,
     AllanSums,
     LengthClass,
@@ -98,6 +99,7 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
             }
             for c in sums.classes
         ],
+        **({'filled': sums.filled.tolist()} if len(sums.filled) else {}),
         **({'history': _history_to_document(sums.history)} if sums.history.recordings else {}),
     }
 
@@ -192,6 +194,7 @@ def sums_from_document(document: object) -> AllanSums:
         top.integer('elapsed_ns', least=0),
         top.integer('intervals', least=0),
         _history(top.fields('history'), width, n) if 'history' in top else History(),
+        _filled(top, width) if 'filled' in top else np.zeros((0, 0), np.int64),
     )
     if not np.array_equal(top.integers('m', n), sums.m):
         raise AllanError('sums.m is not the grid of this version: accumulate the data again')
@@ -218,6 +221,9 @@ def _check(sums: AllanSums) -> None:
             f'sums.elapsed_ns is {sums.elapsed_ns}: {sums.intervals} sample periods take from '
             f'{sums.intervals} to {longest_ns} ns'
         )
+    lengths = np.arange(1, len(sums.filled) + 1)
+    if np.any(lengths @ sums.filled > sums.samples):
+        raise AllanError('sums.filled has more samples than the segments: the file is damaged')
     kept = np.zeros_like(sums.count)
     for segment in sums.segments:
         kept += counts(segment.samples, sums.m, sums.stride)
@@ -246,6 +252,15 @@ def _squares(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.fl
     if np.any(values > MAX_SUM):
         raise AllanError(f'{fields.where}.{key} is above {MAX_SUM:g}: no IMU has such samples')
     return values
+
+
+def _filled(fields: Fields, axes: int) -> NDArray[np.int64]:
+    """Return the numbers of filled gaps by length."""
+    rows = len(fields.sequence('filled', LONGEST_FILLED))
+    values = fields.table('filled', rows, axes, least=0.0)
+    if np.any(values >= MAX_INTEGER) or np.any(values % 1.0):
+        raise AllanError(f'{fields.where}.filled is expected to be a table of whole numbers')
+    return values.astype(np.int64)
 
 
 def _signed(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.float64]:

@@ -87,6 +87,7 @@ def settled_sums(sums: AllanSums, age: int) -> AllanSums:
         elapsed_ns=elapsed,
         intervals=intervals,
         history=History(),
+        filled=np.rint(sums.filled * (samples / max(sums.samples, 1))).astype(np.int64),
     )
 
 

@@ -74,6 +74,10 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 Floats = NDArray[np.float64]
 
 
+LONGEST_FILLED = 128
+"""Longest gap of filled samples that is counted by its length; longer ones count as this."""
+
+
 KEPT_SEGMENTS = 32
 """How many of the longest segments keep their own signed sums and phase record."""
 
@@ -233,6 +237,8 @@ class AllanSums:
     history : History
         The same sums by the age of each difference; empty if they were read from a document
         without them.
+    filled : (lengths, axes) int64 array
+        Gaps of 1, 2, ... lost samples that were interpolated, in each axis; may be empty.
     """
 
     identity: ImuIdentity
@@ -246,6 +252,7 @@ class AllanSums:
     elapsed_ns: int = 0
     intervals: int = 0
     history: History = field(default_factory=History)
+    filled: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
 
     def __eq__(self, other: object) -> bool:
         return same_values(self, other)
@@ -361,6 +368,7 @@ class AllanSums:
             elapsed_ns=self.elapsed_ns + other.elapsed_ns,
             intervals=self.intervals + other.intervals,
             history=history,
+            filled=_added(self.filled, other.filled),
         )
 
     @property
@@ -386,6 +394,14 @@ class AllanSums:
                 f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
                 f'{TAU0_TOLERANCE:.1%} apart, analyse them apart'
             )
+
+
+def _added(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the numbers of filled gaps of both, either of which may be empty."""
+    if not len(a) or not len(b):
+        return a if len(a) else b
+    both: NDArray[np.int64] = add_padded(a, b)
+    return both
 
 
 def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:

@@ -109,7 +109,7 @@ def columns_of(table: Table, extras: Sequence[Extra]) -> Floats:
     shapes = np.array([e.shape for e in extras])
     out = np.empty((len(table.m), len(extras)))
     if drift.any():
-        taken = avar_terms(table.m)[:, N] - table.terms[:, N]
+        taken = avar_terms(table.m)[:, N] + table.filled - table.terms[:, N]
         white = gauss_markov_sums(shapes[drift])[0]
         out[:, drift] = sampled_gauss_markov_avar(table.m, shapes[drift]) - np.outer(taken, white)
     if not drift.all():

@@ -27,6 +27,7 @@ from ..allan.sums import (
     ols_ramp_weights,
 )
 from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, pair_sums
+from .filled import filled_white
 from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
 from .process_covariance import process_pairs, process_squares
 from .ramp import RampEffect, RampGeometry, ramp_geometry, ramp_shift
@@ -74,6 +75,8 @@ class Table:
         For each sinusoid, whose columns follow, the variance of its squared amplitude over the
         squared amplitude, per unit power of each noise. Further columns only shift the
         expectation.
+    filled : (factors,) float64 array
+        What interpolated samples have added to the column of white noise.
     """
 
     m: Ints
@@ -86,6 +89,7 @@ class Table:
     ramp_squares: Floats
     noises: int = len(RANDOM_TERMS)
     line_scatter: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
+    filled: Floats | float = 0.0
 
     @property
     def lines(self) -> int:
@@ -117,6 +121,7 @@ class Table:
             terms=self.terms[keep],
             squares=self.squares[:, keep[i] & keep[j]],
             ramp_squares=self.ramp_squares[:, keep[i] & keep[j]],
+            filled=self.filled if isinstance(self.filled, float) else self.filled[keep],
         )
 
 
@@ -183,6 +188,9 @@ class _Part:
             ramp_squares[n, self.at] += self.number * twice * change
 
 
+N = RANDOM_TERMS.index('N')
+
+
 class PooledTable:
     """The sums of all segments and the covariances of their record lengths, for all axes."""
 
@@ -192,6 +200,7 @@ class PooledTable:
         self.m = sums.m
         self.terms = avar_terms(self.m)
         self._kept = [_Part.of(s.samples, 1, factors, s.phase_step) for s in sums.segments]
+        self._filled = filled_white(self.m, sums.filled, max(sums.samples, 1))
         self._pooled_sums = sums.sum_sq.copy()
         self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
         self._pooled_ramp_squares = np.zeros_like(self._pooled_squares)
@@ -271,15 +280,19 @@ class PooledTable:
                 -2.0 * r * m2 * record.signed[:, axis] + part.pairs.count * (m2 * r) ** 2
             )
         count, number = self.sums.count.astype(float), self._pair_counts
+        expected = self.terms + terms / count[:, None]
+        filled = self._filled[:, axis] if self.sums.filled.any() else 0.0
+        expected[:, N] += filled
         table = Table(
             self.m,
             self.sums.count,
             allan_variance(sum_sq[:, None], self.m, self.sums.count)[:, 0],
-            self.terms + terms / count[:, None],
+            expected,
             (self._pooled_squares + ramp_squares) / number,
             found,
             variances(effects),
             ramp_squares / number,
+            filled=filled,
         )
         return table.rows(_informative(table, self.terms, power))
 

@@ -18,11 +18,6 @@ TOLD_BRIDGED_SHARE = 1e-3
 """Least share of interpolated samples that is reported."""
 
 
-BRIDGE_BIAS = 0.75
-"""N rises by this times the share of single samples that were interpolated: each neighbour of one
-counts 1.5 times, so the variance of a sum grows by 1.5 a lost sample, and N by half of that."""
-
-
 LOUDER_SHARE = 0.5
 """Axes with this share of the largest increase of noise are named."""
 
@@ -79,8 +74,7 @@ def stream_findings(
         found.append(finding('gaps', lost=counts.lost, cuts=counts.cuts['gap']))
     if counts.bridged > TOLD_BRIDGED_SHARE * counts.received:
         share = counts.bridged / counts.received
-        bias = BRIDGE_BIAS * share
-        found.append(finding('bridged', bridged=counts.bridged, share=share, bias=bias))
+        found.append(finding('bridged', bridged=counts.bridged, share=share))
     if counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used):
         found.append(finding('spikes', count=counts.spikes, share=counts.spikes / counts.used))
     if health.discarded:

@@ -9,6 +9,7 @@ different rates. Its stages: own samples, order of stamps, sample clock, motion 
 from __future__ import annotations
 
 from bisect import insort
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..allan.engine import RunningAllan
 from ..allan.spectrum import RunningSpectrum, SpectrumSums
-from ..allan.sums import AllanSums
+from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..errors import AllanError
 from ..imu import ImuIdentity
 from ..settings import SegmenterSettings
@@ -63,6 +64,50 @@ class StreamSums(NamedTuple):
         both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
         segments = longest_segments([*self.segments, *other.segments])
         return StreamSums(self.sums + other.sums, both, segments)
+
+
+class FilledGaps:
+    """Counts the runs of interpolated samples that the sums hold, by length and axis.
+
+    Attributes
+    ----------
+    count : (lengths, axes) int64 array
+    """
+
+    def __init__(self, axes: int) -> None:
+        self.count = np.zeros((0, axes), np.int64)
+        self._open = np.zeros(axes, np.int64)  # lengths of the runs that may go on
+
+    def add(self, filled: NDArray[np.bool_] | None) -> None:
+        """Take the flags of the next samples, (axes, n); None if none of them is filled."""
+        if filled is None:
+            self.end()
+            return
+        for axis in np.flatnonzero(filled.any(axis=1) | (self._open > 0)):
+            edges = np.flatnonzero(np.diff(filled[axis], prepend=False, append=False))
+            for begin, end in edges.reshape(-1, 2).tolist():
+                if begin:
+                    self._close(axis)
+                self._open[axis] += end - begin
+                if end < filled.shape[1]:
+                    self._close(axis)
+            if not filled[axis, -1]:
+                self._close(axis)
+
+    def end(self) -> None:
+        """End all runs: the next sample is not filled, or belongs to another segment."""
+        for axis in np.flatnonzero(self._open):
+            self._close(axis)
+
+    def _close(self, axis: np.intp) -> None:
+        length = min(int(self._open[axis]), LONGEST_FILLED)
+        self._open[axis] = 0
+        if not length:
+            return
+        if length > len(self.count):
+            longer = np.zeros((length - len(self.count), self.count.shape[1]), np.int64)
+            self.count = np.concatenate([self.count, longer])
+        self.count[length - 1, axis] += 1
 
 
 class SensorStream:
@@ -114,6 +159,7 @@ class SensorStream:
         """Start with empty sums."""
         self._engine = RunningAllan(self._identity, self.plan.axes)
         self._spectrum = RunningSpectrum(self.plan.axes) if self._with_spectrum else None
+        self._filled = FilledGaps(len(self.plan.axes))
         self._segments: list[tuple[int, Segment]] = []  # shortest first
         self._start_ns = self._end_ns = 0
         self._cut = ''
@@ -151,7 +197,10 @@ class SensorStream:
         """What there is at the present rate."""
         spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
-        return StreamSums(self._engine.sums, spectrum, segments)
+        sums = self._engine.sums
+        if len(self._filled.count):
+            sums = replace(sums, filled=self._filled.count.copy())
+        return StreamSums(sums, spectrum, segments)
 
     def by_rate(self) -> list[StreamSums]:
         """Return what there is at each rate; a rate that returns is continued."""
@@ -252,6 +301,7 @@ class SensorStream:
             self._start_ns, self._cut = int(block.stamps[0]), block.cut
         self._end_ns = int(block.stamps[-1])
         self.counts.used += len(block)
+        self._filled.add(block.filled)
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns)
         if self._spectrum is not None:
             self._spectrum.update(block.rows)
@@ -264,6 +314,7 @@ class SensorStream:
         insort(self._segments, (samples, Segment(self._start_ns, samples, length, self._cut)))
         del self._segments[:-LISTED_SEGMENTS]
         self._engine.end_segment()
+        self._filled.end()
         if self._spectrum is not None:
             self._spectrum.end_segment()
 

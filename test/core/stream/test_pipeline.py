@@ -338,3 +338,20 @@ def test_a_real_static_recording_is_taken_whole_and_equals_a_reference(shared_da
             assert adev == pytest.approx(row['oadev'], rel=1e-9 if exact else 0.02)
             compared += 1
     assert compared == 6 * 17
+
+
+def test_filled_gaps_are_counted_by_length():
+    t, x = still(9000)
+    lost = np.zeros(9000, bool)
+    lost[[2000, 3000, 3001, 4000, 4001, 4002]] = True
+    x[5000, 2] += 1.0  # an isolated spike in one axis
+    for chunk in (1, 7, 9000):
+        (sums,) = accumulate(t[~lost], x[~lost], (chunk,)).sums
+        expected = np.ones((3, 6), int)
+        expected[0, 2] += 1
+        assert np.array_equal(sums.filled, expected), chunk
+    (twice,) = accumulate(t[~lost], x[~lost]).sums
+    assert np.array_equal((twice + twice).filled, 2 * expected)
+    moving = x + moves(t, 9000, 4500)[::-1] * np.random.default_rng(0).normal(size=x.shape)
+    (sums,) = accumulate(t[~lost], moving[~lost]).sums
+    assert np.array_equal(sums.filled[:, 0], [1, 1, 1]), 'those that are dropped do not count'
