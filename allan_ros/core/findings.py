@@ -437,8 +437,7 @@ CATALOGUE = {
     ),
     'low_pass': Wording(
         'info',
-        'Low-pass filter detected ({deviations:.0f} standard deviations): N is valid within its '
-        'pass band and Q cannot be measured.',
+        'Low-pass filter detected. N is valid within its pass band; Q cannot be measured.',
         "Switch the sensor's filter off to measure Q.",
     ),
     'short_averages': Wording(
@@ -448,9 +447,21 @@ CATALOGUE = {
     ),
     'vibration': Wording(
         'warning',
-        'Vibration at {frequency:.3g} Hz, amplitude {amplitude:.2g} {unit}; it is fitted as a '
-        'separate term.',
+        'Vibration at {frequency:.3g} Hz{alias}, amplitude {amplitude:.2g} {unit}; it is fitted as '
+        'a separate term.',
         'Isolate or move the sensor.',
+    ),
+    'broad_hump': Wording(
+        'warning',
+        'Resonance between {low:.2g} and {high:.2g} Hz, amplitude {amplitude:.2g} {unit}; it is '
+        'fitted as several sinusoids.',
+        'Check the mounting, the table and the building for a resonance.',
+    ),
+    'slow_cycle': Wording(
+        'warning',
+        'A cycle of {period}, amplitude {amplitude:.2g} {unit}, probably thermal; it is fitted as '
+        'a separate term.',
+        'Keep the temperature steady: switch heating or air conditioning off.',
     ),
     'gauss_markov': Wording(
         'info',
@@ -486,13 +497,13 @@ CATALOGUE = {
     ),
     'misfit': Wording(
         'warning',
-        'The model deviates from the data by {misfit:.1%}; the intervals are widened accordingly.',
+        'The model deviates from the data by up to {deviation:.0%} at tau = {tau}; the intervals '
+        'are widened accordingly.',
         'Check temperature, vibration and motion, and record at rest and warmed up.',
     ),
     'levels_off': Wording(
         'info',
-        'The drift is bounded: the longest averages lie far below the extrapolated walk, so K '
-        'overestimates drift there.',
+        'The drift is bounded: K overestimates it beyond {tau}.',
         'Use a first-order Gauss-Markov bias in the filter.',
     ),
     'rounding': Wording(

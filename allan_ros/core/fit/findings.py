@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fit by method gls tells its user: causes and remedies."""
+"""The findings of a fit by method gls."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import numpy as np
 from ..findings import Finding, finding
 from ..imu import SI_UNITS, sensor_of
 from .duration import recommended_duration
+from .goodness import few_averages
 from .intervals import Z_DETECT, RampInterval, Score
-from .model import AxisFit, Floats
+from .model import AxisFit, Floats, Sinusoid
 from .select import Selection
-from .solve import K, N
+from .solve import K, N, Q
 from .table import PooledTable
 
 COARSEST_IGNORED = 0.02
@@ -69,7 +70,26 @@ def _common_divisor(a: float, b: float, least: float) -> float:
 
 
 ROUNDING_SHARE = 0.1
-"""Part of the white noise from which rounding is worth a word."""
+"""Part of the white noise from which rounding is reported."""
+
+FILTER_REMOVES = 0.1
+"""Part of the white noise per sample whose loss is reported as a low-pass filter. Interpolating 1 %
+of the samples removes 1.5 %."""
+
+SMALL_DEVIATION = 0.05
+"""Deviation of the curve from the model below which it is only information."""
+
+HUMP_RATIO = 1.5
+"""Sinusoids whose frequencies are nearer than this describe one broad hump."""
+
+SLOWEST_VIBRATION = 100.0
+"""Seconds: what takes longer is not mechanical."""
+
+FASTEST_VIBRATION = 400.0
+"""Hz: with a faster sample rate, vibration of rotors and engines is not aliased."""
+
+ALIAS_FROM = 0.02
+"""Part of the sample rate: slower lines are aliases of a narrow band next to the rate only."""
 
 
 def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -82,7 +102,7 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def explain_nothing(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return why an axis has no numbers."""
+    """Return the finding on an axis without coefficients."""
     name = (pooled.sums.axes[axis],)
     longest = max((s.samples for s in pooled.segments), default=0)
     if constant and len(pooled.m):
@@ -98,7 +118,7 @@ def explain(
     ramp: RampInterval | None,
     tau0: float,
 ) -> list[Finding]:
-    """Return what there is to know of the fit of one axis."""
+    """Return the findings of the fit of one axis."""
     name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']
     found = [*_shape_findings(name, unit, selected, fit, tau0)]
@@ -116,35 +136,86 @@ def explain(
 def _shape_findings(
     name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
-    """Return what of the curve is not the five terms."""
+    """Return the findings on what of the curve is not the five terms."""
     found = []
     if fit.m_min > 1:
         hint = ''
         if selected.hint is not None:
             # A slow filter bends the shortest averages as a line does: then it may be either.
             either = ', or a low-pass filter' if selected.filtered else ''
-            hint = f' (vibration at {selected.hint / tau0:.3g} Hz{either})'
+            hint = f': vibration near {selected.hint / tau0:.3g} Hz{either}'
         elif selected.filtered:
-            hint = ' (a low-pass filter)'
+            hint = ': a low-pass filter'
         found.append(finding('short_averages', name, tau=fit.m_min * tau0, hint=hint))
-    elif selected.filtered:
-        found.append(finding('low_pass', name, deviations=-selected.z_quantization))
-    if fit.sinusoid is not None:
-        line = fit.sinusoid
-        found.append(
-            finding(
-                'vibration', name, frequency=line.frequency, amplitude=line.amplitude, unit=unit
-            )
-        )
-    if fit.gauss_markov is not None:
-        drift = fit.gauss_markov
-        time = about(drift.correlation_time)
-        found.append(finding('gauss_markov', name, sigma=drift.sigma, unit=unit, time=time))
-    if fit.misfit > 0.0:
-        found.append(finding('misfit', name, misfit=fit.misfit))
+    elif selected.filtered and _removed(selected) > FILTER_REMOVES:
+        found.append(finding('low_pass', name))
+    for lines in _neighbours(fit.processes.sinusoid):
+        found.append(_line_finding(name, unit, lines, tau0))
+    for process in fit.processes.gauss_markov:
+        time = about(process.correlation_time)
+        found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
+    if fit.misfit > 0.0 and fit.deviation is not None:
+        relative, tau = fit.deviation
+        misfit = finding('misfit', name, deviation=abs(relative), tau=about(tau))
+        small = abs(relative) < SMALL_DEVIATION
+        found.append(replace(misfit, severity='info') if small else misfit)
     if selected.levels_off:
-        found.append(finding('levels_off', name))
+        found.append(finding('levels_off', name, tau=about(_precise_until(selected) * tau0)))
     return found
+
+
+def _removed(selected: Selection) -> float:
+    """Return which part of the white noise per sample a low-pass filter has removed."""
+    fit = selected.fit
+    white = float(fit.table.terms[0, N] * fit.power[N])
+    return max(-float(fit.table.terms[0, Q] * fit.power[Q]) / white, 0.0) if white > 0.0 else 1.0
+
+
+def _precise_until(selected: Selection) -> float:
+    """Return the first averaging factor of few degrees of freedom."""
+    few = few_averages(selected.fit.table, selected.fit.power)
+    return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
+
+
+def _neighbours(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
+    """Return the sinusoids grouped: those of neighbouring frequencies are one broad hump."""
+    groups: list[list[Sinusoid]] = []
+    for line in lines:
+        if groups and line.frequency < HUMP_RATIO * groups[-1][-1].frequency:
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    return groups
+
+
+def _line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
+    """Return the finding on one sinusoid, or on several that describe a broad hump."""
+    largest = max(lines, key=lambda line: line.amplitude)
+    amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
+    if len(lines) > 1:
+        return finding(
+            'broad_hump',
+            name,
+            low=lines[0].frequency,
+            high=lines[-1].frequency,
+            amplitude=amplitude,
+            unit=unit,
+        )
+    if largest.frequency * SLOWEST_VIBRATION < 1.0:
+        period = about(1.0 / largest.frequency)
+        return finding('slow_cycle', name, period=period, amplitude=amplitude, unit=unit)
+    rate = 1.0 / tau0
+    alias = ''
+    if rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate:
+        alias = f' (or an alias of {rate - largest.frequency:.3g} Hz)'
+    return finding(
+        'vibration',
+        name,
+        frequency=largest.frequency,
+        alias=alias,
+        amplitude=amplitude,
+        unit=unit,
+    )
 
 
 def _time_findings(

@@ -156,14 +156,23 @@ class ProcessSearch:
                 for out in range(len(found.extras))
             ]
             best = min(without, key=lambda f: f.chi_squared)
-            if best.chi_squared - found.chi_squared > self._needed(best):
+            needed = self._needed(best) if self._walk else COMPARED_GAIN
+            if best.chi_squared - found.chi_squared > needed:
                 break
             found = self._adjusted(best)
         while True:
             more = self._with_one_more(found)
             if more is None or found.chi_squared - more.chi_squared < self._needed(found):
-                return self._adjusted(found, SWEEPS)
+                return self._adjusted(self._with_a_drift(found), SWEEPS)
             found = more
+
+    def _with_a_drift(self, found: Found) -> Found:
+        """Return the fit with a Gauss-Markov process in place of the walk, where there is none."""
+        if self._walk:
+            return found
+        more = self._with_one_more(found, lines=False)
+        pays = more is not None and found.chi_squared - more.chi_squared > COMPARED_GAIN
+        return more if more is not None and pays else found
 
     def z(self, found: Found) -> float:
         """Return the goodness of fit as a normal deviate."""
@@ -171,18 +180,16 @@ class ProcessSearch:
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
     def _needed(self, found: Found) -> float:
-        if not self._walk:
-            return COMPARED_GAIN
         return NEEDED_GAIN if self.z(found) >= Z_FAIL else SURE_GAIN
 
-    def _with_one_more(self, found: Found) -> Found | None:
+    def _with_one_more(self, found: Found, lines: bool = True) -> Found | None:
         """Return the best fit with one more process, all shapes adjusted, if any lowers chi^2."""
         drifts = sum(isinstance(e, GaussMarkovTerm) for e in found.extras)
-        lines = len(found.extras) - drifts
+        more_lines = lines and len(found.extras) - drifts < MOST_LINES
         allowed = np.zeros(len(self._grid), bool)
         if drifts < MOST_DRIFTS:
             allowed |= self._of_kind[GaussMarkovTerm]
-        if lines < MOST_LINES:
+        if more_lines:
             allowed |= self._of_kind[SinusoidTerm]
         at = np.flatnonzero(allowed)
         if not len(at):

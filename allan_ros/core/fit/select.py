@@ -63,6 +63,9 @@ process has taken its place: the samples are filtered."""
 Z_SLACK = 1.0
 """A model of processes may be worse than one that passes by this much."""
 
+BOUNDED_MARGIN = 10.0
+"""Fall of the criterion for which a random walk gives way to a bounded drift."""
+
 HOPELESS = 30.0
 """A search that fails by so much is not repeated with its own covariance."""
 
@@ -180,7 +183,7 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     # What fails anyway gets a model error, and z counts for little.
     if _z(other) > (max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z):
         return fit
-    return other if _criterion(other) < _criterion(fit) else fit
+    return other if _criterion(other) + BOUNDED_MARGIN < _criterion(fit) else fit
 
 
 def _criterion(fit: PointFit) -> float:

@@ -27,7 +27,7 @@ def test_times_are_said_as_one_would(seconds, words):
 def test_findings_that_read_alike_are_one():
     one = finding('ramps_differ', ('gyro_x',))
     other = finding('ramps_differ', ('gyro_z',))
-    third = finding('misfit', ('gyro_y',), misfit=0.1)
+    third = finding('misfit', ('gyro_y',), deviation=0.1, tau='3 s')
     both, last = joined([one, third, other])[0], joined([one, third, other])[1]
     assert both.axes == ('gyro_x', 'gyro_z')
     assert last == third
