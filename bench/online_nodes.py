@@ -144,15 +144,16 @@ class Client:
         found = (s.message for name, s in self.statuses.items() if name.endswith(ending))
         return next(found, '')
 
-    def publisher(self) -> Any:
-        """Return a publisher of Imu that a subscriber has found."""
-        from rclpy.qos import QoSProfile
+    def publisher(self, wanted: int = 1, keep_all: bool = False) -> Any:
+        """Return a publisher of Imu that so many subscribers have discovered."""
+        from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
 
         from allan_ros.nodes.player import Handshake
 
-        publisher = self.node.create_publisher(Imu, 'imu/data', QoSProfile(depth=1000))
-        handshake = Handshake(self.node, publisher)
+        qos = QoSProfile(history=HistoryPolicy.KEEP_ALL) if keep_all else QoSProfile(depth=1000)
+        publisher = self.node.create_publisher(Imu, 'imu/data', qos)
+        handshake = Handshake(self.node, publisher, wanted)
         while not handshake.update():
             self.spin(0.1)
         handshake.close()

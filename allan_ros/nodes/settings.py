@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' own settings and their defaults (those of the segmenter live in core).
+"""Settings of the nodes with their defaults; those of the data selection are in core.
 
 Every field becomes a ROS parameter ``<group>.<name>`` (see `parameters`).
 """
@@ -17,7 +17,7 @@ from ..io.readers.recording import ACCEL_UNITS, GYRO_UNITS
 
 @dataclass(frozen=True)
 class InputSettings(CheckedSettings):
-    """How the Imu messages are taken in (group ``input``)."""
+    """How Imu messages are received (group ``input``)."""
 
     topics: tuple[str, ...] = parameter(('imu/data',), 'Imu topics to watch.', read_only=True)
     labels: tuple[str, ...] = parameter(
@@ -26,11 +26,11 @@ class InputSettings(CheckedSettings):
         read_only=True,
     )
     hardware_ids: tuple[str, ...] = parameter(
-        ('',), 'One serial number per topic; empty: the frame_id stands for it.', read_only=True
+        ('',), 'One serial number per topic; empty: the frame_id is used.', read_only=True
     )
     queue_depth: int = parameter(
         4000,
-        'Messages the middleware may hold between two drains.',
+        'Messages that the middleware may queue between two drains.',
         unit='messages',
         low=1,
         high=1_000_000,
@@ -91,11 +91,13 @@ class InputSettings(CheckedSettings):
             )
         names = [label for _, label, _ in self.imus]
         if len(set(names)) < len(names):
-            raise AllanError(f'input.labels {", ".join(names)} are not unique: name each IMU apart')
+            raise AllanError(
+                f'input.labels {", ".join(names)} are not unique: give each IMU another label'
+            )
 
     @property
     def imus(self) -> tuple[tuple[str, str, str], ...]:
-        """(topic, label, hardware id) of each IMU; a label is made of the topic where needed."""
+        """(topic, label, hardware id) of each IMU; missing labels are made from the topics."""
         several = len(self.topics) > 1
         made = tuple(t.strip('~/').replace('/', '_') if several else '' for t in self.topics)
         given = self.labels if any(self.labels) else made
@@ -105,11 +107,11 @@ class InputSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class PublishSettings(CheckedSettings):
-    """How often the nodes speak (group ``publish``)."""
+    """How often the nodes publish (group ``publish``)."""
 
     sums_period: float = parameter(
         10.0,
-        'How often the running sums are published, and looked at for a change.',
+        'How often the running sums are published, and checked for a change.',
         unit='s',
         low=0.1,
         high=3600.0,
@@ -121,12 +123,12 @@ class PublishSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class CheckpointSettings(CheckedSettings):
-    """Where the sums survive a restart (group ``checkpoint``)."""
+    """Where the sums are saved over restarts (group ``checkpoint``)."""
 
     path: str = parameter(
         '',
-        'Checkpoint file; a folder when several IMUs are watched (<label>.json in it); '
-        'empty: keep none.',
+        'Checkpoint file, or a folder for several IMUs (<label>.json in it); missing folders are '
+        'created; empty: none.',
         read_only=True,
     )
     period: float = parameter(
@@ -136,10 +138,10 @@ class CheckpointSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class EstimatorSettings(CheckedSettings):
-    """When the sums are fitted and what the coefficients are held against (group ``estimator``)."""
+    """When sums are fitted and what coefficients are compared with (group ``estimator``)."""
 
     method: str = parameter(
-        'gls', 'How the five terms are fitted.', choices=('gls', 'relative', 'paper')
+        'gls', 'Method of the fit of the five terms.', choices=('gls', 'relative', 'paper')
     )
     growth: float = parameter(
         0.1, 'Refit when the samples have grown by this fraction.', low=0.0, high=10.0
@@ -150,17 +152,17 @@ class EstimatorSettings(CheckedSettings):
         read_only=True,
     )
     baseline: str = parameter(
-        '', 'Former run to compare with: its results.json; empty: none.', read_only=True
+        '', 'Former results to compare with, a results.json; empty: none.', read_only=True
     )
     margin: float = parameter(
         MARGIN,
-        'Warn when the interval lies beyond the limit by more than this fraction.',
+        'Warn when the complete interval exceeds the limit by more than this fraction.',
         low=0.0,
         high=100.0,
     )
     recent_window: float = parameter(
         3600.0,
-        'Length of the recent view that is held against all the time before.',
+        'Length of the recent window, which is compared with all the time before it.',
         unit='s',
         low=1.0,
         high=604800.0,
@@ -168,7 +170,7 @@ class EstimatorSettings(CheckedSettings):
     )
     plot_period: float = parameter(
         10.0,
-        'Least time between two pictures of the curves; none is drawn while nobody subscribes.',
+        'Shortest time between two plots of the curves; none is drawn without a subscriber.',
         unit='s',
         low=1.0,
         high=86400.0,
@@ -177,7 +179,7 @@ class EstimatorSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class RelaySettings(CheckedSettings):
-    """What the relayed Imu messages get (group ``relay``)."""
+    """Which covariances relayed Imu messages get (group ``relay``)."""
 
     enabled: bool = parameter(
         False,
@@ -186,28 +188,28 @@ class RelaySettings(CheckedSettings):
     )
     until_model: str = parameter(
         'pass',
-        'What becomes of messages before there is a noise model: passed on, or held back for good.',
+        'Messages without a noise model: pass them on unchanged, or hold them back (drop them).',
         choices=('pass', 'hold'),
     )
     variance: str = parameter(
         'white',
-        'Variance to fill in: white is N^2 f, which keeps a filter honest; sample is that of the '
-        'samples as they scatter within a second.',
+        'Variance to fill in: white is N^2 f, which keeps a filter consistent; sample is the '
+        'variance of the samples within a second.',
         choices=('white', 'sample'),
     )
     rate: float = parameter(
         0.0,
-        'Rate f of the messages where they are averaged before they come here; 0: that of the '
-        'noise model.',
+        'Rate f of the messages if they were averaged before the relay; 0: rate of the noise '
+        'model.',
         unit='Hz',
         low=0.0,
         high=1_000_000.0,
     )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', low=1.0, high=1000.0)
-    overwrite: bool = parameter(False, 'Replace covariances that the driver filled in.')
+    overwrite: bool = parameter(False, 'Replace covariances that the driver has set.')
     queue_depth: int = parameter(
         1000,
-        'Messages the middleware may hold on either side.',
+        'Messages that the middleware may queue at input and output.',
         unit='messages',
         low=1,
         high=1_000_000,
@@ -222,30 +224,30 @@ class RelaySettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class PushSettings(CheckedSettings):
-    """Whose parameters follow the coefficients, and how (group ``push``)."""
+    """Which parameters of another node follow the coefficients (group ``push``)."""
 
     node: str = parameter(
         '', 'Full name of the node whose parameters are set; empty: none.', read_only=True
     )
     filter: str = parameter(
         '',
-        'What is set: a name in config/filters, or a mapping file.',
+        'Mapping: a name in config/filters, or a file.',
         read_only=True,
     )
     enabled: bool = parameter(
-        True, 'Whether parameters are set; ~/restore puts the former ones back and turns it off.'
+        True, 'Whether parameters are set; ~/restore restores the former values and turns it off.'
     )
     ratio: float = parameter(
         1.5,
-        'A value is set once upper over lower end of its 95 % interval is at most this.',
+        'A value is set once the ratio of the ends of its 95 % interval is at most this.',
         low=1.0,
         high=1000.0,
     )
     period: float = parameter(
-        300.0, 'Parameters are set at most this often.', unit='s', low=0.1, high=604800.0
+        300.0, 'Shortest time between two settings.', unit='s', low=0.1, high=604800.0
     )
     change: float = parameter(
-        0.1, 'A value is set anew when it differs by more than this fraction.', low=0.0, high=10.0
+        0.1, 'A value is set again when it differs by more than this fraction.', low=0.0, high=10.0
     )
 
     def __post_init__(self) -> None:

@@ -131,7 +131,12 @@ def test_foxglove_names_its_panels(viewers: Path) -> None:
         ('a/b/allan_imu_relay: relay', 'Inputs and nodes'),
         ('allan_monitor: parameters of /imu_filter_madgwick', 'Inputs and nodes'),
         ('allan_accumulator: /gyro/imu input', 'Inputs and nodes'),
-        ('camera: gyro x', None),
+        ('robot1/imu_watcher: left imu_link gyro z', 'Gyroscopes'),
+        ('robot1/imu_watcher: imu/data input', 'Inputs and nodes'),
+        ('robot1/imu_watcher: relay', 'Inputs and nodes'),
+        ('imu_watcher: node', 'Inputs and nodes'),
+        ('camera: exposure', None),
+        ('battery: relay voltage', None),
     ],
 )
 def test_every_status_goes_to_one_analyzer(viewers: Path, name: str, path: str | None) -> None:
