@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.imu import AXES, ImuBatch
+from ..core.imu import AXES, LARGEST, ImuBatch
 
 MAX_BINS = 2048
 """More spans than a plot has pixels across; when they are full, neighbours are joined."""
@@ -71,17 +71,19 @@ class SignalEnvelope:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Start of each span since the first sample, (bins,), s."""
-        stamps = self.start_ns
-        return np.asarray((stamps - stamps[:1]) * 1e-9, float)
+        """Start of each bin since the first sample in s, (bins,), never decreasing."""
+        stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
+        return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
     def _put(self, batch: ImuBatch) -> None:
         """Add samples that fit into the spans there are."""
         first = self._samples
         spans = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(spans, prepend=-1))
-        low = np.fmin.reduceat(batch.samples, starts)
-        high = np.fmax.reduceat(batch.samples, starts)
+        # no picture shows what no IMU measures, nor do the sums contain it
+        samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
+        low = np.fmin.reduceat(samples, starts)
+        high = np.fmax.reduceat(samples, starts)
         record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
         start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
         at = int(spans[0])

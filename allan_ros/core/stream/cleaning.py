@@ -208,7 +208,7 @@ def plan_sensors(
     findings: list[Finding] = []
     for sensor, place in SENSORS.items():
         present = np.arange(place.start, place.stop)
-        present = present[np.isfinite(rows[place]).any(axis=1)]
+        present = present[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
         if not len(present):
             findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
             continue

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import AllanError
+from ...core.fields import MAX_INTEGER
 from ...core.findings import Finding
 from ...core.imu import AXES, SENSORS, ImuBatch, sensor_of
 from .recording import ACCEL_UNITS, BATCH, GYRO_UNITS, Recording, SourceInfo
@@ -80,6 +81,8 @@ def _recording(batch: ImuBatch) -> Recording:
         for first in range(0, len(batch), BATCH):
             yield batch[first : first + BATCH]
 
+    if len(batch) and np.abs(batch.stamps_ns.astype(float)).max() > MAX_INTEGER:
+        raise AllanError('some times are beyond a hundred years from 1970: check their unit')
     if not len(batch):
         raise AllanError('there are no samples: give an array with at least some thousand rows')
     return Recording(SourceInfo(NAME, '', 'array', 'memory'), len(batch), read)

@@ -1,0 +1,75 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples and stamps that no IMU has: results and pictures of the rest, or one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import allan_ros as ar
+from allan_ros.cli.main import main
+from allan_ros.core.imu import ImuBatch
+
+ROW, N = 700, 3600
+
+
+def at_one_row(value: float) -> Callable[[ImuBatch], None]:
+    def change(batch: ImuBatch) -> None:
+        batch.samples[ROW, 2] = value
+
+    return change
+
+
+def a_sensor(value: float) -> Callable[[ImuBatch], None]:
+    def change(batch: ImuBatch) -> None:
+        batch.samples[:, 3:] = value
+
+    return change
+
+
+def the_first(batch: ImuBatch) -> None:
+    batch.samples[0] = np.inf
+
+
+def wild_stamps(batch: ImuBatch) -> None:
+    batch.stamps_ns[:] = np.random.default_rng(0).integers(-(2**61), 2**61, len(batch))
+
+
+HOSTILE = {
+    **{str(v): at_one_row(v) for v in (np.inf, np.nan, -1.7e308, 1e29)},
+    **{f'accel {v}': a_sensor(v) for v in (np.inf, 1.7e308, 0.0)},
+    'first': the_first,
+    'stamps': wild_stamps,
+}
+
+
+@pytest.mark.parametrize('name', HOSTILE)
+def test_the_rest_is_analyzed_and_drawn(name: str, tmp_path: Path) -> None:
+    batch = ar.simulate(hours=N / 50 / 3600, rate=50, seed=1)
+    HOSTILE[name](batch)
+    results = ar.analyze(batch, method='relative')
+    assert 'allan_gyro.png' in {path.name for path in results.save(tmp_path)}
+    assert results.samples <= N
+
+
+@pytest.mark.parametrize('stamp', [-(2**63), 2**63 - 1])
+def test_impossible_times_are_refused(stamp: int) -> None:
+    batch = ar.simulate(hours=0.01, rate=50)
+    batch.stamps_ns[3] = stamp
+    with pytest.raises(ar.AllanError, match='check their unit'):
+        ar.analyze(batch)
+
+
+@pytest.mark.parametrize('cell', ['inf', '1.7e308'])
+def test_one_bad_cell_of_a_table(cell: str, tmp_path: Path) -> None:
+    samples = ar.simulate(hours=0.01, rate=50, seed=2).samples
+    rows = [f'{i / 50},' + ','.join(map(repr, row.tolist())) for i, row in enumerate(samples)]
+    rows[100] = rows[100].rsplit(',', 1)[0] + f',{cell}'
+    table = tmp_path / 'imu.csv'
+    table.write_text('\n'.join(['t,gx,gy,gz,ax,ay,az', *rows]) + '\n')
+    assert main(['analyze', str(table), '-q', '-o', str(tmp_path / 'out')]) == 0
+    assert (tmp_path / 'out' / 'report.html').exists()
