@@ -25,6 +25,7 @@ def ros_wheels(distro):
     """
     messages = (
         'diagnostic-msgs',
+        'geometry-msgs',
         'rcl-interfaces',
         'rosgraph-msgs',
         'sensor-msgs',

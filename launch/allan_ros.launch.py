@@ -79,7 +79,8 @@ def nodes(context):
     ]
     if relay:
         model = ('noise_model', 'allan_estimator/noise_model')
-        apart.append(node('allan_imu_relay', [imu, model]))
+        bias = ('bias', 'allan_estimator/bias')
+        apart.append(node('allan_imu_relay', [imu, model, bias]))
     return apart
 
 

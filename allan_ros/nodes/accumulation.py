@@ -252,7 +252,8 @@ class ImuWatch:
     def _publish(self, total: Total) -> None:
         """Hand the sums to the listener, and publish them while somebody subscribes."""
         self._published, self._published_imu = total[0], (self.frame_id, self._axes)
-        snapshot = Snapshot(total, self.frame_id, self._imu.hardware_id, self._axes)
+        means = self._stream.means()
+        snapshot = Snapshot(total, self.frame_id, self._imu.hardware_id, self._axes, means)
         if self._listener is not None:
             self._listener(snapshot)
         if self._publisher.get_subscription_count():

@@ -23,11 +23,13 @@ from ..core.compare import Reference, compare, reference_of_run
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
+from ..core.imu import SI_UNITS, sensor_of
 from ..io.datasheets import load_sensor
 from ..io.documents import results_from_document, results_to_document
 from ..io.results import Results, analyse_sums
 from ..io.text import read_json
 from .allan_plot import AllanPlot
+from .bias import BiasPublisher
 from .diagnostics import AxisView, axis_status, key_values, message_of, status_name, worst_level
 from .node import AllanNode
 from .parameters import ParameterGroup
@@ -111,6 +113,7 @@ class ImuEstimate:
         self._changes: dict[str, Change] = {}
         home = f'~/{label}/' if label else '~/'
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
+        self._bias = BiasPublisher(node, home, settings.value)
         self._plot = AllanPlot(node, home, lambda: settings.value.plot_period, worker)
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
@@ -121,6 +124,7 @@ class ImuEstimate:
         if lost > REPLACED_SHARE:
             self._withdraw(lost)
         self._compare_recent(snapshot.sums)
+        self._bias.take(snapshot)
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
@@ -183,7 +187,10 @@ class ImuEstimate:
             change=change if change and change.beyond(margin) else None,
         )
         name = status_name(self._node, self._label, frame_id, axis.replace('_', ' '))
-        return axis_status(name, one_line(hardware_id or frame_id), view)
+        status = axis_status(name, one_line(hardware_id or frame_id), view)
+        unit = SI_UNITS[sensor_of(axis)]['B']
+        status.values = [*status.values, *key_values(self._bias.values(axis, unit))]
+        return status
 
     # --- fitting ----------------------------------------------------------------------------------
 
@@ -224,7 +231,10 @@ class ImuEstimate:
         self._publish(replace(empty, findings=(self._withdrawn,)))
 
     def _publish(self, results: Results) -> None:
+        self._bias.use(results if results.axes else None)
         document = results_to_document(results, curves=False)
+        if bias := self._bias.document():
+            document['bias'] = bias
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
         self._plot.take(results if results.axes else None)

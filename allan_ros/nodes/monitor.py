@@ -89,9 +89,10 @@ class Monitor(AllanNode):
             watches.append(watch)
             parts += [watch, estimate]
             if relay.value.enabled:
-                model = f'~/{imu.label}/noise_model' if imu.label else '~/noise_model'
+                home = f'~/{imu.label}' if imu.label else '~'
+                model, bias = f'{home}/noise_model', f'{home}/bias'
                 sink = f'{imu.topic}_with_covariance'
-                topics = RelayTopics(imu.topic, model, sink, imu.label, imu.hardware_id)
+                topics = RelayTopics(imu.topic, model, sink, imu.label, imu.hardware_id, bias)
                 parts.append(ImuRelay(self, topics, relay))
         does = 'monitors ' + ', '.join(watch.description for watch in watches)
         self.begin([*parts, push], does, settings.input.value.drain_period)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -29,7 +30,7 @@ from ..core.filters.noise_parameters import Variances, measured_variances, white
 from ..core.findings import Finding, finding
 from ..core.imu import SENSORS, ImuIdentity
 from ..io.documents import results_from_document
-from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
+from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, without_gyro_bias
 from ..io.results import Results
 from ..io.text import parse_json
 from .diagnostics import key_values, message_of, status_name, worst_level
@@ -55,13 +56,14 @@ SHOWN_UNIT = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
 
 class RelayTopics(NamedTuple):
-    """Input, noise model and output topics, and how diagnostics name the IMU."""
+    """Input, noise model, output and bias topics, and how diagnostics name the IMU."""
 
     source: str
     model: str
     sink: str
     label: str = ''
     hardware_id: str = ''
+    bias: str = 'bias'
 
 
 @dataclass
@@ -75,6 +77,7 @@ class RelayCounts:
     malformed: int = 0
     other_frame: int = 0
     unpublished: int = 0
+    unbiased: int = 0
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
@@ -83,7 +86,8 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
         stds = {name: axis.sample_std for name, axis in results.axes.items()}
         return measured_variances(stds, settings.inflate)
     fits = {name: axis.fit for name, axis in results.axes.items()}
-    return white_variances(fits, settings.rate or results.rate_hz, settings.inflate)
+    rate = settings.rate or results.rate_hz
+    return white_variances(fits, rate, settings.inflate, settings.horizon)
 
 
 class ImuRelay:
@@ -120,6 +124,8 @@ class ImuRelay:
             Imu, topics.sink, QoSProfile(depth=depth), qos_overriding_options=overriding
         )
         self._model = node.create_subscription(String, topics.model, self._on_model, LATCHED)
+        self._bias: TwistWithCovarianceStamped | None = None
+        node.create_subscription(TwistWithCovarianceStamped, topics.bias, self._on_bias, 10)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         plain = settings.value.plain_callback
@@ -168,6 +174,7 @@ class ImuRelay:
             ('held back [messages]', c.held),
             ('malformed [messages]', c.malformed),
             ('not published [messages]', c.unpublished),
+            ('gyro bias subtracted [messages]', c.unbiased),
             ('variance', self._settings.value.variance),
             ('messages taken by', 'a thread' if self._thread else 'a plain callback'),
         ]
@@ -203,12 +210,13 @@ class ImuRelay:
             counts.held += 1
             return
         try:
-            handed_on = self._patch.patch(payload)
+            unbiased = self._without_bias(payload)
+            handed_on = self._patch.patch(unbiased)
         except MalformedMessage as error:
             counts.malformed += 1
             self._last_malformed = str(error)
-            handed_on = payload
-        if handed_on is not payload:
+            handed_on = unbiased = payload
+        if handed_on is not unbiased:
             counts.patched += 1
         else:
             counts.untouched += 1
@@ -217,6 +225,29 @@ class ImuRelay:
             self._publisher.publish(handed_on)
         except rclpy_implementation.RCLError:  # a reliable subscriber's queue stayed full
             counts.unpublished += 1
+
+    def _without_bias(self, payload: bytes) -> bytes:
+        """Return the message with the gyro bias subtracted, if that is asked for and allowed."""
+        settings, bias = self._settings.value, self._bias
+        if not settings.subtract_bias or bias is None or bias.twist.covariance[21] < 0.0:
+            return payload
+        if bias.header.frame_id not in ('', frame_id_of(payload)):
+            return payload
+        stamp, rates = bias.header.stamp, bias.twist.twist.angular
+        end_ns = stamp.sec * 10**9 + stamp.nanosec
+        valid_ns = round(settings.bias_max_age * 1e9)
+        unbiased = without_gyro_bias(
+            payload,
+            (rates.x, rates.y, rates.z),
+            settings.bias_rate_limit,
+            end_ns - valid_ns,
+            end_ns + valid_ns,
+        )
+        self.counts.unbiased += unbiased is not payload
+        return unbiased
+
+    def _on_bias(self, message: TwistWithCovarianceStamped) -> None:
+        self._bias = message
 
     def _note_frame(self, payload: bytes) -> None:
         """Count a message with another frame_id than the noise model."""

@@ -168,6 +168,23 @@ class EstimatorSettings(CheckedSettings):
         high=604800.0,
         read_only=True,
     )
+    bias_tolerance_gyro: float = parameter(
+        0.0,
+        'Tolerance of the gyro bias: diagnostics show how long the bias stays within it; 0: twice '
+        'its 95 % interval.',
+        unit='rad/s',
+        low=0.0,
+        high=10.0,
+        read_only=True,
+    )
+    bias_tolerance_accel: float = parameter(
+        0.0,
+        'Tolerance of the accelerometer bias; 0: twice its 95 % interval.',
+        unit='m/s^2',
+        low=0.0,
+        high=100.0,
+        read_only=True,
+    )
     plot_period: float = parameter(
         10.0,
         'Shortest time between two plots of the curves; none is drawn without a subscriber.',
@@ -205,7 +222,34 @@ class RelaySettings(CheckedSettings):
         low=0.0,
         high=1_000_000.0,
     )
+    horizon: float = parameter(
+        0.0,
+        'For filters without a state for the bias: the white variance is raised until it covers '
+        'all drift over this time; 0: white noise alone.',
+        unit='s',
+        low=0.0,
+        high=1e6,
+    )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', low=1.0, high=1000.0)
+    subtract_bias: bool = parameter(
+        False,
+        'Subtract the gyro bias on the topic bias from the angular velocity while the IMU is at '
+        'rest and the bias is fresh.',
+    )
+    bias_max_age: float = parameter(
+        60.0,
+        'Older biases are not subtracted.',
+        unit='s',
+        low=1.0,
+        high=86400.0,
+    )
+    bias_rate_limit: float = parameter(
+        0.05,
+        'No bias is subtracted from a message whose angular velocity differs from it by more.',
+        unit='rad/s',
+        low=1e-4,
+        high=10.0,
+    )
     overwrite: bool = parameter(False, 'Replace covariances that the driver has set.')
     queue_depth: int = parameter(
         1000,

@@ -9,9 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ..core.allan.sums import KEPT_SEGMENTS, AllanSums
+from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.imu import AXES
+from ..core.stream.means import Means
 from ..io.documents import sums_file_from_document, sums_file_to_document
 from ..io.recorded import Provenance
 from ..io.text import parse_json
@@ -35,12 +39,15 @@ class Snapshot:
         Of the latest messages; the sums may be of another frame.
     axes : tuple of str
         Axes that messages had values for, also before there are sums.
+    means : tuple of Means
+        The latest means of static samples over a second, one value for each sensor.
     """
 
     total: Total
     frame_id: str = ''
     hardware_id: str = ''
     axes: tuple[str, ...] = ()
+    means: tuple[Means, ...] = ()
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
@@ -50,7 +57,15 @@ class Snapshot:
     def to_document(self) -> dict[str, Any]:
         """Return the document of ``~/sums``: a sums file with the connected IMU added."""
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
-        return {**sums_file_to_document(*self.total), 'imu': imu}
+        means = [
+            {
+                'axes': list(one.axes),
+                'end_ns': one.end_ns.tolist(),
+                'values': [[float(f'{value:.9g}') for value in row] for row in one.values],
+            }
+            for one in self.means
+        ]
+        return {**sums_file_to_document(*self.total), 'imu': imu, 'means': means}
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
@@ -72,7 +87,32 @@ class Snapshot:
             imu.text('frame_id', ''),
             imu.text('hardware_id', ''),
             tuple(axis for axis in AXES if axis in axes),
+            _means(document.get('means', []) if isinstance(document, dict) else []),
         )
+
+
+def _means(documents: Any) -> tuple[Means, ...]:
+    """Return the means of a document.
+
+    Raises
+    ------
+    AllanError
+        When they are not rows of as many finite numbers as there are axes.
+    """
+    try:
+        means = tuple(
+            Means(
+                tuple(str(axis) for axis in one['axes']),
+                np.array(one['end_ns'], np.int64),
+                np.array(one['values'], float).reshape(len(one['end_ns']), len(one['axes'])),
+            )
+            for one in documents
+        )
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        raise AllanError(f'sums: its means cannot be read ({error!r})') from error
+    if not all(np.isfinite(one.values).all() for one in means):
+        raise AllanError('sums: its means are not finite numbers')
+    return means
 
 
 def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> float:

@@ -9,6 +9,8 @@ with the states of the process model estimates it from means over 1 s.
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +32,9 @@ AHEAD_S = 10.0
 
 LONGEST_S = 1e6
 """No bias is predicted further than this."""
+
+KEPT_MEANS = 600
+"""Means of an axis that a changed model starts from."""
 
 NORMAL_95 = 1.959963984540054
 
@@ -130,6 +135,115 @@ class BiasFilter:
         phi[0, 0] = 0.0  # every mean starts its own integral
         self._state = phi @ self._state
         self._covariance = phi @ self._covariance @ phi.T + noise
+
+
+@dataclass(frozen=True)
+class AxisBias:
+    """The present bias of one axis.
+
+    Attributes
+    ----------
+    estimate : BiasEstimate
+        Of the 10 s after the latest mean.
+    end_ns : int
+        Time of the latest mean.
+    optimal_s : float
+        Averaging time whose mean predicts the bias best.
+    within_s : float
+        How long the bias stays within the tolerance.
+    tolerance : float
+        In the unit of the samples.
+    """
+
+    estimate: BiasEstimate
+    end_ns: int
+    optimal_s: float
+    within_s: float
+    tolerance: float
+
+
+class BiasTracker:
+    """Keeps the bias of all axes of an IMU from its means at rest.
+
+    A changed model starts from the kept means. Time that goes back, as after a reset, starts anew.
+
+    Parameters
+    ----------
+    tolerance : mapping of 'gyro' and 'accel' to float
+        Of `AxisBias`; 0: twice the half width of the interval that a long rest gives.
+    """
+
+    def __init__(self, tolerance: Mapping[str, float]) -> None:
+        self._tolerance = tolerance
+        self._models: dict[str, ProcessModel] = {}
+        self._filters: dict[str, BiasFilter] = {}
+        self._facts: dict[str, tuple[float, float, float]] = {}
+        self._kept: dict[str, deque[tuple[int, float]]] = {}
+
+    def take(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
+        """Take the latest means of an axis; those that are known already are skipped.
+
+        Parameters
+        ----------
+        axis : str
+        end_ns : sequence of int
+            Ends of the means in ns, increasing.
+        values : sequence of float
+        """
+        kept = self._kept.setdefault(axis, deque(maxlen=KEPT_MEANS))
+        if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
+            kept.clear()
+            self._filters.pop(axis, None)
+        last = kept[-1][0] if kept else None
+        for end, value in zip(end_ns, values):
+            if last is not None and end <= last:
+                continue
+            if axis in self._filters:
+                self._update(axis, last, end, value)
+            kept.append((end, value))
+            last = end
+        if axis not in self._filters:
+            self._rebuild(axis)
+
+    def use(self, models: Mapping[str, ProcessModel]) -> None:
+        """Use these models from now on."""
+        if models == self._models:
+            return
+        self._models, self._filters, self._facts = dict(models), {}, {}
+        for axis in models:
+            self._rebuild(axis)
+
+    def bias(self, axis: str) -> AxisBias | None:
+        """Return the bias of an axis; None before there is a model and a mean."""
+        bias, kept = self._filters.get(axis), self._kept.get(axis)
+        if bias is None or not kept:
+            return None
+        if axis not in self._facts:
+            model = self._models[axis]
+            tolerance = self._tolerance.get(axis.split('_', 1)[0], 0.0)
+            if not tolerance:
+                tolerance = 2.0 * NORMAL_95 * steady_filter(model).estimate().std
+            within = time_within(model, tolerance)
+            self._facts[axis] = (optimal_window(model), within, tolerance)
+        return AxisBias(bias.estimate(), kept[-1][0], *self._facts[axis])
+
+    def _rebuild(self, axis: str) -> None:
+        kept = self._kept.get(axis)
+        if axis not in self._models or not kept:
+            return
+        self._filters[axis] = BiasFilter(self._models[axis])
+        last = None
+        for end, value in kept:
+            self._update(axis, last, end, value)
+            last = end
+
+    def _update(self, axis: str, last: int | None, end: int, value: float) -> None:
+        bias = self._filters[axis]
+        if last is not None:
+            pause = (end - last) * 1e-9 - MEAN_S
+            if pause > 0.1 * MEAN_S:
+                bias.pause(pause)
+        bias.update(value)
 
 
 def filter_space(model: ProcessModel) -> StateSpace:

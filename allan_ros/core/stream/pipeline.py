@@ -22,6 +22,7 @@ from ..settings import SegmenterSettings
 from .cleaning import plan_sensors
 from .findings import stream_findings
 from .health import Counts, Segment, State, StreamHealth
+from .means import Means
 from .sensor_stream import SensorStream, StreamSums
 from .timing import LEARN
 
@@ -117,6 +118,10 @@ class ImuStream:
         """Process all samples that wait and close the segment: no more come."""
         for frame in self._frames.values():
             frame.flush()
+
+    def means(self) -> tuple[Means, ...]:
+        """Return the latest means of static samples over a second, one value for each sensor."""
+        return tuple(stream.means for stream in self._present.streams)
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream itself is not changed."""

@@ -23,6 +23,7 @@ from ..imu import ImuIdentity
 from ..settings import SegmenterSettings
 from .cleaning import SampleHoldFilter, SensorPlan, StampFilter
 from .health import Counts, Segment, State
+from .means import Means, RunningMeans
 from .motion import RELEARNED, MotionGate
 from .timing import LEARN, Block, SampleClock, learn_clock
 
@@ -158,6 +159,7 @@ class SensorStream:
     def _clear(self) -> None:
         """Start with empty sums."""
         self._engine = RunningAllan(self._identity, self.plan.axes)
+        self._means = RunningMeans(self.plan.axes)
         self._spectrum = RunningSpectrum(self.plan.axes) if self._with_spectrum else None
         self._filled = FilledGaps(len(self.plan.axes))
         self._segments: list[tuple[int, Segment]] = []  # shortest first
@@ -214,6 +216,11 @@ class SensorStream:
                 continue
             return [*self._former[:i], joined, *self._former[i + 1 :]]
         return [*self._former, present]
+
+    @property
+    def means(self) -> Means:
+        """The latest means of static samples over a second."""
+        return self._means.means
 
     def feed(self, stamps: Stamps, rows: Floats) -> None:
         """Take samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
@@ -303,6 +310,7 @@ class SensorStream:
         self.counts.used += len(block)
         self._filled.add(block.filled)
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns)
+        self._means.update(block.stamps, block.rows)
         if self._spectrum is not None:
             self._spectrum.update(block.rows)
 
@@ -315,6 +323,7 @@ class SensorStream:
         del self._segments[:-LISTED_SEGMENTS]
         self._engine.end_segment()
         self._filled.end()
+        self._means.cut()
         if self._spectrum is not None:
             self._spectrum.end_segment()
 

@@ -461,6 +461,47 @@ class CovariancePatch:
         return self._overwrite or not any(numbers)
 
 
+def without_gyro_bias(
+    payload: bytes, bias: tuple[float, float, float], rate_limit: float, first_ns: int, last_ns: int
+) -> bytes:
+    """Return the message with the bias taken off the angular velocity.
+
+    The same object comes back where the stamp is outside of ``first_ns`` .. ``last_ns``, an angular
+    velocity differs from the bias by more than ``rate_limit``, or is not a number.
+
+    Parameters
+    ----------
+    payload : bytes
+        An Imu in CDR.
+    bias : (x, y, z)
+        In rad/s.
+    rate_limit : float
+        In rad/s.
+    first_ns, last_ns : int
+        Times at which the bias is valid.
+
+    Raises
+    ------
+    MalformedMessage
+        When the payload is no Imu in plain CDR.
+    """
+    order, frame_bytes = _order_and_frame_size(payload)
+    _covariance_offsets(order, frame_bytes, len(payload))  # checks the length
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', payload, ENCAPSULATION_BYTES)
+    if not first_ns <= seconds * 10**9 + nanoseconds <= last_ns:
+        return payload
+    fields = imu_dtype('cdr', order, frame_bytes, len(payload)).fields
+    assert fields is not None
+    start = fields['gyro'][1]
+    rates = struct.unpack_from(f'{order}3d', payload, start)
+    corrected = [rate - known for rate, known in zip(rates, bias)]
+    if not all(abs(rate) <= rate_limit for rate in corrected):
+        return payload
+    patched = bytearray(payload)
+    struct.pack_into(f'{order}3d', patched, start, *corrected)
+    return bytes(patched)
+
+
 def frame_id_of(payload: bytes) -> str:
     """Return header.frame_id of a CDR payload.
 

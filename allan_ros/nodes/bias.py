@@ -1,0 +1,104 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Publishes the bias of one IMU at rest: topic ``~/bias`` and values for diagnostics."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import TwistWithCovarianceStamped
+
+from ..core.filters.bias import AxisBias, BiasTracker
+from ..core.imu import AXES
+from ..io.results import Results
+from .node import AllanNode
+from .settings import EstimatorSettings
+from .snapshot import Snapshot
+
+PLACES = {'gyro': 'angular', 'accel': 'linear'}
+"""Vector of the twist that holds the bias of a sensor."""
+
+ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
+"""Row of an axis in the covariance of a twist: linear x, y, z, then angular x, y, z."""
+
+UNKNOWN = -1.0
+"""Variance of an axis whose bias is not known, as in sensor_msgs/Imu."""
+
+
+class BiasPublisher:
+    """Publishes the bias whenever there are new means of samples at rest.
+
+    Parameters
+    ----------
+    node : AllanNode
+    home : str
+        Prefix of the topic.
+    settings : EstimatorSettings
+    """
+
+    def __init__(self, node: AllanNode, home: str, settings: EstimatorSettings) -> None:
+        tolerance = {'gyro': settings.bias_tolerance_gyro, 'accel': settings.bias_tolerance_accel}
+        self._tracker = BiasTracker(tolerance)
+        self._publisher = node.create_publisher(TwistWithCovarianceStamped, f'{home}bias', 10)
+        self._last_ns = 0
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Take the means of a snapshot, and publish the bias if some are new."""
+        for means in snapshot.means:
+            for i, axis in enumerate(means.axes):
+                self._tracker.take(axis, means.end_ns.tolist(), means.values[:, i].tolist())
+        known = {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
+        latest = max((bias.end_ns for bias in known.values()), default=0)
+        if known and latest != self._last_ns:
+            self._last_ns = latest
+            self._publisher.publish(bias_message(known, snapshot.frame_id))
+
+    def use(self, results: Results | None) -> None:
+        """Use the models of these results."""
+        axes = results.axes if results is not None else {}
+        self._tracker.use({axis: result.fit.selected for axis, result in axes.items()})
+
+    def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
+        """Return the values of an axis for diagnostics."""
+        bias = self._tracker.bias(axis)
+        if bias is None:
+            return []
+        low, high = bias.estimate.ci95
+        return [
+            (f'bias at rest [{unit}]', bias.estimate.value),
+            (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
+            ('bias optimal averaging time [s]', bias.optimal_s),
+            (f'bias stays within +-{bias.tolerance:.3g} {unit} for [s]', bias.within_s),
+        ]
+
+    def document(self) -> dict[str, dict[str, object]]:
+        """Return the bias of each axis for the noise model document, in SI."""
+        known = {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
+        return {axis: bias_document(bias) for axis, bias in known.items()}
+
+
+def bias_document(bias: AxisBias) -> dict[str, object]:
+    """Return the bias of one axis as a mapping, in SI."""
+    return {
+        'value': bias.estimate.value,
+        'ci95': list(bias.estimate.ci95),
+        'end_ns': bias.end_ns,
+        'optimal_averaging_s': bias.optimal_s,
+        'tolerance': bias.tolerance,
+        'within_s': bias.within_s,
+    }
+
+
+def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
+    """Return the message of these biases: the gyro as angular, the accelerometer as linear part."""
+    message = TwistWithCovarianceStamped()
+    message.header.frame_id = frame_id
+    latest = max(bias.end_ns for bias in known.values())
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(latest, 10**9)
+    covariance = [0.0] * 36
+    for axis, row in ROWS.items():
+        bias = known.get(axis)
+        covariance[7 * row] = UNKNOWN if bias is None else bias.estimate.std**2
+        if bias is not None:
+            sensor, letter = axis.split('_')
+            setattr(getattr(message.twist.twist, PLACES[sensor]), letter, bias.estimate.value)
+    message.twist.covariance = covariance
+    return message

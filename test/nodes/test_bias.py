@@ -1,0 +1,132 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bias at rest: published by the estimator, subtracted by the relay only when it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from allan_ros.core.imu import ImuBatch
+from allan_ros.io.readers.cdr import encode_imus, imu_dtype
+from allan_ros.nodes.bias import bias_message
+
+FAST = {
+    'qos_overrides./imu/data.subscription.reliability': 'reliable',
+    'qos_overrides./imu/data.subscription.history': 'keep_all',
+    'publish.sums_period': 0.3,
+    'publish.diagnostics_period': 0.2,
+    'estimator.method': 'relative',
+}
+BIAS = np.array([1e-3, -2e-3, 3e-3])
+
+
+def biased(batch: ImuBatch) -> ImuBatch:
+    """Return the samples with a bias of the gyro."""
+    samples = batch.samples.copy()
+    samples[:, :3] += BIAS
+    return ImuBatch(batch.stamps_ns, samples, frame_id=batch.frame_id)
+
+
+def rates(payload: bytes) -> np.ndarray:
+    frame_bytes = int.from_bytes(payload[12:16], 'little')
+    found = np.frombuffer(payload, imu_dtype('cdr', '<', frame_bytes, len(payload)))['gyro'][0]
+    return np.asarray(found)
+
+
+def test_the_estimator_publishes_the_bias(graph: Any, still_imu: Callable[..., ImuBatch]) -> None:
+    from geometry_msgs.msg import TwistWithCovarianceStamped
+
+    received: list[Any] = []
+    graph.start('monitor', **FAST)
+    graph.node.create_subscription(
+        TwistWithCovarianceStamped, '/allan_monitor/bias', received.append, 10
+    )
+    batch = biased(still_imu(12_000))
+    graph.send(graph.publisher(), batch)
+    message = graph.until(lambda: received and received[-1])
+    angular = message.twist.twist.angular
+    found = np.array([angular.x, angular.y, angular.z])
+    std = np.sqrt([message.twist.covariance[7 * row] for row in (3, 4, 5)])
+    assert np.all(std > 0.0)
+    np.testing.assert_array_less(np.abs(found - BIAS), 5.0 * std + 1e-6)
+    assert message.header.frame_id == batch.frame_id
+    stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    assert batch.stamps_ns[0] < stamp_ns <= batch.stamps_ns[-1]
+    value = graph.until(lambda: graph.value('gyro x', 'bias at rest [rad/s]'))
+    assert float(value) == pytest.approx(BIAS[0], abs=2e-4)
+    assert float(graph.value('gyro x', 'bias optimal averaging time [s]')) >= 1.0
+
+
+def relayed_rates(graph: Any, payloads: list[bytes], bias: Any, **parameters: Any) -> list[Any]:
+    """Return the angular velocities that the relay makes of messages, with a bias known."""
+    from geometry_msgs.msg import TwistWithCovarianceStamped
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import Imu
+
+    relay = {k: v for k, v in FAST.items() if k.startswith('qos') or 'diag' in k}
+    graph.start('relay', **relay, **parameters)
+    received: list[bytes] = []
+    graph.node.create_subscription(
+        Imu, 'imu/data_with_covariance', received.append, QoSProfile(depth=100), raw=True
+    )
+    publisher = graph.publisher()
+    source = graph.node.create_publisher(TwistWithCovarianceStamped, 'bias', 10)
+    graph.introduce(source)
+    source.publish(bias)
+    graph.spin(0.5)
+    for payload in payloads:
+        publisher.publish(payload)
+    graph.until(lambda: len(received) == len(payloads))
+    return [rates(payload) for payload in received]
+
+
+def message_at(batch: ImuBatch) -> Any:
+    """Return the bias as known at the start of these samples."""
+    from allan_ros.core.filters.bias import AxisBias, BiasEstimate
+
+    known = {
+        f'gyro_{a}': AxisBias(BiasEstimate(b, 1e-6), int(batch.stamps_ns[0]), 1.0, 1.0, 1.0)
+        for a, b in zip('xyz', BIAS.tolist())
+    }
+    return bias_message(known, batch.frame_id)
+
+
+def test_the_relay_subtracts_a_fresh_bias_at_rest_only(
+    graph: Any, still_imu: Callable[..., ImuBatch]
+) -> None:
+    batch = biased(still_imu(3))
+    samples, stamps = batch.samples.copy(), batch.stamps_ns.copy()
+    samples[1, 2] += 1.0  # turning
+    stamps[2] += 3600 * 10**9  # an hour later
+    sent = [bytes(p) for p in encode_imus(ImuBatch(stamps, samples, None, batch.frame_id), 'cdr')]
+    options = {'relay.subtract_bias': True}
+    still, turning, stale = relayed_rates(graph, sent, message_at(batch), **options)
+    np.testing.assert_allclose(still, samples[0, :3] - BIAS, atol=1e-12)
+    np.testing.assert_array_equal(turning, samples[1, :3])
+    np.testing.assert_array_equal(stale, samples[2, :3])
+
+
+def test_the_relay_leaves_the_bias_by_default(
+    graph: Any, still_imu: Callable[..., ImuBatch]
+) -> None:
+    batch = biased(still_imu(1))
+    sent = [bytes(p) for p in encode_imus(batch, 'cdr')]
+    (found,) = relayed_rates(graph, sent, message_at(batch))
+    np.testing.assert_array_equal(found, batch.samples[0, :3])
+
+
+def test_an_axis_without_a_bias_has_a_variance_of_minus_one() -> None:
+    from allan_ros.core.filters.bias import AxisBias, BiasEstimate
+
+    bias = AxisBias(BiasEstimate(0.5, 0.1), 3 * 10**9 + 7, 1.0, 1.0, 1.0)
+    message = bias_message({'accel_y': bias}, 'imu')
+    assert message.twist.twist.linear.y == 0.5
+    diagonal = [message.twist.covariance[7 * row] for row in range(6)]
+    assert diagonal == [-1.0, pytest.approx(0.01), -1.0, -1.0, -1.0, -1.0]
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 7)
