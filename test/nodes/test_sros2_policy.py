@@ -36,7 +36,7 @@ WORDS = {'publish': 'out', 'subscribe': 'in', 'reply': 'reply'}
 
 EVERY_NODE = re.compile(
     'in clock|out rosout|.*parameter.*|reply ~/get_type_description'
-    '|in ~/noise_model'  # the relay in the monitor hears the monitor
+    '|in ~/(noise_model|bias)'  # the relay in the monitor hears the monitor
 )
 
 

@@ -121,7 +121,7 @@ class ImuStream:
 
     def means(self) -> tuple[Means, ...]:
         """Return the latest means of static samples over a second, one value for each sensor."""
-        return tuple(stream.means for stream in self._present.streams)
+        return tuple(stream.means for stream in self._present.sensors)
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream itself is not changed."""
