@@ -1,9 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can be wrong with a simulated recording; needs only the standard library.
-
-`core.fault_effects` does what is written here.
-"""
+"""Faults of a simulated recording, and presets of sensors; `core.simulate` applies them."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from .settings import check, parameter
 
 @dataclass(frozen=True)
 class Faults:
-    """Everything that can be wrong with a simulated IMU; by default nothing is.
+    """Faults of a simulated IMU; none by default.
 
     Raises
     ------
@@ -59,7 +56,7 @@ class Faults:
         0.2, 'time in which the ringing decays to 1/e', unit='s', low=1e-6
     )
     motion: tuple[tuple[float, float], ...] = parameter(
-        (), 'spans of motion, each (start, length)', unit='s'
+        (), 'periods of motion, each (start, length)', unit='s'
     )
     motion_gyro: float = parameter(0.5, 'amplitude of the motion', unit='rad/s', low=0.0)
     motion_accel: float = parameter(1.0, 'amplitude of the motion', unit='m/s^2', low=0.0)
@@ -77,7 +74,7 @@ class Faults:
         0.0, 'step of the accelerometer values; 0: none', unit='m/s^2', low=0.0
     )
     gaps: tuple[tuple[float, float], ...] = parameter(
-        (), 'spans without samples, each (start, length)', unit='s'
+        (), 'periods without samples, each (start, length)', unit='s'
     )
     drop: float = parameter(0.0, 'probability that a sample is lost', low=0.0, high=1.0)
     jitter: float = parameter(
@@ -96,7 +93,7 @@ class Faults:
             for start, length in getattr(self, name):
                 if not (start >= 0.0 and length > 0.0):
                     raise AllanError(
-                        f'{name}: a span of {length} s at {start} s: give a start of at least 0 '
+                        f'{name}: a period of {length} s at {start} s: give a start of at least 0 '
                         'and a positive length'
                     )
 
@@ -114,4 +111,4 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         'accel_z': {'N': 0.012, 'B': 5.42},
     },
 }
-"""name -> axis -> term -> coefficient in the unit of `units.DATASHEET_UNITS`."""
+"""name -> axis -> term -> coefficient in the unit of `imu.DATASHEET_UNITS`."""

@@ -1,9 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Units of the five terms: SI inside, the datasheets' when shown or read.
-
-Needs only the standard library, so that option parsers can name units.
-"""
+"""Samples of an IMU, the names of its axes, and units: SI inside, those of datasheets for users."""
 
 from __future__ import annotations
 
@@ -21,31 +18,31 @@ AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'ac
 
 
 SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
-"""Where each three-axis sensor stands among `AXES`."""
+"""The axes of each sensor among `AXES`."""
 
 
 LARGEST = 1e30
-"""Larger numbers, either way, no IMU measures; their squares, summed over years, stay finite."""
+"""No IMU measures larger values, of either sign; their squares, summed over years, stay finite."""
 
 
 MAX_NAME = 1000
-"""Longest frame_id or hardware id, in characters: what is longer is damage, or meant ill."""
+"""Longest frame_id or hardware id, in characters; longer names indicate corruption or an attack."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImuBatch:
-    """A run of consecutive Imu samples, as they came.
+    """Consecutive samples of an IMU, in the order received.
 
     Attributes
     ----------
     stamps_ns : (n,) int64 array
-        Header stamps in nanoseconds. Nothing is promised of them: they may repeat, go back or be 0.
+        Header stamps in nanoseconds. They may repeat, go back or be 0.
     samples : (n, 6) float64 array
         Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN where a
         sensor is absent (covariance[0] is -1) or a value is not a number.
     record_ns : (n,) int64 array or None
-        When each sample was recorded or received, in nanoseconds; used where the header stamps
-        cannot be. None when the source has no such time.
+        When each sample was recorded or received, in nanoseconds; used if the header stamps are
+        unusable. None if the source has no such time.
     frame_id : str
         ``header.frame_id`` of all samples of this batch; '' when the source has none.
     """
@@ -75,8 +72,20 @@ class ImuBatch:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def __eq__(self, other: object) -> bool:
+        """Return whether both have the same values; NaN equals NaN."""
+        if not isinstance(other, ImuBatch):
+            return NotImplemented
+        a, b = self.record_ns, other.record_ns
+        return (
+            self.frame_id == other.frame_id
+            and np.array_equal(self.stamps_ns, other.stamps_ns)
+            and np.array_equal(self.samples, other.samples, equal_nan=True)
+            and (a is b if a is None or b is None else np.array_equal(a, b))
+        )
+
     def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> ImuBatch:
-        """Return the rows as a batch of their own (views of a slice, copies of what is listed)."""
+        """Return some of the samples as a batch (views for a slice, else copies)."""
         record = None if self.record_ns is None else self.record_ns[rows]
         return ImuBatch(self.stamps_ns[rows], self.samples[rows], record, self.frame_id)
 
@@ -105,7 +114,7 @@ MICRO_G = STANDARD_GRAVITY * 1e-6
 
 
 class Unit(NamedTuple):
-    """The SI unit of the same quantity, and how much of it one is."""
+    """The SI unit of a unit, and its factor."""
 
     si: str
     factor: float
@@ -174,7 +183,7 @@ UNITS = {
     'm/s^3': Unit('m/s^3', 1.0),
     'ug/h': Unit('m/s^3', MICRO_G / HOUR),
 }
-"""Every unit we read or show."""
+"""All known units."""
 
 
 def sensor_of(axis: str) -> str:
@@ -209,7 +218,7 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 class ImuIdentity(NamedTuple):
-    """Which IMU the samples came from.
+    """The IMU that samples are of.
 
     Attributes
     ----------

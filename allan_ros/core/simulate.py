@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `Faults` do to the samples and stamps of a simulated IMU."""
+"""Simulated IMU recordings with known noise and `Faults`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 BATCH_SAMPLES = 32768
-"""Samples in one yielded batch: enough to make the cost of a batch vanish."""
+"""Samples in one batch: the cost per batch is negligible."""
 
 
 ASYMPTOTIC_LAG = 20
@@ -32,7 +32,7 @@ ASYMPTOTIC_LAG = 20
 
 
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
-"""Mean of the six axes of an IMU that lies still and level, z up; rad/s and m/s^2."""
+"""Mean of the six axes of an IMU at rest and level, z up; rad/s and m/s^2."""
 
 
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
@@ -140,10 +140,9 @@ def simulate_imu(
     start_ns: int = 0,
     frame_id: str = 'imu_link',
 ) -> Iterator[ImuBatch]:
-    """Yield the recording of an IMU with known noise, in order.
+    """Yield the batches of a simulated recording with known noise.
 
-    Every axis and every fault draws from its own stream of random numbers, so that asking for a
-    fault changes nothing else.
+    Every axis and every fault has its own random numbers, so a fault changes nothing else.
 
     Parameters
     ----------
@@ -152,11 +151,11 @@ def simulate_imu(
     gyro, accel : three NoiseTerms each
         Of x, y and z.
     mean : (6,) array
-        What the noise is added to, rad/s and m/s^2; still and level by default.
+        Means that the noise is added to, rad/s and m/s^2; at rest and level by default.
     seed : int
         Not negative; the same seed gives the same recording.
     faults : Faults
-        What is wrong with it; nothing by default.
+        None by default.
     start_ns : int
         Stamp of the first sample.
     frame_id : str
@@ -189,19 +188,19 @@ def simulate_imu(
         yield ImuBatch(header_ns[rows], samples[kept[rows]], record_ns[rows], frame_id)
 
 
-Spans = tuple[tuple[float, float], ...]
+Periods = tuple[tuple[float, float], ...]
 
 
 BUMP_TAIL = 40.0
-"""A knock is followed for that many decay times: it is then below rounding (e^-40)."""
+"""Decay times after which a knock is below rounding (e^-40)."""
 
 
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
-"""Hz: a motion is a sum of these, with random phases, so that it does not repeat soon."""
+"""Frequencies in Hz of a motion, with random phases; their sum does not repeat soon."""
 
 
 BURST_SPACING = 0.002
-"""Seconds between the stamps of samples a host reads in one go (an MPU6050 at 100 Hz)."""
+"""Seconds between the stamps of samples that a host reads at once (an MPU6050 at 100 Hz)."""
 
 
 BURST_SHORTEST = 0.02
@@ -211,9 +210,9 @@ BURST_SHORTEST = 0.02
 def disturb_samples(
     samples: Floats, tau0: float, faults: Faults, sensor: str, seed: np.random.SeedSequence
 ) -> None:
-    """Add to the samples of one sensor, in place, what its faults add, in the order it happens.
+    """Apply the faults to the samples of one sensor, in place.
 
-    What moves the sensor or its bias comes first, then what its own electronics do to it.
+    Motion and bias come first, then the effects of the electronics.
 
     Parameters
     ----------
@@ -222,15 +221,14 @@ def disturb_samples(
     tau0 : float
         Sample period in s.
     faults : Faults
-        What to do.
     sensor : 'gyro' or 'accel'
-        Which amplitudes to take.
+        Selects the amplitudes.
     seed : numpy.random.SeedSequence
         The same for both sensors, so that a knock hits both at the same time.
     """
     n, axes = samples.shape
     times: Floats = np.arange(n, dtype=np.float64) * tau0
-    # One stream a fault: whether one is asked for does not change the others.
+    # one generator per fault: a fault does not change the others
     fault_rngs = {
         name: np.random.default_rng([*seed.generate_state(4).tolist(), i])
         for i, name in enumerate(('gauss_markov', 'vibration', 'bumps', 'motion'))
@@ -303,7 +301,7 @@ def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
     return np.asarray(held, np.int64)
 
 
-def in_spans(times: Floats, spans: Spans) -> NDArray[np.bool_]:
+def in_spans(times: Floats, spans: Periods) -> NDArray[np.bool_]:
     """Return which of the times, in s, lie in one of the spans (start, length)."""
     inside = np.zeros(len(times), bool)
     for start, length in spans:

@@ -156,6 +156,8 @@ def _state_text(view: InputView, static_s: float) -> str:
     rate = f'{h.rate_hz:.4g} Hz' if h.rate_hz else 'unknown rate'
     if h.state == 'moving':
         return f'moving at {rate}: samples in motion are not used, {static} so far'
+    if h.state == 'louder':
+        return f'louder than its noise floor at {rate}: not used, {static} so far'
     return f'still at {rate}: {static}'
 
 

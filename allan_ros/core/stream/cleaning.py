@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which axes tick together: one lane of six axes, or one a sensor where their rates differ.
+"""Removes what is no measurement: duplicates, backward stamps, repeated and zero-filled samples.
 
 Drivers that put a slower accelerometer into every gyro message repeat its last sample, or fill the
-missing half with zeros. Both would be read as noise that is not there (a 250 Hz accelerometer held
-on 400 Hz stamps reads N 5 % too high), so such a sensor gets a lane of its own with only its
-own samples.
+missing half with zeros. Both change the noise (a 250 Hz accelerometer repeated at 400 Hz shows N
+5 % too high), so such a sensor gets a sensor stream of its own, with its own samples only.
 """
 
 from __future__ import annotations
@@ -27,11 +26,12 @@ Stamps = NDArray[np.int64]
 
 
 BACKWARD_RUN = 16
-"""So many stamps in a row before the latest one are a clock set back; fewer are dropped."""
+"""This many stamps in a row before the latest one mean that the clock was set back; fewer are
+dropped."""
 
 
 class StampFilter:
-    """Drops samples that are no numbers of an IMU, repeat the one before, or go back in time."""
+    """Drops samples that are not finite, repeat the previous one, or go back in time."""
 
     def __init__(self, axes: int, counts: Counts) -> None:
         self._counts = counts
@@ -40,7 +40,7 @@ class StampFilter:
         self._backward = 0
 
     def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
-        """Return the samples that stay, and where a clock that was set back starts anew.
+        """Return the samples that are kept, and flags for backward clock steps.
 
         Parameters
         ----------
@@ -61,16 +61,16 @@ class StampFilter:
         step = np.diff(stamps, prepend=latest)
         jumped = np.zeros(len(stamps), bool)
         if step.min() <= 0 or self._backward:
-            keep, jumped = self._sift(stamps, rows, step)
+            keep, jumped = self._select(stamps, rows, step)
             stamps, rows, jumped = stamps[keep], rows[:, keep], jumped[keep]
         if len(stamps):
             self._latest, self._latest_row = int(stamps[-1]), rows[:, -1].copy()
         return stamps, rows, jumped
 
-    def _sift(
+    def _select(
         self, stamps: Stamps, rows: Floats, step: Stamps
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which samples stay and which start anew, one by one."""
+        """Return which samples are kept, and which follow a backward clock step."""
         before = np.concatenate([self._latest_row[:, None], rows[:, :-1]], axis=1)
         repeated = (step == 0) & (rows == before).all(axis=0)
         self._counts.duplicate += int(np.count_nonzero(repeated))
@@ -151,27 +151,31 @@ class PassSplitter:
 
 
 SHARE = 0.1
-"""Least share of repeated or zero samples that makes a sensor held or zero-filled."""
+"""Least share of repeated or zero samples of a sample-and-hold or zero-filled sensor."""
 
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
-"""Coarse values of a still sensor repeat, and are zero, by chance: then the logarithm of the share
-of all three axes is the sum of their logarithms. Held or filled together it is a third of that."""
+"""Coarse values of a sensor at rest repeat, or are zero, by chance: then the logarithm of the share
+of all three axes is the sum of their logarithms. If they are repeated or filled together it is a
+third of that."""
 
 
-Sieve = Literal['all', 'held', 'zero']
+OwnSamples = Literal['all', 'held', 'zero']
 
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The axes of a lane, and which samples of the stream are none of its own."""
+    """The axes of a sensor stream, and how samples that are not its own are recognized.
+
+    ``own`` excludes those that repeat the previous one ('held'), those that are 'zero', or none.
+    """
 
     axes: tuple[str, ...]
-    sieve: Sieve = 'all'
+    own: OwnSamples = 'all'
 
 
 class SampleHoldFilter:
-    """Picks the samples of one lane out of the six-axis stream."""
+    """Selects the samples of one sensor stream from the six-axis stream."""
 
     def __init__(self, plan: SensorPlan) -> None:
         self.plan = plan
@@ -180,11 +184,11 @@ class SampleHoldFilter:
         self._last: Floats = np.full(len(self._rows), np.nan)
 
     def pick(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Return stamps (k,) and rows (axes of the lane, k) of its samples; rows is (6, n)."""
+        """Return stamps (k,) and rows (own axes, k) of its samples; rows is (6, n)."""
         own = rows if self._whole else rows[self._rows]
-        if self.plan.sieve == 'all' or not len(stamps):
+        if self.plan.own == 'all' or not len(stamps):
             return stamps, own
-        if self.plan.sieve == 'zero':
+        if self.plan.own == 'zero':
             keep = own.any(axis=0)
         else:
             before = np.concatenate([self._last[:, None], own[:, :-1]], axis=1)
@@ -196,11 +200,15 @@ class SampleHoldFilter:
 def plan_sensors(
     stamps: Stamps, rows: Floats
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
-    """Return the lanes of a stream from its first samples, and what there is to say of them.
+    """Return the sensor streams and their findings from the first samples of a stream.
 
-    stamps : (n,) int64 array; rows : (6, n) array, NaN where a sensor is absent.
+    Parameters
+    ----------
+    stamps : (n,) int64 array
+    rows : (6, n) array
+        NaN where a sensor is absent.
     """
-    # messages that came twice, stamp and all, are dropped later and say nothing of a sensor
+    # duplicate messages are dropped later and do not count here
     twice = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
     rows = rows[:, np.concatenate([[True], ~twice])] if len(stamps) else rows
     repeats = rows[:, 1:] == rows[:, :-1]
@@ -214,38 +222,38 @@ def plan_sensors(
             continue
         axes, own = tuple(AXES[i] for i in present), rows[present]
         zeros = own == 0.0
-        sieve: Sieve = 'all'
+        own_samples: OwnSamples = 'all'
         if zeros.all():
             findings.append(finding('sensor_all_zero', axes, sensor=sensor))
             continue
         if _together(zeros):
-            sieve = 'zero'
+            own_samples = 'zero'
             share = float(zeros.all(axis=0).mean())
             findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
         elif _together(repeats[present]):
-            sieve = 'held'
+            own_samples = 'held'
             share = float(repeats[present].all(axis=0).mean())
             findings.append(finding('held', axes, sensor=sensor, share=share))
-        plans.append(SensorPlan(axes, sieve))
-    if len(plans) == len(SENSORS) and _tick_together(plans, repeats):
-        plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].sieve)]
+        plans.append(SensorPlan(axes, own_samples))
+    if len(plans) == len(SENSORS) and _sampled_together(plans, repeats):
+        plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].own)]
     return tuple(plans), tuple(findings)
 
 
-def _tick_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
-    """Return whether both sensors are new in the same messages."""
-    sieves = {plan.sieve for plan in plans}
-    if sieves == {'held'}:
+def _sampled_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
+    """Return whether both sensors have new samples in the same messages."""
+    kinds = {plan.own for plan in plans}
+    if kinds == {'held'}:
         gyro, accel = (repeats[[AXES.index(axis) for axis in plan.axes]] for plan in plans)
         apart = gyro.all(axis=0) != accel.all(axis=0)
         return bool(apart.mean() < SHARE)
-    return sieves == {'all'}
+    return kinds == {'all'}
 
 
 def _together(flags: NDArray[np.bool_]) -> bool:
-    """Return whether the axes do something together more often than by chance.
+    """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    flags : (axes, n). All of the time is no sign of it: a constant is a fault of another kind.
+    Flags that are always set do not count: constant values are another fault.
     """
     joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not SHARE < joint < 1.0:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What became of every sample that came: counted, and named where it was dropped or repaired."""
+"""Counts, segments and state of a stream."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ it is at rest, but its noise became louder."""
 
 @dataclass
 class Counts:
-    """Samples by fate, and cuts by reason, since the start of a stream.
+    """What happened to the samples since the start of a stream.
 
-    Where the sensors tick apart (two lanes) all but ``received`` and ``skipped`` are counted per
-    lane. received + bridged = used + skipped + not_finite + duplicate + backward + untimed +
-    moving + stuck + louder + those that still wait to be judged.
+    Where the sensors have different rates all but ``received`` and ``skipped`` are counted per
+    sensor stream. received + bridged = used + skipped + not_finite + duplicate + backward +
+    untimed + moving + stuck + louder + those that still wait.
 
     Attributes
     ----------
     received, used : int
-        Samples that came, and those that the sums hold (bridged ones among them).
+        Samples received, and samples in the sums (interpolated ones included).
     skipped : int
         Left out at the start (warm-up).
     not_finite, duplicate, backward : int
@@ -33,7 +33,7 @@ class Counts:
     untimed : int
         Dropped because a thousand stamps in a row were equal.
     lost : int
-        Samples that never came, by the stamps.
+        Samples that are missing according to the stamps.
     bridged : int
         Lost ones that were interpolated.
     moving, stuck : int
@@ -45,7 +45,7 @@ class Counts:
     spikes : int
         Values that were isolated spikes and were replaced, counted per axis.
     cuts : Counter
-        Reason -> how many times the evidence was cut.
+        Reason -> how many times the data were split.
     """
 
     received: int = 0
@@ -65,7 +65,7 @@ class Counts:
     cuts: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
-        """Add the counts of another lane."""
+        """Add the counts of another sensor stream."""
         for f in fields(self):
             if f.name != 'cuts':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
@@ -73,7 +73,7 @@ class Counts:
 
 
 class Segment(NamedTuple):
-    """One segment.
+    """A stretch of samples without a gap.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Segment(NamedTuple):
     samples : int
     duration_s : float
     cut : str
-        Why it does not follow on what came before, as in ``Counts.cuts``; '' where nothing did.
+        Why it does not follow the previous one, as in ``Counts.cuts``; '' for the first.
     """
 
     start_ns: int
@@ -93,7 +93,7 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """The input of an accumulator, as one looks at it from outside.
+    """State and counts of a stream.
 
     Attributes
     ----------
@@ -103,9 +103,9 @@ class StreamHealth:
     rate_hz : float or None
         From the working period of the stamps; None before it is learned.
     bursty : bool
-        Stamps come in bursts: single steps between them mean nothing.
+        Whether stamps come in bursts.
     first_ns, last_ns : int or None
-        First and latest stamp that came, of the present frame.
+        First and latest stamp of the present frame.
     stamps : str
         Which stamps are used: 'header' or 'record'.
     frame_id : str
@@ -136,7 +136,7 @@ class StreamHealth:
 
     @property
     def still_share(self) -> float | None:
-        """Share of the judged samples that counts as evidence; None before any was judged."""
+        """Share of the samples that were at rest; None before any was classified."""
         c = self.counts
         judged = c.used + c.moving + c.stuck + c.louder
         return c.used / judged if judged else None

@@ -1,14 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From stamps to a count: which samples follow evenly on each other, and where some are missing.
+"""The sample clock: finds gaps in the stamps and interpolates short ones.
 
-The samples of an IMU are even; their stamps are not. What counts is whether the *number* of samples
-keeps up with the clock: a silence that the following burst makes up for lost nothing, a silence
-that stays is a gap. So a silence is judged by the earliest arrivals (the lower envelope of stamp
-less index times period) before it and after it, with a fixed look-ahead in samples.
+An IMU samples evenly, but its stamps are not even. The question is whether the number of samples
+keeps up with the clock: a silence followed by a burst of late samples has lost nothing, any other
+is a gap. So a silence is judged by the earliest arrivals (the lower envelope of stamp minus index
+times period) before and after it, with a fixed look-ahead in samples.
 
-Decisions are taken on blocks counted from the first sample, so they do not depend on how the
-samples were chunked.
+Decisions are taken on blocks counted from the first sample, so they do not depend on the chunking.
 """
 
 from __future__ import annotations
@@ -32,16 +31,16 @@ CLOCK_BLOCK = 256
 
 
 LOOK_AHEAD = 64
-"""Samples looked back and ahead at a silence when stamps are regular."""
+"""Samples before and after a silence that decide on it when stamps are regular."""
 
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
-"""The same when they are bursty, in s and at most in samples: a burst needs time to catch up."""
+"""The same when they are bursty, in s and at most in samples: a burst follows later."""
 
 
 BURST_SILENCE_S = 0.25
-"""When stamps are bursty only a silence of this length is looked at, and only a shift of this
-length is a loss: the envelope itself wanders by several samples."""
+"""Least silence and least shift, in s, that can be a loss when stamps are bursty: the envelope
+itself varies by several samples."""
 
 
 LATE = 1.5
@@ -55,10 +54,16 @@ mean is at least this share of the mean of all steps."""
 
 @dataclass(frozen=True)
 class Clock:
-    """What was learned of a stream's stamps.
+    """Period and regularity of the stamps of a stream.
 
-    ``period_ns`` is the working sample period, ``step_ns`` the median step between two stamps;
-    ``bursty`` says that single steps mean nothing.
+    Attributes
+    ----------
+    period_ns : float
+        Working sample period.
+    step_ns : float
+        Median step between two stamps.
+    bursty : bool
+        Whether stamps come in bursts, so that single steps carry no information.
     """
 
     period_ns: float
@@ -67,7 +72,7 @@ class Clock:
 
     @property
     def look_ahead(self) -> int:
-        """Samples looked back and ahead at a silence."""
+        """Samples before and after a silence that decide on it."""
         if not self.bursty:
             return LOOK_AHEAD
         wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
@@ -86,9 +91,12 @@ class Clock:
 
 
 def learn_clock(stamps: Stamps) -> Clock | None:
-    """Return period and kind of the stamps, or None when no two of them differ.
+    """Return the clock of the stamps, or None if no two of them differ.
 
-    stamps : (n,) int64 array in ns, as they came; backward ones are ignored.
+    Parameters
+    ----------
+    stamps : (n,) int64 array
+        In ns, in the order received; backward ones are ignored.
     """
     if not len(stamps):
         return None
@@ -96,7 +104,7 @@ def learn_clock(stamps: Stamps) -> Clock | None:
     if not step.any():
         return None
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
-    # the median of block means is a mean that one long gap does not spoil
+    # one long gap does not change the median of block means
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
     mean = mean or float(step.mean())
     middle = float(np.median(step))
@@ -175,31 +183,41 @@ TRACK_BLOCKS = 16
 
 
 RATE_CHANGE = 0.02
-"""Relative change of the period over a block that is another rate."""
+"""Relative change of the period over a block that means another rate."""
 
 
 RATE_CHANGE_STEP = 1.45
-"""So is a median step this many times the usual one: every step would look like a lost sample."""
+"""Median step, over the usual one, that means another rate, not a lost sample at every step."""
 
 
 RATE_CHANGE_BURSTY = 0.10
-"""Change of the period that is another rate when stamps are bursty, over a tracking interval."""
+"""Change of the period over `TRACK_BLOCKS` that means another rate when stamps are bursty."""
 
 
 BRIDGED_SHARE = 0.1
-"""Where more than this share of a block would be interpolated, lost samples cut instead."""
+"""Largest share of a block that is interpolated; beyond, lost samples split the data."""
 
 
 class SampleClock:
-    """Turns filtered samples into runs; at most a block and the look-ahead wait.
+    """Turns samples into evenly spaced blocks; at most one block and the look-ahead wait.
+
+    Parameters
+    ----------
+    clock : Clock
+    axes : int
+        Number of axes.
+    max_bridge : int
+        Longest gap in samples that is interpolated.
+    counts : Counts
+        Changed in place.
 
     Attributes
     ----------
     clock : Clock
-        The working period follows the stamps.
+        Its working period follows the stamps.
     rate_changed : bool
-        The stream has another rate than was learned. `waiting` has the samples from there on, and
-        no more are taken.
+        Whether the rate is another than the one learned. Then `waiting` has the samples from the
+        change on, and no more are taken.
     """
 
     def __init__(self, clock: Clock, axes: int, max_bridge: int, counts: Counts) -> None:
@@ -220,11 +238,11 @@ class SampleClock:
 
     @property
     def waiting(self) -> tuple[Stamps, Floats]:
-        """Samples that are not judged yet: stamps (n,) and rows (axes, n)."""
+        """Samples that are not processed yet: stamps (n,) and rows (axes, n)."""
         return self._stamps[self._past :], self._rows[:, self._past :]
 
     def feed(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> list[Block]:
-        """Take more samples, return the runs that are certain by now."""
+        """Take more samples, return the blocks that are complete."""
         if rows.strides[1] != rows.itemsize:
             rows = np.ascontiguousarray(rows)  # axis by axis, however they lay in memory
         # Only the seam between what waits and what comes is copied: up to the end of a block from
@@ -232,61 +250,61 @@ class SampleClock:
         waiting = len(self._stamps) - self._past
         seam = -(-(waiting + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - waiting + self._reach
         self._append(stamps[:seam], rows[:, :seam], jumped[:seam])
-        runs = self._judge_ready()
+        done = self._judge_ready()
         if len(stamps) > seam:
             if self.rate_changed:
                 self._append(stamps[seam:], rows[:, seam:], jumped[seam:])
-                return runs
+                return done
             rest = slice(seam - len(self._stamps), None)
             self._stamps, self._rows, self._jumped = stamps[rest], rows[:, rest], jumped[rest]
-            runs += self._judge_ready()
+            done += self._judge_ready()
             self._append(stamps[:0], rows[:, :0], jumped[:0])  # a copy: lets go of the others
-        return runs
+        return done
 
     def _append(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> None:
-        """Put samples behind those that wait."""
+        """Append samples to those that wait."""
         self._stamps = np.concatenate([self._stamps, stamps])
         self._rows = np.concatenate([self._rows, rows], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
 
     def _judge_ready(self) -> list[Block]:
-        """Judge the whole blocks behind which there is enough to look ahead at."""
-        runs: list[Block] = []
-        first = self._past  # of samples among which nothing is missing: they pass in one run
+        """Process the complete blocks whose look-ahead is available."""
+        done: list[Block] = []
+        first = self._past  # of samples among which nothing is missing: they pass in one block
         while not self.rate_changed:
             ready = (len(self._stamps) - self._past - self._reach) // CLOCK_BLOCK
-            blocks = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
-            if blocks < 1:
+            count = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
+            if count < 1:
                 break
-            if self._are_even(blocks * CLOCK_BLOCK):
-                self._step_forward(blocks * CLOCK_BLOCK)
+            if self._are_even(count * CLOCK_BLOCK):
+                self._step_forward(count * CLOCK_BLOCK)
                 continue
-            runs += self._view(first)
-            runs += self._judge(blocks * CLOCK_BLOCK)
+            done += self._view(first)
+            done += self._judge(count * CLOCK_BLOCK)
             first = self._past
-        runs += self._view(first)
-        self._forget()
-        return runs
+        done += self._view(first)
+        self._release()
+        return done
 
     def _view(self, first: int) -> list[Block]:
-        """Return the samples from there on that were judged."""
+        """Return the processed samples from an index on."""
         judged = slice(first, self._past)
         return [Block(self._stamps[judged], self._rows[:, judged])] if first < self._past else []
 
     def flush(self) -> list[Block]:
-        """Return the runs of all that waits: no more samples come."""
-        runs: list[Block] = []
+        """Return the blocks of all samples that wait: no more come."""
+        done: list[Block] = []
         while not self.rate_changed and len(self._stamps) > self._past:
             left = len(self._stamps) - self._past
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            runs += self._judge(min(left, room))
-            self._forget()
-        return runs
+            done += self._judge(min(left, room))
+            self._release()
+        return done
 
     def _are_even(self, n: int) -> bool:
-        """Return whether nothing is missing among the next n samples, nor their rate another.
+        """Return whether the next n samples have no gap and the same rate, as nearly all have.
 
-        It is what nearly all samples are; where it is not so, `_judge` tells what is.
+        If not, `_judge` finds out what they have.
         """
         begin = self._past
         if begin == 0 or self._jumped[begin : begin + n].any():
@@ -301,13 +319,13 @@ class SampleClock:
         )
 
     def _judge(self, n: int) -> list[Block]:
-        """Judge the next n samples (whole blocks, or the last ones)."""
+        """Process the next n samples (complete blocks, or the last ones)."""
         begin = self._past
         stamps = self._stamps[begin : begin + n]
         before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
         step = np.diff(stamps, prepend=before)
         silent = (step > self.clock.silence_ns) | self._jumped[begin : begin + n]
-        advance = np.ones(n, np.int64)  # index steps; 0 stands for a cut
+        advance = np.ones(n, np.int64)  # index steps; 0 means a gap
         missing = np.zeros(n, np.int64)
         bridged = np.zeros(-(-n // CLOCK_BLOCK), np.int64)
         for j in np.flatnonzero(silent):
@@ -327,12 +345,12 @@ class SampleClock:
             if same == 0:
                 return []
         self._count(begin, missing[:same], advance[:same])
-        runs = self._runs(begin, same, advance[:same])
+        blocks = self._blocks_of(begin, same, advance[:same])
         self._step_forward(same, advance[:same])
-        return runs
+        return blocks
 
     def _count(self, begin: int, missing: NDArray[np.int64], advance: NDArray[np.int64]) -> None:
-        """Count what is missing, bridged and cut among judged samples."""
+        """Count missing and interpolated samples and gaps."""
         jumps = int(np.count_nonzero(self._jumped[begin : begin + len(advance)]))
         gaps = int(np.count_nonzero(advance == 0)) - jumps
         self._counts.lost += int(missing.sum())
@@ -343,10 +361,10 @@ class SampleClock:
             self._counts.cuts['gap'] += gaps
 
     def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
-        """Return how many of the samples come before another rate.
+        """Return how many of the samples come before a change of the rate.
 
-        A block is told by its steps, the place in it by the first step out of the usual. The
-        samples the period was learned from are not asked again, so that every clock gets on.
+        The steps of a block show the change, its first unusual step the place. The samples that the
+        period was learned from are exempt, so that every clock makes progress.
         """
         if self.clock.bursty:
             return len(step)
@@ -365,9 +383,16 @@ class SampleClock:
         return len(step)
 
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
-        """Return how many samples are missing before sample ``at`` of the buffer, by envelope.
+        """Return how many samples are missing before a sample, by the lower envelope.
 
-        j is its place among those being judged, whose index steps before j are in ``advance``.
+        Parameters
+        ----------
+        at : int
+            Index of the sample in the buffer.
+        j : int
+            Its index among those being processed.
+        advance : (n,) int64 array
+            Index steps of the samples before it.
         """
         period, reach = self.clock.period_ns, self._reach
         judged = self._since_cut + j
@@ -392,8 +417,8 @@ class SampleClock:
         least = max(0.5 * silence, self.clock.least_loss)
         return round(shift) if shift > least else 0
 
-    def _runs(self, begin: int, n: int, advance: NDArray[np.int64]) -> list[Block]:
-        """Return the judged samples as runs, lost ones interpolated."""
+    def _blocks_of(self, begin: int, n: int, advance: NDArray[np.int64]) -> list[Block]:
+        """Return the processed samples as blocks, short gaps interpolated."""
         judged = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
         blocks: list[Block] = []
         parts: list[Block] = []
@@ -421,7 +446,7 @@ class SampleClock:
         return blocks
 
     def _step_forward(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
-        """Move the judged samples into the past, follow the period; None: one index a sample."""
+        """Mark n samples as processed and follow the period; None: no sample is missing."""
         begin, end = self._past, self._past + n
         last = int(self._index[-1]) if len(self._index) else -1
         since_cut, cut = self._since_cut + n, False
@@ -437,8 +462,8 @@ class SampleClock:
         self._index = np.concatenate([self._index, index[-self._reach :]])[-self._reach :]
         self._past = end
 
-    def _forget(self) -> None:
-        """Let go of judged samples that nobody will look back at."""
+    def _release(self) -> None:
+        """Release processed samples that no later decision needs."""
         old = max(0, self._past - self._reach)
         self._stamps = self._stamps[old:]
         self._rows = self._rows[:, old:]
@@ -446,7 +471,7 @@ class SampleClock:
         self._past -= old
 
     def _track(self, stamps: Stamps, index: NDArray[np.int64], cut: bool) -> None:
-        """Update the working period after every `TRACK_BLOCKS` blocks without a cut."""
+        """Update the working period after every `TRACK_BLOCKS` blocks without a gap."""
         fresh = self._blocks % TRACK_BLOCKS == 0
         if fresh:
             self._track_start = (int(stamps[0]), int(index[0]))
@@ -460,7 +485,7 @@ class SampleClock:
         off = abs(period / self.clock.period_ns - 1.0)
         if self.clock.bursty:
             self.rate_changed = off > RATE_CHANGE_BURSTY
-            # one silence moves the mean of an interval by as much as a true change would
+            # one silence shifts the mean of an interval as much as a true change does
             period = self.clock.period_ns + 0.25 * (period - self.clock.period_ns)
         if not self.rate_changed:
             self.clock = replace(self.clock, period_ns=period)

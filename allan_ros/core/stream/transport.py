@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an IMU's live input is well now: silence, loss and repair within the last minute.
+"""The state of a live input: silence, loss and repairs within the last minute.
 
-The counts of a stream only grow, so what was wrong once would be wrong for ever. A node that runs
-for months says what is wrong now.
+The counts of a stream only grow, so a fault would be reported for ever. A node that runs for months
+reports present faults only.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ LATELY = ' in the last minute'
 
 
 TOLD_LOST_SHARE = 1e-3
-"""Messages lost on the way are worth a warning from this share on: bridging costs no more."""
+"""Least share of messages lost in transport that is reported."""
 
 
 LEAP_S = 2.0
-"""Stamps that advance by this much more than time has passed were set forward: samples that
-wait in a queue come later, never earlier."""
+"""Stamps that advance by this much more than the time that passed were set forward: samples that
+wait in a queue arrive later, never earlier."""
 
 
 STARTUP_S = 5.0
@@ -50,28 +50,28 @@ LIVE_FINDINGS = (
     'accel_unit',
     'accel_scale',
 )
-"""Findings of the whole stream that stay true while it runs."""
+"""Findings of a complete stream that remain true while it runs."""
 
 
 @dataclass
 class TransportStatistics:
-    """What happened to the messages before they were looked into.
+    """What happened to the messages in transport.
 
     Attributes
     ----------
     received : int
-        Messages taken.
+        Messages received.
     sent_before : int
-        Messages that a publisher had sent before the first of its that came: we joined late, or
-        lost them; nothing tells which.
+        Messages that a publisher had sent before the first one received; either the subscription
+        came later, or they were lost.
     skipped_numbers : int
-        Sequence numbers of the publishers that never came.
+        Sequence numbers of the publishers that are missing.
     reported_lost : int
         Messages that the middleware itself reported as lost.
     malformed : int
-        Payloads that are not an Imu.
+        Payloads that are not Imu messages.
     incompatible_qos : int
-        Publishers whose QoS does not fit, so that nothing comes from them.
+        Publishers whose QoS is incompatible, so that nothing arrives from them.
     """
 
     received: int = 0
@@ -83,13 +83,13 @@ class TransportStatistics:
 
     @property
     def lost(self) -> int:
-        """Messages that were sent and never came, by whichever of the two witnesses saw more."""
+        """Messages that were sent and did not arrive; the larger of the two counts."""
         return max(self.skipped_numbers, self.reported_lost)
 
 
 @dataclass(frozen=True)
 class _Tally:
-    """The counts at one time; ``run`` has those that begin anew with a run, by finding."""
+    """The counts at one time; ``events`` has those of the present pass, by finding."""
 
     time_s: float
     received: int
@@ -97,17 +97,17 @@ class _Tally:
     absent: int
     leapt: int
     samples: int
-    run: dict[str, int]
+    events: dict[str, int]
 
 
 class TransportMonitor:
-    """Follows one input and says what is wrong with it now.
+    """Monitors one input and reports its present faults.
 
     Parameters
     ----------
     topic : str
     time_s : float
-        When it began to listen, on a steady clock in s.
+        When the monitor started, on a steady clock in s.
     """
 
     def __init__(self, topic: str, time_s: float) -> None:
@@ -116,16 +116,16 @@ class TransportMonitor:
         self._last_message = self._last_usable = time_s
         self._messages = self._usable = 0
         self._tallies: deque[_Tally] = deque()
-        self._missing = 0  # by the stamps, in this run; so the next two
-        self._leapt = 0  # those for which there was no time
-        self._elsewhere = 0  # those in whose place came samples of another frame
+        self._missing = 0  # according to the stamps, in this pass; also the next two
+        self._leapt = 0  # by stamps that jumped ahead
+        self._elsewhere = 0  # while samples of another frame arrived
         self._frame_changes = 0
-        self._absent = 0  # those that were never sent
-        self._seen_absent = 0  # the same, the last time
-        self._lost_before = 0  # on the way, before this run
+        self._absent = 0  # never sent
+        self._absent_before = 0  # the same, at the last call
+        self._lost_before = 0  # in transport, before this pass
 
     def heard(self, time_s: float, messages: int) -> None:
-        """Take note of how many messages have come; called more often than `observe`."""
+        """Record how many messages have arrived; called more often than `observe`."""
         if messages != self._messages:
             self._last_message, self._messages = time_s, messages
 
@@ -143,7 +143,7 @@ class TransportMonitor:
         stream: tuple[Finding, ...] = (),
         graph: tuple[Finding, ...] = (),
     ) -> tuple[Finding, ...]:
-        """Return what is wrong now, the most severe first and causes before their effects.
+        """Return the present findings, the most severe first and causes before their effects.
 
         Parameters
         ----------
@@ -156,9 +156,9 @@ class TransportMonitor:
         stale_after : float
             Silence in s that is an error.
         stream : tuple of Finding
-            What is known of the whole stream.
+            Findings of the complete stream.
         graph : tuple of Finding
-            Why the publishers and the subscription do not match; it explains silence.
+            Why the publishers and the subscription do not match; they explain silence.
         """
         self._follow(time_s, reception, health)
         found = [*graph] or self._silence(time_s, reception, publishers, stale_after)
@@ -169,17 +169,17 @@ class TransportMonitor:
         found += self._lately(health)
         louder = ('noise_louder',) if health.state == 'louder' else ()
         found += [f for f in stream if f.id in (*LIVE_FINDINGS, *louder)]
-        gravity = ('error', 'warning', 'info')
-        return tuple(sorted(found, key=lambda f: gravity.index(f.severity)))
+        order = ('error', 'warning', 'info')
+        return tuple(sorted(found, key=lambda f: order.index(f.severity)))
 
     def _follow(self, time_s: float, reception: TransportStatistics, health: StreamHealth) -> None:
         c = health.counts
         self.heard(time_s, reception.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
-        time_there_was = time_s - self._last_usable
+        passed_s = time_s - self._last_usable
         if usable != self._usable:
             self._last_usable, self._usable = time_s, usable
-        run = {
+        events = {
             'stuck': c.stuck,
             'not_finite': c.not_finite,
             'duplicates': c.duplicate,
@@ -189,41 +189,44 @@ class TransportMonitor:
             'frame_changed': health.frame_changes,
         }
         if self._tallies and c.received < self._tallies[-1].samples:
-            # a new run: its counts begin at zero, those of the middleware go on
+            # a new pass: its counts start at zero, those of the middleware continue
             self._missing = self._leapt = self._elsewhere = 0
-            self._absent = self._seen_absent = 0
+            self._absent = self._absent_before = 0
             self._lost_before = reception.lost
             self._tallies = deque([_Tally(time_s, reception.received, reception.lost, 0, 0, 0, {})])
-        self._follow_stamps(time_there_was, reception, health)
+        self._follow_stamps(passed_s, reception, health)
         absent, leapt = self._absent, self._leapt
         self._tallies.append(
-            _Tally(time_s, reception.received, reception.lost, absent, leapt, c.received, run)
+            _Tally(time_s, reception.received, reception.lost, absent, leapt, c.received, events)
         )
         while len(self._tallies) > 2 and self._tallies[1].time_s <= time_s - LATELY_S:
             self._tallies.popleft()
 
     def _follow_stamps(
-        self, time_there_was: float, reception: TransportStatistics, health: StreamHealth
+        self, passed_s: float, reception: TransportStatistics, health: StreamHealth
     ) -> None:
-        """Tell what is missing by the stamps apart: set clocks, and samples never sent.
+        """Separate missing samples by cause: clocks that were set, and samples never sent.
 
-        ``time_there_was`` is that since usable samples came before, in s.
+        Parameters
+        ----------
+        passed_s : float
+            Time since the last usable samples.
         """
         c = health.counts
         missing, self._missing = c.lost - self._missing, c.lost
         if health.frame_changes != self._frame_changes:
-            self._elsewhere += max(0, missing)  # it was another IMU's turn
+            self._elsewhere += max(0, missing)  # another IMU was connected
             self._frame_changes = health.frame_changes
-        elif health.rate_hz and missing > (time_there_was + LEAP_S) * health.rate_hz:
+        elif health.rate_hz and missing > (passed_s + LEAP_S) * health.rate_hz:
             self._leapt += missing
-        # What is dropped, or lost on the way, is missing by the stamps too; the latter from both
-        # lanes, where the sensors tick apart. It is dropped before it is known to be missing,
-        # so what counts is the most there ever was; and the latest samples are not judged for
-        # good yet, so it counts once it was seen twice.
+        # Dropped samples and messages lost in transport are missing according to the stamps too;
+        # the latter from both sensor streams, if there are two. They are dropped before they are
+        # found missing, so the maximum counts. The decision on the latest samples may still be
+        # revised, so only what two calls agree on counts.
         explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
         absent = c.lost - self._leapt - self._elsewhere - explained
-        self._absent = max(self._absent, min(absent, self._seen_absent))
-        self._seen_absent = absent
+        self._absent = max(self._absent, min(absent, self._absent_before))
+        self._absent_before = absent
 
     def _silence(
         self,
@@ -251,7 +254,7 @@ class TransportMonitor:
     def _lately(self, health: StreamHealth) -> list[Finding]:
         """Return what happened in the last minute, causes before their effects."""
         then, now = self._tallies[0], self._tallies[-1]
-        more = {id: count - then.run.get(id, 0) for id, count in now.run.items()}
+        more = {id: count - then.events.get(id, 0) for id, count in now.events.items()}
         found = []
         if now.leapt > then.leapt and health.rate_hz:
             seconds = (now.leapt - then.leapt) / health.rate_hz

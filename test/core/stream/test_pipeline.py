@@ -355,3 +355,83 @@ def test_filled_gaps_are_counted_by_length():
     moving = x + moves(t, 9000, 4500)[::-1] * np.random.default_rng(0).normal(size=x.shape)
     (sums,) = accumulate(t[~lost], moving[~lost]).sums
     assert np.array_equal(sums.filled[:, 0], [1, 1, 1]), 'those that are dropped do not count'
+
+
+@pytest.mark.parametrize('change', ['frame', 'rate'])
+def test_the_segments_are_those_of_the_sums_that_are_shown(change):
+    t, x = still(9000)
+    t[2000:] += 10**9  # a gap in the first part, which is the longer one
+    if change == 'frame':
+        result = accumulate(t, x, frames=['imu_a'] * 6000 + ['imu_b'] * 3000)
+    else:
+        result = accumulate(t + np.maximum(0, np.arange(9000) - 7000) * PERIOD, x)
+    (sums,) = result.sums
+    assert sums.segment_count == len(result.spans) == 2
+    assert [s.start_ns for s in result.spans] == [t[0], t[2000]]
+    assert sum(s.samples for s in result.spans) == sums.samples
+
+
+def test_a_sensor_of_zeros_is_absent_and_named():
+    t, x = still(5000)
+    result = accumulate(t, x * [0, 0, 0, 1, 1, 1])
+    assert [s.axes for s in result.sums] == [AXES[3:]]
+    (found,) = [f for f in result.findings if f.id == 'sensor_all_zero']
+    assert found.axes == AXES[:3] and 'gyro' in found.message
+
+
+def test_an_imu_that_is_never_at_rest_is_an_error():
+    t, x = still(12_000)
+    result = accumulate(t, x + swing(t))
+    assert result.sums == () and result.health.state == 'moving'
+    (found,) = [f for f in result.findings if f.id == 'never_still']
+    assert found.severity == 'error' and '60 s' in found.message
+
+
+def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
+    t, x = still(40_000)
+    x[20_000:] += 3.9 * np.random.default_rng(3).normal(size=(20_000, 6)) * 1e-3
+    result = accumulate(t, x)
+    (found,) = [f for f in result.findings if f.id == 'noise_louder']
+    assert result.health.state == 'louder' and found.axes == AXES
+    # the largest of six standard deviations over the lowest quarter of the floor: 4.0 to 4.6
+    ratio = float(found.message.split('rose to ')[1].split(' ')[0])
+    assert 3.9 < ratio < 4.8 and found.severity == 'warning'
+    assert result.sums[0].samples == pytest.approx(20_000, abs=400)
+
+
+def test_sums_taken_in_motion_are_discarded_and_the_health_says_so():
+    t, x = still(12_000)
+    x[:6000] += np.random.default_rng(0).normal(size=(6000, 6)) * 0.1  # vibration only
+    stream = ImuStream()
+    stream.update(ImuBatch(t[:6000], x[:6000]))
+    before = stream.result()
+    stream.update(ImuBatch(t[6000:], x[6000:]))
+    after = stream.result()
+    assert before.health.discarded == 0 and after.health.discarded == 1
+    assert after.sums[0].segments[0].start_ns > before.sums[0].segments[0].start_ns
+
+
+@pytest.mark.parametrize(
+    'scale, expected',
+    [
+        ([1.0] * 6, set()),
+        ([57.3] * 3 + [1.0] * 3, {'gyro_unit'}),
+        ([1.0] * 3 + [1 / 9.80665] * 3, {'accel_unit'}),
+        ([1.0] * 3 + [1000 / 9.80665] * 3, {'accel_unit'}),
+        ([1.0] * 3 + [0.5] * 3, {'accel_scale'}),
+    ],
+    ids=['SI', 'deg/s', 'g', 'mg', 'wrong scale'],
+)
+def test_units_that_cannot_be_si_are_named(scale, expected):
+    t, x = still(12_000)
+    noise = np.random.default_rng(0).normal(size=x.shape) * [1e-3] * 3 * 1
+    x = x + noise
+    found = [f for f in accumulate(t, x * scale).findings if 'unit' in f.id or 'scale' in f.id]
+    assert {f.id for f in found} == expected
+    for f in found:
+        assert f.severity == 'warning' and ('deg/s' in f.remedy or 'accelerometer' in f.remedy)
+
+
+def test_gravity_may_have_been_removed():
+    t, x = still(12_000)
+    assert not ids(accumulate(t, x - [0, 0, 0, 0, 0, 9.8])) & {'accel_unit', 'accel_scale'}
