@@ -3,10 +3,12 @@
 """Measure the noise of an IMU from its recordings.
 
 An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
-recordings of the same IMU: their sums are added.
+recordings of the same IMU: their sums are added. A folder of separate recordings is a batch: each
+has its own results, with a summary of all.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
+  allan analyze folder_of_recordings -o results --jobs 2
   allan analyze table.csv --columns t,gx,gy,gz,ax,ay,az --gyro-unit deg/s
   allan analyze my_bag --json | jq .axes.gyro_x.noise.N.value
 """
@@ -20,14 +22,22 @@ from typing import Any
 
 from ..api import ResultSettings, fit_recorded, load_baseline
 from ..core.errors import AllanError
-from ..core.findings import Finding
+from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
 from ..io.plot_style import PictureSettings, load_style
 from ..io.readers.recording import ReadOptions
 from ..io.reading import add_recordings, read_in_processes, read_in_turn
 from ..io.recorded import ReadJob, RecordingSums
+from ..io.results import Results
+from ..io.verdict import Verdict, comparisons_of, verdict_of
+from .batch import recordings_in, run_batch
 from .console import Console
 from .options import add_settings, settings_of
+
+EXIT_FAILED = 3
+
+EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
+"""Exit code -> what it means, besides those of every verb."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,22 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
     )
-    parser.add_argument(
-        '--rate',
-        type=float,
-        default=0.0,
-        metavar='HZ',
-        help='sample rate: checked against the stamps, or believed where there are none',
-    )
-    parser.add_argument(
-        '--hardware-id',
-        default='',
-        metavar='TEXT',
-        help='which piece this is; only sums with the same one add up',
-    )
     spread = parser.add_argument_group('several recordings')
     spread.add_argument(
         '--jobs', type=int, default=1, metavar='N', help='read so many at a time (default 1)'
+    )
+    spread.add_argument(
+        '--merge',
+        action='store_true',
+        help='add the recordings of a folder, as recordings of one IMU are that are given by name; '
+        'without it each has results of its own and a line in a summary',
     )
     spread.add_argument(
         '--scheduler',
@@ -60,22 +63,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'its workers must see the same paths',
     )
     add_settings(parser, 'result', ResultSettings)
+    add_fail_on(parser)
     add_settings(parser, 'pictures', PictureSettings)
-    add_settings(parser, 'evidence', SegmenterSettings, without=['declared_rate'])
+    add_reading_arguments(parser)
+
+
+def add_fail_on(parser: argparse.ArgumentParser) -> None:
+    """Add the option that turns findings into an exit code."""
+    parser.add_argument(
+        '--fail-on',
+        choices=('warning', 'error'),
+        help=f'exit with {EXIT_FAILED} at a finding of this severity, or where a limit of the '
+        'datasheet or the earlier run is exceeded',
+    )
+
+
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of everything between a recording and its sums."""
+    parser.add_argument(
+        '--rate',
+        type=float,
+        default=0.0,
+        metavar='HZ',
+        help='sample rate: checked against the stamps, or used where there are none',
+    )
+    parser.add_argument(
+        '--hardware-id',
+        default='',
+        metavar='TEXT',
+        help='which unit this is; only sums of the same one are added',
+    )
+    add_settings(parser, 'data at rest', SegmenterSettings, without=['declared_rate'])
     add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])
+
+
+def read_jobs(
+    paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
+) -> list[ReadJob]:
+    """Return what is to be read, by the options of `add_reading_arguments`."""
+    reading = settings_of(ReadOptions, args, rate_hz=args.rate)
+    segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
+    return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, fit, show and write."""
     check_result_arguments(args)
-    reading = settings_of(ReadOptions, args, rate_hz=args.rate)
-    segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     console = Console.of(args)
-    console.detail(f'settings: {_settings_text(reading, segmenter)}')
-    with_context = bool(args.output)
-    jobs = [
-        ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in args.inputs
-    ]
+    paths = [path for given in args.inputs for path in recordings_in(given)]
+    jobs = read_jobs(paths, args, bool(args.output))
+    console.detail(f'settings: {_settings_text(jobs[0].reading, jobs[0].segmenter)}')
+    if len(paths) > len(args.inputs) and not args.merge:
+        return run_batch(jobs, args)
     outcomes = list(_spread(jobs, args, console))
     lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
@@ -116,7 +155,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     Returns
     -------
     int
-        Exit code: 1 where nothing could be computed, else 0.
+        Exit code: 3 where ``--fail-on`` applies, 1 where nothing could be computed, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
@@ -137,21 +176,33 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
                 pictures=settings_of(PictureSettings, args),
             )
         written = f'written to {args.output}: {", ".join(sorted(path.name for path in paths))}'
+    comparisons = comparisons_of(results, load_baseline(settings.baseline), settings.margin)
+    verdict = verdict_of(results, comparisons, settings.units)
     if console.json:
         from ..io.documents import results_to_document
 
-        console.document(results_to_document(results))
+        console.document(results_to_document(results, verdict=verdict))
         console.findings(results.findings)
         if written:
             console.say(written)
     elif not (console.quiet and written):
         from .tables import print_results
 
-        print_results(results, settings.units)
+        print_results(results, verdict, settings.units, console.verbose)
         if written:
             print(f'\n{written}')
+    if fails(verdict, results, args.fail_on):
+        return EXIT_FAILED
     known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
     return 0 if any(c.value is not None for c in known) else 1
+
+
+def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
+    """Return whether the results are so bad that ``--fail-on`` asks for its exit code."""
+    if severity is None:
+        return False
+    enough = SEVERITIES[: SEVERITIES.index(severity) + 1]  # type: ignore[arg-type]
+    return verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
 
 
 def _spread(

@@ -49,7 +49,7 @@ def complete() -> None:
         import argcomplete
     except ImportError:
         return
-    from .main import VERBS, build_parser
+    from .parser import VERBS, build_parser
 
     words = os.environ.get('COMP_LINE', '').split()
     parser = build_parser(next((word for word in words if word in VERBS), ''))

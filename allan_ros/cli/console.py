@@ -15,11 +15,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
-if TYPE_CHECKING:
-    from ..core.findings import Finding
-
+from ..core.findings import Finding, grouped
 
 REDRAW_S = 0.1
 """Seconds between two drawings: smooth to the eye, nothing to the processor."""
@@ -166,7 +164,7 @@ class Console:
 
     def findings(self, findings: Iterable[Finding]) -> None:
         """Tell findings beside a result that does not show them itself."""
-        for finding in () if self.quiet else findings:
+        for finding in () if self.quiet else grouped(findings):
             print(*finding_lines(finding, width(), coloured(sys.stderr)), sep='\n', file=sys.stderr)
 
     def progress(self, label: str, total: int | None) -> Progress:
@@ -200,12 +198,15 @@ def coloured(stream: TextIO) -> bool:
 
 
 def finding_lines(finding: Finding, columns: int, colours: bool = False) -> Sequence[str]:
-    """Return a finding wrapped to the width, its severity first."""
+    """Return a finding with its remedy wrapped to the width, its severity first."""
     lines = wrapped(f'{finding.severity}: {finding}', columns, '  ')
-    if colours:
-        colour = SEVERITY_COLOURS[finding.severity]
-        lines[0] = lines[0].replace(finding.severity, f'\x1b[{colour}m{finding.severity}\x1b[0m', 1)
-    return lines
+    colour = SEVERITY_COLOURS[finding.severity]
+    return [painted(lines[0], finding.severity, colour, colours), *lines[1:]]
+
+
+def painted(line: str, word: str, colour: str, colours: bool) -> str:
+    """Return the line with its first such word in an ANSI colour, if colours are wanted."""
+    return line.replace(word, f'\x1b[{colour}m{word}\x1b[0m', 1) if colours else line
 
 
 def wrapped(text: str, columns: int, indent: str = '') -> list[str]:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib
 import os
@@ -19,45 +18,15 @@ from pathlib import Path
 from .. import __version__
 from ..core.errors import AllanError
 from ..one_thread import keep_to_one_thread
-from .console import add_console_options
-from .parser import EXIT_USAGE, AllanParser
-
-VERBS = {
-    'analyze': 'recordings in, coefficients, curves, plots and a report out',
-    'merge': 'add the sums of several runs of one IMU and fit them together',
-    'compare': 'runs side by side, or beside a datasheet: which differences are more than chance',
-    'sensors': 'datasheets of IMUs: list them, or show one with its sources',
-    'export': 'write what was measured as the file a filter reads',
-    'inflate': 'what running motors add to the noise of a robot at rest',
-    'simulate': 'write a recording of an IMU whose noise is known',
-}
-"""Verb -> what it does. Each is the module of that name beside this file, which has
-``add_arguments(parser)`` and ``run(args) -> int``; one with exit codes of its own has ``EXITS``."""
-
-DESCRIPTION = """
-Measure the noise of an IMU by its Allan variance.
-
-  allan analyze my_bag -o results        a recording in, a report out
-  allan export results --to openvins     its numbers as the file of a filter
-  allan simulate my_bag --preset paper   no recording at hand? this writes one
-"""
-"""What stands above the list of verbs."""
-
-SHELLS = ('bash', 'zsh', 'fish')
-"""Shells whose completion can be set up."""
-
-EXIT_ERROR, EXIT_FAULT, EXIT_INTERRUPTED, EXIT_NO_READER = 1, 70, 130, 141
-"""70 is EX_SOFTWARE of sysexits.h; the last two are 128 + SIGINT and 128 + SIGPIPE, as shells
-have it."""
-
-EXITS = {
-    0: 'done',
-    EXIT_ERROR: 'something you can mend: one line on stderr says what and how',
-    EXIT_USAGE: 'wrong words on the command line',
-    EXIT_FAULT: 'a fault of allan itself: please report the line',
-    EXIT_INTERRUPTED: 'interrupted: what was begun is taken back',
-}
-"""Exit code -> what it means."""
+from .parser import (
+    EXIT_ERROR,
+    EXIT_FAULT,
+    EXIT_INTERRUPTED,
+    EXIT_NO_READER,
+    EXIT_USAGE,
+    VERBS,
+    build_parser,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,48 +57,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _stopped(f'{name}: {_fault_text(error)}', EXIT_FAULT)
 
 
-def build_parser(verb: str = '') -> AllanParser:
-    """Return the parser of the whole command line, with the options of one verb only.
-
-    The options of a verb need its settings, and these numpy: the others stay empty.
-    """
-    parser = AllanParser(
-        prog='allan',
-        usage='allan VERB [options] ...',
-        description=DESCRIPTION,
-        add_help=False,  # the verbs come first
-        epilog='`allan VERB --help` tells more of each.\n\n'
-        + _exits_text(EXITS)
-        + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width.',
-    )
-    verbs = parser.add_subparsers(
-        title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
-    )
-    options = parser.add_argument_group('options')
-    options.add_argument('-h', '--help', action='help', help='show this and exit')
-    options.add_argument(
-        '--version', action='version', version=f'allan_ros {__version__}', help='show it and exit'
-    )
-    options.add_argument(
-        '--completion',
-        action=_Completion,
-        choices=SHELLS,
-        help='print what makes this shell complete verbs, options and names: '
-        'eval "$(allan --completion bash)" in ~/.bashrc, or for fish '
-        'allan --completion fish | source',
-    )
-    for name, what in VERBS.items():
-        sub = verbs.add_parser(name, help=what)
-        if name == verb:
-            module = importlib.import_module(f'.{name}', __package__)
-            sub.description = module.__doc__
-            sub.epilog = _exits_text({**EXITS, **getattr(module, 'EXITS', {})})
-            module.add_arguments(sub)
-            add_console_options(sub)
-            sub.shorten_usage()
-    return parser
-
-
 def _run(words: Sequence[str]) -> int:
     """Parse the words and run the verb."""
     keep_to_one_thread()
@@ -144,26 +71,6 @@ def _run(words: Sequence[str]) -> int:
     args.command_line = shlex.join(['allan', *words])
     code: int = importlib.import_module(f'.{args.verb}', __package__).run(args)
     return code
-
-
-class _Completion(argparse.Action):
-    """Prints the code that sets completion up, and leaves, as --version does."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        _namespace: argparse.Namespace,
-        values: object,
-        _option: str | None = None,
-    ) -> None:
-        from .completion import registration
-
-        print(registration(str(values)))
-        parser.exit()
-
-
-def _exits_text(exits: dict[int, str]) -> str:
-    return '\n'.join(['exit codes:', *(f'  {code:<4} {what}' for code, what in exits.items())])
 
 
 def _fault_text(error: Exception) -> str:

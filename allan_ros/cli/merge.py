@@ -16,8 +16,10 @@ import argparse
 from ..api import ResultSettings, load_sums
 from ..io.plot_style import PictureSettings
 from ..io.reading import add_recordings
-from .analyze import check_result_arguments, show_results
+from .analyze import EXITS, add_fail_on, check_result_arguments, show_results
 from .options import add_settings
+
+__all__ = ['EXITS', 'add_arguments', 'run']
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
     )
     add_settings(parser, 'result', ResultSettings)
+    add_fail_on(parser)
     add_settings(parser, 'pictures', PictureSettings)
 
 

@@ -1,14 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `analyze` and `merge` say in the terminal: the coefficients, then what to know and do."""
+"""What `analyze` and `merge` print: verdict, coefficients, findings and next steps."""
 
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Iterator, Sequence
-from typing import TextIO
 
-from ..core.compare import Verdict
+from ..core import compare
+from ..core.findings import grouped
 from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheet_comparison import VERDICT_TEXT, DatasheetComparison, LimitCheck
@@ -17,17 +18,28 @@ from ..io.format import (
     region_text,
     shown_unit,
     significant,
+    text_in_units,
     value_text,
 )
 from ..io.results import Results
 from ..io.summary import headline
-from .console import coloured, finding_lines, width, wrapped
+from ..io.verdict import WORDS, Level, Verdict, finding_text
+from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
 
-HEADLINES: dict[Verdict | None, str] = {
-    'within': 'all that it states is kept',
-    'open': 'nothing is beyond it; some intervals still hold the limit',
-    'beyond': 'not all that it states is kept',
-    None: 'it states nothing of what was measured',
+LEVEL_COLOURS: dict[Level, str] = {
+    'healthy': '1;32',
+    'attention': '1;33',
+    'unknown': '1;36',
+    'failed': '1;31',
+}
+"""ANSI colours of the levels of a verdict: bold green, yellow, cyan, red."""
+
+
+HEADLINES: dict[compare.Verdict | None, str] = {
+    'within': 'every stated limit is kept',
+    'open': 'no limit is exceeded; some intervals contain the limit',
+    'beyond': 'a limit is exceeded',
+    None: 'it states no limit for what was measured',
 }
 
 
@@ -38,7 +50,7 @@ LIMIT_DIGITS = 3
 def datasheet_lines(comparison: DatasheetComparison, units: str, columns: int) -> Iterator[str]:
     """Yield a headline, and a line for each limit: what is stated, and how each axis stands."""
     sheet = comparison.datasheet
-    headline = f'beside the datasheet of {sheet.name}: {HEADLINES[comparison.verdict]}'
+    headline = f'compared with the datasheet of {sheet.name}: {HEADLINES[comparison.verdict]}'
     yield from wrapped(headline, columns, '  ')
     for group in _by_limit(comparison).values():
         yield from wrapped(_line(group, units), columns, ' ' * 9)
@@ -57,7 +69,7 @@ def _line(group: list[LimitCheck], units: str) -> str:
     first = group[0]
     unit = shown_unit(first.axis, first.term, units)
     limit = f'{significant(first.limit.value * unit.factor, LIMIT_DIGITS)} {unit.name}'
-    stood: dict[Verdict, list[str]] = {}
+    stood: dict[compare.Verdict, list[str]] = {}
     for held in group:
         stood.setdefault(held.verdict, []).append(held.axis.rsplit('_', 1)[1])
     verdicts = ', '.join(f'{" ".join(axes)} {VERDICT_TEXT[v]}' for v, axes in stood.items())
@@ -73,40 +85,91 @@ MISFIT, NOTHING = 'misfit', '-'
 """Label of the last row, which is left out where the five terms describe every curve."""
 
 
-def print_results(results: Results, units: str, stream: TextIO | None = None) -> None:
-    """Print the results as wide as the terminal is."""
-    stream = sys.stdout if stream is None else stream
-    for line in results_lines(results, units, width(), coloured(stream)):
-        print(line, file=stream)
+MOST_FINDINGS, MOST_STEPS = 5, 4
+"""Lines of findings that are shown unless all are asked for, and next steps."""
+
+
+def print_results(results: Results, verdict: Verdict, units: str, complete: bool = False) -> None:
+    """Print the results as wide as the terminal is; ``complete`` with every finding."""
+    for line in results_lines(results, verdict, units, width(), coloured(sys.stdout), complete):
+        print(line)
 
 
 def results_lines(
-    results: Results, units: str, columns: int, colours: bool = False
+    results: Results,
+    verdict: Verdict,
+    units: str,
+    columns: int,
+    colours: bool = False,
+    complete: bool = False,
 ) -> Iterator[str]:
-    """Yield the lines of the report: headline, tables, reading of the curves, findings."""
+    """Yield the lines of the report: headline, verdict, tables, findings, next steps."""
     yield from wrapped(headline(results), columns, '  ')
+    yield from verdict_lines(verdict, columns, colours)
     for sensor, where in SENSORS.items():
         axes = [_column(results, axis, units) for axis in AXES[where] if axis in results.axes]
         if axes:
             yield from table_lines(_labels(sensor, units), axes, columns)
     if any(a.regions for a in results.axes.values()):
         yield ''
-        yield from _reading_lines(results, columns)
+        yield from _region_lines(results, columns)
     yield ''
     yield from wrapped(_legend(results), columns)
     if results.datasheet is not None:
         yield ''
         yield from datasheet_lines(results.datasheet, units, columns)
-    for finding in results.findings:
-        yield ''
-        yield from finding_lines(finding, columns, colours)
+    yield from findings_lines(results, units, columns, colours, complete)
+    for i, step in enumerate(verdict.next_steps[:MOST_STEPS]):
+        if i == 0:
+            yield ''
+        yield from wrapped(f'{"next:" if i == 0 else "     "} {step}', columns, ' ' * 6)
+
+
+def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list[str]:
+    """Return the verdict in a line, its level in front."""
+    word = WORDS[verdict.level].lower()
+    lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
+    return [painted(lines[0], word, LEVEL_COLOURS[verdict.level], colours), *lines[1:]]
+
+
+def findings_lines(
+    results: Results, units: str, columns: int, colours: bool, complete: bool
+) -> Iterator[str]:
+    """Yield one line for each cause, five at most; all of them with their remedies on demand."""
+    findings = grouped(results.findings)
+    if not findings:
+        return
+    yield ''
+    if complete:
+        for finding in findings:
+            text = text_in_units(finding_text(finding, results), units)
+            lines = wrapped(f'{finding.severity}: {text} {finding.remedy}', columns, '  ')
+            colour = SEVERITY_COLOURS[finding.severity]
+            yield from (painted(lines[0], finding.severity, colour, colours), *lines[1:])
+        return
+    shown = [finding for finding in findings if finding.severity != 'info']
+    notes = len(findings) - len(shown)
+    if len(findings) <= MOST_FINDINGS:
+        shown, notes = list(findings), 0
+    cut = shown[: MOST_FINDINGS - (notes > 0 or len(shown) > MOST_FINDINGS)]
+    for finding in cut:
+        text = text_in_units(finding_text(finding, results), units)
+        line = textwrap.shorten(f'{finding.severity}: {text}', columns - 1, placeholder=' ...')
+        yield painted(line, finding.severity, SEVERITY_COLOURS[finding.severity], colours)
+    hidden = [
+        f'{number} {word}{"" if number == 1 else "s"}'
+        for number, word in ((len(shown) - len(cut), 'warning'), (notes, 'note'))
+        if number
+    ]
+    if hidden:
+        yield f'and {" and ".join(hidden)}: -v shows all, with remedies'
 
 
 def _legend(results: Results) -> str:
     known = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
     if not any(c.ci95 or c.upper95 for c in known):
-        return f'method {results.method} gives no intervals and no verdicts'
-    return '95 % intervals; "<": not observable in this much data, the 95 % upper limit is given'
+        return f'method {results.method} gives no intervals'
+    return '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
 
 
 def _labels(sensor: str, units: str) -> list[str]:
@@ -138,7 +201,7 @@ def table_lines(
             yield (f'{text:{label}}' + ''.join(f'{entry:{cell}}' for entry in row)).rstrip()
 
 
-def _reading_lines(results: Results, columns: int) -> Iterator[str]:
+def _region_lines(results: Results, columns: int) -> Iterator[str]:
     for axis, result in results.axes.items():
         if not result.regions:
             continue

@@ -14,7 +14,7 @@ from typing import Literal
 
 from .errors import one_line
 
-__all__ = ['CATALOGUE', 'Finding', 'Severity', 'finding', 'grouped']
+__all__ = ['CATALOGUE', 'SEVERITIES', 'Finding', 'Severity', 'finding', 'grouped']
 
 Severity = Literal['info', 'warning', 'error']
 

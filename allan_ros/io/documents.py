@@ -30,6 +30,7 @@ from .datasheet_comparison import comparison_from_document, comparison_to_docume
 from .readers.recording import SourceInfo
 from .recorded import Provenance
 from .results import AxisCurve, AxisResult, Results
+from .verdict import Verdict
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'
@@ -47,8 +48,20 @@ LISTED_SPANS = 1000
 """How many segments are listed, the longest; their number is always given."""
 
 
-def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
-    """Return the results as ``allan_ros/results/1``; without the curves it is the noise model."""
+def results_to_document(
+    results: Results, curves: bool = True, verdict: Verdict | None = None
+) -> dict[str, Any]:
+    """Return the results as ``allan_ros/results/1``; without the curves it is the noise model.
+
+    Parameters
+    ----------
+    results : Results
+    curves : bool
+        Whether curves and verdict are in it.
+    verdict : Verdict, optional
+        Where it rests on more than the results (an earlier run).
+    """
+    judged = {'verdict': (verdict or results.verdict).to_document()} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
         'tool': _tool(),
@@ -61,6 +74,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
         'duration_s': _finite(results.duration_s),
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
+        **judged,
         'findings': [asdict(f) for f in results.findings],
         'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
         'axes': {

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import NamedTuple
 
 from ..core.fit import Coefficient
@@ -142,3 +143,44 @@ def region_text(region: Region) -> str:
 
 def _shown(unit: str) -> ShownUnit:
     return ShownUnit(unit, 1.0 / UNITS[unit].factor)
+
+
+def text_in_units(text: str, units: str) -> str:
+    """Return a message with its quantities in the units asked for.
+
+    Every number followed by a unit of a coefficient is converted, with the interval behind it.
+
+    >>> text_in_units('N is 0.60 deg/sqrt(h) (0.59..0.61).', 'si')
+    'N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774).'
+    """
+    return _QUANTITY.sub(lambda match: _converted(match, units), text)
+
+
+_NUMBER = r'-?\d+(?:\.\d+)?(?:e[-+]?\d+)?'
+
+_SYSTEMS = {'datasheet': DATASHEET_UNITS, 'si': SI_UNITS}
+
+_QUANTITY = re.compile(
+    rf'({_NUMBER})(?: to ({_NUMBER}))? '
+    rf'({"|".join(sorted(map(re.escape, UNITS), key=len, reverse=True))})(?![\w/^(])'
+    rf'(?: \(({_NUMBER})\.\.({_NUMBER})\))?'
+)
+
+
+def _converted(match: re.Match[str], units: str) -> str:
+    """Return a quantity of a message in the units asked for, unchanged if it is in them."""
+    unit = match[3]
+    others = _SYSTEMS['datasheet' if units == 'si' else 'si']
+    for sensor, terms in others.items():
+        for term, name in terms.items():
+            if name == unit:
+                new = shown_unit(sensor, term, units)
+                factor = UNITS[unit].factor * new.factor
+                shown = [
+                    significant(float(number) * factor, VALUE_DIGITS) if number else ''
+                    for number in match.group(1, 2, 4, 5)
+                ]
+                second = f' to {shown[1]}' if shown[1] else ''
+                interval = f' ({shown[2]}..{shown[3]})' if shown[2] else ''
+                return f'{shown[0]}{second} {new.name}{interval}'
+    return match[0]

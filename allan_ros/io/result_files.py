@@ -25,6 +25,7 @@ from .report import ReportContext, render_report
 from .results import Results
 from .signal_summary import summarize_signal
 from .text import read_json, to_json
+from .verdict import comparisons_of, verdict_of
 
 SIGNAL_BINS = 1000
 """Bins of the raw signal in pictures and page: about as many as a plot has pixels."""
@@ -115,7 +116,8 @@ def write_result_files(
     )
     contents['report.html'] = render_report(results, context, units)
     files = sorted({*others, *contents})
-    contents[RESULTS] = to_json({**results_to_document(results), 'files': files})
+    verdict = verdict_of(results, comparisons_of(results, former, margin), units)
+    contents[RESULTS] = to_json({**results_to_document(results, verdict=verdict), 'files': files})
     contents[SUMS] = to_json(sums_document)
     folder = made_folder(Path(folder))
     with _folder_locked(folder):

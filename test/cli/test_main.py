@@ -17,7 +17,8 @@ import pytest
 
 import allan_ros
 from allan_ros.cli import merge
-from allan_ros.cli.main import EXITS, VERBS, main
+from allan_ros.cli.main import main
+from allan_ros.cli.parser import EXITS, VERBS
 
 ALLAN = [sys.executable, '-m', 'allan_ros.cli.main']
 

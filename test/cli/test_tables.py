@@ -15,21 +15,26 @@ from allan_ros.core.fit import TERMS, Coefficient
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
 from allan_ros.io.summary import headline
+from allan_ros.io.verdict import verdict_of
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
+
+
+def lines_of(results: Results, units: str, width: int, complete: bool = False) -> list[str]:
+    return list(results_lines(results, verdict_of(results), units, width, complete=complete))
 
 
 @pytest.mark.parametrize('width', [60, 80, 100, 200])
 @pytest.mark.parametrize('units', ['datasheet', 'si'])
 def test_no_line_is_wider_than_the_terminal(small_results: Results, width: int, units: str) -> None:
     results = replace(small_results, findings=(LONG,))
-    lines = list(results_lines(results, units, width))
+    lines = lines_of(results, units, width)
     assert max(map(len, lines)) <= width
 
 
 @pytest.mark.parametrize('width', [60, 200])
 def test_every_coefficient_is_there_whatever_the_width(small_results: Results, width: int) -> None:
-    text = '\n'.join(results_lines(small_results, 'datasheet', width))
+    text = '\n'.join(lines_of(small_results, 'datasheet', width))
     for axis, result in small_results.axes.items():
         for term in TERMS:
             unit, coefficient = shown_unit(axis, term, 'datasheet'), result.fit.noise[term]
@@ -50,15 +55,14 @@ def test_a_method_without_intervals_says_so(small_results: Results) -> None:
         for name, axis in small_results.axes.items()
     }
     results = replace(small_results, axes=axes, method='paper')
-    said = list(results_lines(results, 'si', 100))
-    assert 'method paper gives no intervals and no verdicts' in said
+    assert 'method paper gives no intervals' in lines_of(results, 'si', 100)
 
 
 def test_misfit_is_shown_only_where_there_is_one(small_results: Results) -> None:
     axis = small_results.axes['accel_z']
     bent = replace(axis, fit=replace(axis.fit, misfit=0.123))
     results = replace(small_results, axes={**small_results.axes, 'accel_z': bent})
-    rows = [line for line in results_lines(results, 'si', 200) if line.startswith('misfit')]
+    rows = [line for line in lines_of(results, 'si', 200) if line.startswith('misfit')]
     assert len(rows) == 1
     assert rows[0].endswith('12%')
 
@@ -68,3 +72,35 @@ def test_findings_are_coloured_only_when_asked() -> None:
     assert plain[0].startswith('warning: gyro_x: word')
     assert coloured[0].startswith('\x1b[33mwarning\x1b[0m')
     assert plain[1:] == coloured[1:]
+
+
+def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results) -> None:
+    axes = tuple(small_results.axes)
+    many = tuple(
+        Finding(f'kind_{i}', 'warning', f'Cause {"abcdefgh"[i]}.', f'Do {i}.', (axis,))
+        for i in range(8)
+        for axis in axes[:2]
+    )
+    results = replace(small_results, findings=(*many, Finding('n', 'info', 'Note.', 'Nothing.')))
+    short = lines_of(results, 'si', 100)
+    shown = [line for line in short if line.startswith(('warning', 'info', 'and '))]
+    assert len(shown) == 5
+    assert shown[-1] == 'and 4 warnings and 1 note: -v shows all, with remedies'
+    assert shown[0] == 'warning: gyro x, gyro y: Cause a.'
+    complete = lines_of(results, 'si', 100, complete=True)
+    assert sum(line.startswith('warning: ') for line in complete) == 8
+    assert 'info: Note. Nothing.' in complete
+
+
+def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:
+    lines = lines_of(replace(small_results, duration_s=5.0, findings=()), 'si', 100)
+    assert lines[1] == 'not judged: Too short to judge: 5.00 s at rest.'
+
+
+def test_findings_follow_the_units(small_results: Results) -> None:
+    message = 'N is 0.60 deg/sqrt(h) (0.59..0.61), amplitude 0.0098 m/s^2.'
+    results = replace(small_results, findings=(Finding('x', 'warning', message, 'Fix it.'),))
+    assert 'warning: N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774), amplitude' in '\n'.join(
+        lines_of(results, 'si', 200)
+    )
+    assert 'amplitude 999.3 ug' in '\n'.join(lines_of(results, 'datasheet', 200))

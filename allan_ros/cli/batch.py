@@ -1,0 +1,261 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Analyze a folder of separate recordings: results for each, and a summary of all."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from ..api import ResultSettings, fit_recorded, load_baseline
+from ..core.errors import AllanError, one_line
+from ..core.findings import Finding
+from ..core.fit.duration import ADVISED_TERMS
+from ..core.imu import sensor_of
+from ..io.files import write_atomic
+from ..io.format import shown_unit, value_text
+from ..io.plot_style import PictureSettings
+from ..io.recorded import ReadJob, RecordingSums, read_recording
+from ..io.results import Results
+from ..io.verdict import WORDS, Verdict, comparisons_of, verdict_of
+from .console import Console
+from .options import settings_of
+
+METADATA = 'metadata.yaml'
+
+STORAGES = ('.mcap', '.db3')
+"""Files of which several may be the splits of one bag."""
+
+RECORDINGS = (*STORAGES, '.bag', '.csv', '.tsv', '.npz', '.npy')
+"""Suffixes of files that are recordings of their own."""
+
+SPLIT = re.compile(r'^(.*)_\d+$')
+"""Name of a split without its suffix: rosbag2 numbers them."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one recording: its results, or why there are none."""
+
+    path: str
+    results: Results | None = None
+    verdict: Verdict | None = None
+    error: str = ''
+
+
+def recordings_in(path: str) -> list[str]:
+    """Return the separate recordings of a folder; else the path itself, as one recording.
+
+    A folder with metadata.yaml is one recording, and so are files that are numbered as the splits
+    of one bag.
+    """
+    folder = Path(path)
+    if not folder.is_dir() or (folder / METADATA).exists():
+        return [path]
+    children = sorted(folder.iterdir())
+    files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
+    bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
+    splits = {match[1] for file in files if (match := SPLIT.match(file.stem))}
+    one_bag = len(splits) == 1 and all(
+        file.suffix in STORAGES and SPLIT.match(file.stem) for file in files
+    )
+    if not bags and (one_bag or len(files) < 2):
+        return [path]
+    return [str(each) for each in (*bags, *files)]
+
+
+def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
+    """Analyze each recording, write the files of each and the summary, and print the summary.
+
+    Returns
+    -------
+    int
+        Exit code: 1 if any recording could not be analyzed, else 0.
+    """
+    console = Console.of(args)
+    outcomes: list[Outcome] = []
+    with console.progress(f'{len(jobs)} recordings', len(jobs)) as progress:
+        for outcome in _spread(jobs, args):
+            outcomes.append(outcome)
+            progress.advance(1)
+    units = args.units
+    if args.output:
+        for name, text in _summary_files(outcomes, units).items():
+            write_atomic(Path(args.output) / name, text)
+    if console.json:
+        console.document({'recordings': [_document(outcome) for outcome in outcomes]})
+    else:
+        print(_markdown(outcomes, units), end='')
+    if args.output:
+        console.say(f'written to {args.output}: one folder each, {", ".join(SUMMARY)}')
+    return 1 if any(outcome.error for outcome in outcomes) else 0
+
+
+def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
+    """Do the jobs in this process, in several, or on a Dask cluster, in their order."""
+    if args.jobs < 1:
+        raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
+    if args.scheduler:
+        from .cluster import on_cluster
+
+        for job, recorded in zip(jobs, on_cluster(jobs, args.scheduler, Console.of(args))):
+            if isinstance(recorded, Finding):
+                yield Outcome(job.path, error=str(recorded))
+            else:
+                yield analyze_one(job, args, recorded)
+        return
+    if min(args.jobs, len(jobs)) == 1:
+        yield from (analyze_one(job, args) for job in jobs)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(min(args.jobs, len(jobs)), mp_context=get_context('spawn')) as pool:
+        yield from pool.map(analyze_one, jobs, [args] * len(jobs))
+
+
+def analyze_one(
+    job: ReadJob, args: argparse.Namespace, recorded: RecordingSums | None = None
+) -> Outcome:
+    """Read (unless it was read) and fit one recording, and write its files into its folder."""
+    settings = settings_of(ResultSettings, args)
+    try:
+        results = fit_recorded(recorded or read_recording(job), settings)
+        baselines = load_baseline(settings.baseline)
+        comparisons = comparisons_of(results, baselines, settings.margin)
+        if args.output:
+            from ..io.result_files import write_result_files
+
+            results, _ = write_result_files(
+                Path(args.output) / folder_name(job.path),
+                results,
+                former=baselines,
+                margin=settings.margin,
+                command=args.command_line,
+                units=settings.units,
+                targets=settings.export,
+                pictures=settings_of(PictureSettings, args),
+            )
+        verdict = verdict_of(results, comparisons, settings.units)
+    except AllanError as error:
+        return Outcome(job.path, error=str(error))
+    return Outcome(job.path, results, verdict)
+
+
+def folder_name(path: str) -> str:
+    """Return the name of the folder for the results of one recording."""
+    return Path(path).name.replace('.', '_')
+
+
+SUMMARY = ('summary.csv', 'summary.md', 'summary.html')
+"""Files of the summary, beside the folders of the recordings."""
+
+COLUMNS = (
+    'recording', 'verdict', 'hours', 'axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit',
+)  # fmt: skip
+
+
+def _summary_files(outcomes: Sequence[Outcome], units: str) -> dict[str, str]:
+    texts = (_csv(outcomes, units), _markdown(outcomes, units), _html(outcomes, units))
+    return dict(zip(SUMMARY, texts))
+
+
+def _csv(outcomes: Sequence[Outcome], units: str) -> str:
+    """Return one row for each coefficient of each recording."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator='\n')
+    writer.writerow(COLUMNS)
+    for outcome in outcomes:
+        name = one_line(Path(outcome.path).name)
+        if outcome.results is None or outcome.verdict is None:
+            writer.writerow([name, 'error', *[''] * (len(COLUMNS) - 2)])
+            continue
+        hours = f'{outcome.results.duration_s / 3600.0:.4g}'
+        for axis, result in outcome.results.axes.items():
+            for term, c in result.fit.noise.items():
+                unit = shown_unit(axis, term, units)
+                low, high = c.ci95 or (None, None)
+                known = (c.value, low, high) if c.status == 'estimated' else (None,) * 3
+                upper = None if c.status == 'estimated' else c.upper95
+                numbers = ('' if v is None else f'{v * unit.factor:.6g}' for v in (*known, upper))
+                writer.writerow(
+                    [name, outcome.verdict.level, hours, axis, term, *numbers, unit.name]
+                )
+    return file.getvalue()
+
+
+def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
+    """Yield the rows of the summary: N, B and K of each sensor, the range over its axes."""
+    for outcome in outcomes:
+        name = one_line(Path(outcome.path).name)
+        if outcome.results is None or outcome.verdict is None:
+            yield [name, 'error', one_line(outcome.error)]
+            continue
+        results = outcome.results
+        cells = [name, WORDS[outcome.verdict.level].lower(), f'{results.duration_s / 3600.0:.3g}']
+        for sensor in ('gyro', 'accel'):
+            axes = [axis for axis in results.axes if sensor_of(axis) == sensor]
+            for term in ADVISED_TERMS:
+                cells.append(' / '.join(_cell(results, axis, term, units) for axis in axes) or '-')
+        yield cells
+
+
+def _cell(results: Results, axis: str, term: str, units: str) -> str:
+    return value_text(results.axes[axis].fit.noise[term], shown_unit(axis, term, units))
+
+
+def _head(units: str) -> list[str]:
+    terms = [
+        f'{sensor} {term} x / y / z [{shown_unit(sensor, term, units).name}]'
+        for sensor in ('gyro', 'accel')
+        for term in ADVISED_TERMS
+    ]
+    return ['recording', 'verdict', 'hours', *terms]
+
+
+def _markdown(outcomes: Sequence[Outcome], units: str) -> str:
+    head = _head(units)
+    lines = [head, ['---'] * len(head)]
+    for row in _rows(outcomes, units):
+        lines.append([cell.replace('|', r'\|') for cell in row] + [''] * (len(head) - len(row)))
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
+
+
+def _html(outcomes: Sequence[Outcome], units: str) -> str:
+    """Return the summary as a page with a link to each report."""
+    body = ''
+    for outcome, row in zip(outcomes, _rows(outcomes, units)):
+        name, *cells = row
+        link = f'<a href="{escape(folder_name(outcome.path))}/report.html">{escape(name)}</a>'
+        filled = [*cells, *[''] * (len(_head(units)) - len(row))]
+        first = link if outcome.results is not None else escape(name)
+        body += f'<tr><th>{first}</th>{"".join(f"<td>{escape(c)}</td>" for c in filled)}</tr>\n'
+    head = ''.join(f'<th>{escape(text)}</th>' for text in _head(units))
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Summary</title>'
+        '<meta http-equiv="Content-Security-Policy" '
+        "content=\"default-src 'none'; style-src 'unsafe-inline'\">"
+        '<style>body{font:1rem system-ui,sans-serif;margin:2rem}table{border-collapse:collapse}'
+        'th,td{text-align:left;padding:.4rem .8rem .4rem 0;border-bottom:1px solid #ccc}</style>'
+        f'</head><body><h1>{len(outcomes)} recordings</h1><table><thead><tr>{head}</tr></thead>'
+        f'<tbody>{body}</tbody></table></body></html>\n'
+    )
+
+
+def _document(outcome: Outcome) -> dict[str, object]:
+    if outcome.results is None or outcome.verdict is None:
+        return {'path': outcome.path, 'error': outcome.error}
+    from ..io.documents import results_to_document
+
+    document = results_to_document(outcome.results, curves=False)
+    return {
+        'path': outcome.path,
+        'verdict': outcome.verdict.to_document(),
+        'results': document,
+    }

@@ -1,0 +1,79 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A folder of separate recordings: what counts as one, and what is written."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from allan_ros.cli.batch import recordings_in
+from allan_ros.cli.main import main
+
+
+def test_what_is_one_recording_and_what_is_a_batch(tmp_path: Path) -> None:
+    def folder(name: str, *files: str) -> str:
+        place = tmp_path / name
+        for file in files:
+            (place / file).parent.mkdir(parents=True, exist_ok=True)
+            (place / file).touch()
+        place.mkdir(exist_ok=True)
+        return str(place)
+
+    for one in (
+        folder('bag', 'metadata.yaml', 'bag_0.mcap', 'bag_1.mcap'),
+        folder('splits', 'run_0.mcap', 'run_1.mcap'),
+        folder('single', 'a.mcap', 'notes.txt'),
+        folder('empty'),
+        str(tmp_path / 'none.bag'),
+    ):
+        assert recordings_in(one) == [one]
+    tables = folder('tables', 'a.npz', 'b.csv', 'notes.txt')
+    assert [Path(p).name for p in recordings_in(tables)] == ['a.npz', 'b.csv']
+    named = folder('named', 'monday.mcap', 'tuesday.mcap')
+    assert len(recordings_in(named)) == 2
+    bags = folder('bags', 'one/metadata.yaml', 'two/metadata.yaml')
+    assert [Path(p).name for p in recordings_in(bags)] == ['one', 'two']
+
+
+@pytest.fixture(scope='module')
+def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp('batch')
+    for name in ('a', 'b'):
+        shutil.copy(recording, place / f'{name}.npz')
+    return place
+
+
+def test_each_has_its_results_and_a_line_in_the_summary(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / 'broken.csv').write_text('nothing\n')
+    try:
+        assert main(['analyze', str(folder), '-o', str(tmp_path), '--jobs', '2']) == 1
+    finally:
+        (folder / 'broken.csv').unlink()
+    table = capsys.readouterr().out
+    assert [line.split(' | ')[0] for line in table.splitlines()[2:]] == [
+        '| a.npz',
+        '| b.npz',
+        '| broken.csv',
+    ]
+    assert (tmp_path / 'a_npz' / 'report.html').is_file()
+    rows = list(csv.DictReader((tmp_path / 'summary.csv').open()))
+    assert len(rows) == 2 * 6 * 5 + 1
+    assert rows[-1]['verdict'] == 'error'
+    assert (tmp_path / 'summary.md').read_text() == table
+    assert 'href="a_npz/report.html"' in (tmp_path / 'summary.html').read_text()
+
+
+def test_json_and_merge(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['analyze', str(folder), '--json']) == 0
+    batch = json.loads(capsys.readouterr().out)['recordings']
+    assert [Path(entry['path']).name for entry in batch] == ['a.npz', 'b.npz']
+    # the two are copies of one recording, which may not count twice
+    assert main(['analyze', str(folder), '--merge']) == 1
+    assert 'give each recording once' in capsys.readouterr().err

@@ -1,0 +1,94 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`allan check`: one line and an exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from allan_ros.cli.main import main
+
+
+@pytest.fixture(scope='module')
+def accepted(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('accepted')
+    assert main(['analyze', str(recording), '-o', str(folder), '-q']) == 0
+    return folder
+
+
+def sheet(path: Path, arw: float) -> Path:
+    path.write_text(
+        'schema: allan_ros/sensor/1\nname: TEST\nmaker: M\n'
+        'sources: {d: {title: t, url: "https://example.org", seen: datasheet}}\n'
+        f'gyro:\n  arw: {{value: {arw}, unit: deg/sqrt(h)}}\n'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ('arw', 'code', 'word'), [(1.0, 0, 'healthy'), (0.05, 3, 'failed'), (0.2, 3, 'failed')]
+)
+def test_a_datasheet_decides(
+    recording: Path,
+    tmp_path: Path,
+    arw: float,
+    code: int,
+    word: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    sensor = sheet(tmp_path / 'test.yaml', arw)
+    margin = ['--margin', '0.05']
+    assert main(['check', str(recording), '--sensor', str(sensor), *margin]) == code
+    out = capsys.readouterr().out
+    assert out.count('\n') == 1
+    assert out.startswith(f'{word}: {recording}: ')
+
+
+def test_the_accepted_run_is_healthy_against_itself_and_results_are_read(
+    recording: Path, accepted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    baseline = ['--baseline', str(accepted / 'results.json')]
+    assert main(['check', str(recording), *baseline]) == 0
+    assert main(['check', str(accepted), *baseline, '--json']) == 0
+    document = json.loads(capsys.readouterr().out.partition('\n')[2])
+    assert (document['level'], document['exit_code']) == ('healthy', 0)
+
+
+def test_without_a_reference_or_enough_data_nothing_is_judged(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['check', str(recording)]) == 1
+    assert capsys.readouterr().out.startswith('unknown: ')
+    short = tmp_path / 'short.npz'
+    imu = np.random.default_rng(1).normal(size=(500, 7))
+    imu[:, 0] = np.arange(500) / 100.0
+    np.savez(short, imu=imu)
+    assert main(['check', str(short), '--sensor', 'mpu-6050']) in (1, 3)
+    assert main(['check', str(tmp_path / 'none.npz'), '--sensor', 'mpu-6050']) == 1
+    assert main(['check', str(recording), '--sensor', 'no-such-part']) == 1
+
+
+def test_wrong_words_are_wrong_usage(recording: Path) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(['check', str(recording), '--fail-on', 'nonsense'])
+    assert stop.value.code == 2
+
+
+def test_analyze_fails_on_demand_only(recording: Path, tmp_path: Path) -> None:
+    sensor = ['--sensor', str(sheet(tmp_path / 'test.yaml', 0.05))]
+    assert main(['analyze', str(recording), *sensor]) == 0
+    assert main(['analyze', str(recording), *sensor, '--fail-on', 'error']) == 3
+    assert main(['analyze', str(recording), '--fail-on', 'error']) == 0
+
+
+def test_the_verdict_of_the_file_is_that_of_the_terminal(
+    accepted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(['check', str(accepted), '--json'])
+    shown = json.loads(capsys.readouterr().out)
+    written = json.loads((accepted / 'results.json').read_text())['verdict']
+    assert {key: shown[key] for key in written} == written
