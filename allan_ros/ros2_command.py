@@ -33,7 +33,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
     def add_arguments(self, parser: argparse.ArgumentParser, cli_name: str) -> None:
         """Declare the verb; its own options are parsed by the verb."""
-        from .cli.main import VERBS
+        from .cli.parser import VERBS
 
         width = max(map(len, (*VERBS, *NODE_VERBS)))
         lines = ['recordings and results:']

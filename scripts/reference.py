@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from allan_ros.cli.console import add_console_options
-from allan_ros.cli.main import EXITS, VERBS
+from allan_ros.cli.parser import EXITS, VERBS
 from allan_ros.core.findings import CATALOGUE
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS

@@ -201,7 +201,7 @@ def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
     """Return whether the results are so bad that ``--fail-on`` asks for its exit code."""
     if severity is None:
         return False
-    enough = SEVERITIES[: SEVERITIES.index(severity) + 1]  # type: ignore[arg-type]
+    enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
     return verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
 
 

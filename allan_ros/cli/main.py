@@ -18,6 +18,7 @@ from pathlib import Path
 from .. import __version__
 from ..core.errors import AllanError
 from ..one_thread import keep_to_one_thread
+from .config import words_with_config
 from .parser import (
     EXIT_ERROR,
     EXIT_FAULT,
@@ -26,6 +27,7 @@ from .parser import (
     EXIT_USAGE,
     VERBS,
     build_parser,
+    verb_parser,
 )
 
 
@@ -63,12 +65,16 @@ def _run(words: Sequence[str]) -> int:
     if not words:
         build_parser().print_help(sys.stderr)
         return EXIT_USAGE
+    parser = build_parser(words[0])
+    configured = list(words)
+    if words[0] in VERBS:
+        configured = words_with_config(configured, verb_parser(parser, words[0]), VERBS)
     try:
-        args = build_parser(words[0]).parse_args(words)
+        args = parser.parse_args(configured)
     except SystemExit:
         sys.stdout.flush()  # a reader of --help may have left: told where that is caught
         raise
-    args.command_line = shlex.join(['allan', *words])
+    args.command_line = shlex.join(['allan', *configured])
     code: int = importlib.import_module(f'.{args.verb}', __package__).run(args)
     return code
 

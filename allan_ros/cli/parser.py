@@ -146,7 +146,8 @@ def build_parser(verb: str = '') -> AllanParser:
         add_help=False,  # the verbs come first
         epilog='`allan VERB --help` tells more of each.\n\n'
         + _exits_text(EXITS)
-        + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width.',
+        + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width. allan.toml, or '
+        '[tool.allan] of pyproject.toml, in the current folder sets defaults of options.',
     )
     verbs = parser.add_subparsers(
         title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
@@ -174,6 +175,13 @@ def build_parser(verb: str = '') -> AllanParser:
             add_console_options(sub)
             sub.shorten_usage()
     return parser
+
+
+def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
+    """Return the parser of one verb within that of the whole command line."""
+    (verbs,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    found: argparse.ArgumentParser = verbs.choices[verb]
+    return found
 
 
 class _Completion(argparse.Action):

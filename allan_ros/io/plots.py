@@ -335,7 +335,7 @@ def _draw_parts(
     """Draw the parts of the model and the limits of what is not resolved; return the legend."""
     unit = shown_unit(axis, 'B', units)
     floor = BELOW_CURVE * unit.factor * float(curve.adev[curve.adev > 0.0].min())
-    lines = []
+    lines: list[Artist] = []
     for name, adev in result.part_adev(curve.m).items():
         colour, dashes = TERM_STYLES.get(name, PROCESS_STYLE)
         label = name

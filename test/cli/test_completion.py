@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from allan_ros.cli import completion
-from allan_ros.cli.main import SHELLS, VERBS, main
+from allan_ros.cli.main import main
+from allan_ros.cli.parser import SHELLS, VERBS
 from allan_ros.io.datasheets import sensor_names
 from allan_ros.io.exporters import TARGETS
 

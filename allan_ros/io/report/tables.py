@@ -9,7 +9,7 @@ from html import escape
 
 import numpy as np
 
-from ...core.compare import Comparison
+from ...core.compare import Comparison, Verdict
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.duration import ADVISED_TERMS
 from ..datasheet_comparison import VERDICT_TEXT, DatasheetComparison
@@ -158,7 +158,7 @@ def _comparison_table(
 
 
 def _verdict_cell(
-    axis: str, term: str, coefficient: Coefficient, limit: float, verdict: str, then: str = ''
+    axis: str, term: str, coefficient: Coefficient, limit: float, verdict: Verdict, then: str = ''
 ) -> str:
     """Return the value, its share of the limit, and the verdict in sign and word."""
     value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
