@@ -37,7 +37,7 @@ def ros_wheels(distro):
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version='1.0.0',
     description='Allan variance of IMUs on ROS 2: five noise coefficients with honest intervals',
     author='the allan_ros authors',
     maintainer='the allan_ros authors',

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .core.errors import AllanError
     from .io.results import AxisCurve, AxisResult, Quantity, Results
 
-__version__ = '0.1.0'
+__version__ = '1.0.0'
 
 __all__ = [
     'AllanError',
