@@ -105,9 +105,18 @@ def _interrupts_blocked() -> Iterator[None]:
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
     """Return the sums of all recordings of one IMU.
 
+    They are added from the earliest to the latest, so the sums do not depend on the order in which
+    the recordings are given.
+
     Raises
     ------
     AllanError
         When one is of another IMU than the first, or was given twice.
     """
-    return reduce(add, recordings)
+    return reduce(add, sorted(recordings, key=_start_ns))
+
+
+def _start_ns(recorded: RecordingSums) -> tuple[int, int]:
+    """Return the stamp of the first sample and the number of samples."""
+    starts = [segment.start_ns for s in recorded.sums for segment in s.segments]
+    return min(starts, default=0), sum(s.samples for s in recorded.sums)

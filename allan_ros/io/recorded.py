@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from typing import Any
 
 from ..core.allan.spectrum import SpectrumSums
-from ..core.allan.sums import AllanSums
+from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.settings import SegmenterSettings
@@ -97,17 +98,11 @@ class RecordingSums:
             When the other is of another IMU (the message names what differs), or contains
             samples that this one contains too.
         """
-        by_axes = {s.axes: s for s in other.sums}
-        if set(by_axes) != {s.axes for s in self.sums}:
-            raise AllanError(
-                f'{other.name} has {_axes_text(other.sums)}, {self.name} has '
-                f'{_axes_text(self.sums)}: analyze them separately'
-            )
         try:
-            sums = tuple(s + by_axes[s.axes] for s in self.sums)
+            sums = add_sums(self.sums, other.sums)
         except AllanError as error:
             raise AllanError(f'{other.name} cannot be added to {self.name}: {error}') from error
-        if any(_share_a_segment(s, by_axes[s.axes]) for s in self.sums):
+        if any(_share_a_segment(a, b) for a, b in product(self.sums, other.sums)):
             raise AllanError(
                 f'{other.name} contains samples of a recording given before it: give each '
                 'recording once, or its samples count twice'
@@ -221,7 +216,3 @@ def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
         for other in b.segments
         if one.samples > 1
     )
-
-
-def _axes_text(sums: Sequence[AllanSums]) -> str:
-    return ' and separately '.join(', '.join(s.axes) for s in sums)

@@ -31,11 +31,11 @@ WHITE_PHASE, FLICKER_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 1, 0, -1, -2
 
 
 REACH = 6
-"""Correlations are summed to that many m: beyond, rho^2 of flicker adds under 1e-4."""
+"""Correlations are summed up to this many m; beyond, rho^2 of flicker adds less than 1e-4."""
 
 
 FAR = 100.0
-"""Samples from which the flicker phase autocovariance is its continuous limit, to 1e-5."""
+"""Lag in samples from which the flicker phase autocovariance is its continuous limit to 1e-5."""
 
 
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
@@ -50,7 +50,7 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     counts : (segments,) array
         Second differences in each segment (or in each of the groups of `number`).
     number : (segments,) array
-        How many segments there are of each count.
+        Number of segments with each count.
 
     Returns
     -------
@@ -97,10 +97,10 @@ def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
 def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floats:
     """Return the generalised autocovariance of the phase at t samples, up to a factor.
 
-    Of sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
+    For sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
     |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, in discrete time).
-    Flicker phase is the second difference of -t^2 ln|t|. Time counts in units of m, which changes
-    only multiples of t^2 that the fourth difference removes.
+    Flicker phase is the second difference of -t^2 ln|t|. Time is in units of m, which only adds
+    multiples of t^2; the fourth difference removes them.
     """
     if noise_type == WHITE_PHASE:
         return np.asarray(t == 0, float)
@@ -154,21 +154,21 @@ MIN_AVERAGES = 30
 
 
 FLICKER_EDGE = -1.75
-"""Where flicker ends and random walk begins. Once differenced, averages of flicker have
-r1 = (9 ln3 - 16 ln2)/(8 ln2), so alpha = -1.45; those of a random walk have -2 (m = 1) to -2.4. Of
-2000 averages, plain rounding would take every fifth flicker for a random walk."""
+"""Limit of alpha between flicker and random walk. Differenced averages of flicker have
+r1 = (9 ln3 - 16 ln2)/(8 ln2), so alpha = -1.45; those of a random walk have -2 (m = 1) to -2.4. In
+2000 averages, rounding would classify every fifth flicker as a random walk."""
 
 
 SLOPE_SPAN = 4.0
-"""A slope is taken from m/4 to 4 m: two octaves each way steady it against single points."""
+"""A slope is fitted from m/4 to 4 m, two octaves to each side."""
 
 
 MIN_BLOCKS = 16
-"""Averaging times that must fit into the record for a slope to mean something."""
+"""Fewest averaging times in the record for which a slope is used."""
 
 
 QUANTIZATION_SLOPE = -1.5
-"""Slopes of sigma^2 below this are -2: white or flicker phase, which cannot be told apart."""
+"""Slopes of sigma^2 below this count as -2: white or flicker phase, which look the same."""
 
 
 def noise_type_of_samples(y: ArrayLike, m: int) -> int | None:
@@ -214,7 +214,7 @@ def noise_type_of_samples(y: ArrayLike, m: int) -> int | None:
 def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:
     """Return the exponent alpha at every factor from the slope mu of log sigma^2 on log tau.
 
-    alpha = -1 - mu (NIST SP 1065 table 4). For sums, whose samples are gone. A slope of -2 is read
+    alpha = -1 - mu (NIST SP 1065 table 4). It needs no samples. A slope of -2 is classified
     as white phase, which in an IMU is quantization. Where the record holds under 16 averaging
     times a slope means nothing, and the type of the factor before goes on.
 
@@ -319,15 +319,15 @@ def sample_period(sums: AllanSums) -> float:
         When there are fewer than two samples, so that it is not known.
     """
     if sums.tau0 is None:
-        raise AllanError('there is no Allan curve of fewer than two samples: record some minutes')
+        raise AllanError('fewer than two samples give no Allan curve: record some minutes')
     return sums.tau0
 
 
 def allan_curve(sums: AllanSums) -> AllanCurve:
     """Return the curve of the factors that have data.
 
-    The degrees of freedom are those of the noise type found at each point and of the segments as
-    they are: segments pooled by length count with their mean length.
+    The degrees of freedom are those of the noise type at each point and of the lengths of the
+    segments; pooled segments count with the mean length of their class.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recent view: what the running sums gained lately, held against what they had before.
+"""The recent view: Allan sums of a recent window, compared with those of all the time before.
 
-Running sums only grow, so the difference of two snapshots is the sums of the time between them:
-no phase is cut, and nothing is computed twice. Two variances at the same averaging time are
+The difference of two snapshots of the running sums is the sums of the time between them. Two
+variances at the same averaging time are
 compared by their ratio, which has an F distribution (both are scaled chi-squared with their
 equivalent degrees of freedom, NIST SP 1065 section 5.3.1).
 """
@@ -26,23 +26,23 @@ Floats = NDArray[np.float64]
 
 
 PARTS = 120
-"""Snapshots the window is divided into: the resolution of when a change began."""
+"""Snapshots per window: the resolution of the time at which a change began."""
 
 
 LONGEST_TAU_SHARE = 0.25
-"""Recent deviations are given up to a quarter of the window."""
+"""Longest averaging time of a recent deviation, as a fraction of the window."""
 
 
 CONFIDENCE = 0.95
 
 
 MIN_EDF = 30.0
-"""Fewest degrees of freedom on either side of a change: then its ratio is known to 30 %."""
+"""Fewest degrees of freedom on each side of a change; its ratio is then known to 30 %."""
 
 
 LIKELIHOOD_RATIO = 30.0
-"""Twice the log likelihood ratio from which two levels are believed instead of one: chi-squared
-with one degree of freedom exceeds it once in 2e7, which leaves room for every split and axis."""
+"""Twice the log likelihood ratio at which a change is significant: chi-squared with one degree of
+freedom exceeds it once in 2e7, which allows for all times and axes that are tested."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,12 @@ class Change:
     evidence: float
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the whole interval of the ratio lies beyond 1 by that fraction."""
+        """Return whether the complete interval of the ratio is beyond 1 by this fraction."""
         low, high = self.ratio_ci95
         return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
     def in_terms_of(self, term: str) -> tuple[float, float]:
-        """Return before and after as the coefficient that rules at this averaging time.
+        """Return before and after as the coefficient that dominates at this averaging time.
 
         N = sigma sqrt(tau) and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2).
         """
@@ -118,7 +118,7 @@ class _Snapshot:
 
 
 class RecentView:
-    """Keeps snapshots of running sums over a window, and compares the two sides of each.
+    """Snapshots of running sums over a window; compares the times before and after each.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class RecentView:
         self._scaled: tuple[NDArray[np.int64], Floats, Floats] | None = None
 
     def update(self, sums: AllanSums, time_s: float) -> None:
-        """Take the running sums as they are at a time; sums of another stream start anew."""
+        """Add a snapshot of the running sums; sums of another stream start a new window."""
         if not sums.tau0:
             return
         keep = sums.m * sums.tau0 <= LONGEST_TAU_SHARE * self._window_s
@@ -166,10 +166,10 @@ class RecentView:
         return RecentCurve(self._sums.axes, m, tau, np.sqrt(after), ratio, low, high)
 
     def changes(self) -> list[Change]:
-        """Return the change at each axis and averaging time, where there surely was a step.
+        """Return the significant change of each axis and averaging time.
 
-        The likeliest step is looked for first, and then the likeliest of the time since, until
-        there is none: what holds since the last is held against what was before the first.
+        The most significant change is found first, then that of the time since, until there is
+        none. The time since the last change is compared with the time before the first.
         """
         if self._latest is None or self._sums is None or len(self._ring) < 2:
             return []
@@ -204,7 +204,7 @@ class RecentView:
         return found
 
     def _continues(self, sums: AllanSums, now: _Snapshot) -> bool:
-        """Return whether the sums are those of before, and more."""
+        """Return whether the sums contain the previous ones."""
         before, latest = self._sums, self._latest
         if before is None or latest is None or before.tau0 is None or sums.tau0 is None:
             return False

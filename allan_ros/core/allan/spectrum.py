@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The power spectral density of a stream, in one pass and in memory that does not grow with time.
+"""Power spectral density of a stream in one pass and in constant memory.
 
 Welch's method (IEEE Trans. Audio Electroacoustics 15(2), 1967): periodograms of Hann-windowed
-blocks that overlap by half are averaged. A block of `BLOCK` samples reaches only so far down, so
-the same is done of averages of `DECIMATION` samples, of averages of those, and so on: each level
-adds a range of lower frequencies at a quarter of the cost of the one above it.
+blocks that overlap by half are averaged. For lower frequencies the same is done with averages of
+`DECIMATION` samples, with averages of those, and so on: each level costs a quarter of the previous
+one.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ Floats = NDArray[np.float64]
 
 
 BLOCK = 1024
-"""Samples of a block: lines as narrow as 0.1 % of the sample rate stand apart."""
+"""Samples of a block: lines 0.1 % of the sample rate apart are resolved."""
 
 
 DECIMATION = 4
-"""Samples of one level that make a sample of the next."""
+"""Samples of one level that are averaged to a sample of the next."""
 
 
 LEVELS = 12
-"""4^11 samples make one of the last level: 12 h at 100 Hz, so that a block of it takes years."""
+"""A sample of the last level is the mean of 4^11: 12 h at 100 Hz."""
 
 
 KEPT_BELOW = 1.0 / 16.0
-"""Highest frequency taken of averaged samples, over their rate: below it the average takes 1.3 %
-of the power at most (sinc^2), and white noise, folded back by it, comes out exactly."""
+"""Highest frequency used of averaged samples, over their rate: below it averaging removes at most
+1.3 % of the power (sinc^2), and aliased white noise has the correct level."""
 
 
 LOWEST_BIN = 2
-"""Below it the window passes what is left of the mean."""
+"""Lowest bin used: below it the window leaks the mean."""
 
 
 PER_DECADE = 40
-"""Points a decade of frequency."""
+"""Points per decade of frequency."""
 
 
 OVERLAP_LOSS = 1.0 + 2.0 * (1.0 / 6.0) ** 2
-"""Variance of an average of Hann blocks that overlap by half, over that of as many independent
+"""Variance of a mean of Hann blocks that overlap by half, over that of as many independent
 blocks (Welch 1967, eq. 17 with the window's own correlation of 1/6)."""
 
 
@@ -57,7 +57,7 @@ BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
 
 @dataclass(frozen=True)
 class SpectrumSums:
-    """Sums of periodograms: those of separate records of one sensor add up.
+    """Sums of periodograms of one sensor, an addable value.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class SpectrumSums:
     power : (LEVELS, BLOCK/2 + 1, axes) float64 array
         Sum of the one-sided periodograms of each level, per sample of that level.
     blocks : (LEVELS,) int64 array
-        How many.
+        Number of blocks of each level.
     """
 
     axes: tuple[str, ...]
@@ -86,7 +86,7 @@ class Spectrum:
     ----------
     axes : tuple of str
     frequency : (points,) float64 array
-        In Hz, evenly spaced in its logarithm where there are enough.
+        In Hz, evenly spaced on a logarithmic scale where there are enough bins.
     psd, low, high : (points, axes) float64 arrays
         In the squared unit of the samples per Hz.
     """
@@ -117,7 +117,7 @@ class RunningSpectrum:
         self.end_segment()
 
     def update(self, rows: Floats) -> None:
-        """Add samples, (axes, n), that follow on the last ones without a cut."""
+        """Add samples, (axes, n), that directly follow the previous ones."""
         for level in range(LEVELS):
             waiting = np.concatenate([self._waiting[level], rows], axis=1)
             self._waiting[level] = self._take_blocks(level, waiting)
@@ -131,18 +131,18 @@ class RunningSpectrum:
             rows = odd[:, :whole].reshape(len(odd), -1, DECIMATION).mean(axis=2)
 
     def end_segment(self) -> None:
-        """Cut: no block straddles it."""
+        """End the segment: no block spans the next sample and earlier ones."""
         nothing = np.empty((len(self._axes), 0))
         self._waiting = [nothing] * LEVELS
         self._odd = [nothing] * LEVELS
 
     @property
     def sums(self) -> SpectrumSums:
-        """The sums so far; what comes later does not change them."""
+        """Snapshot of the current sums."""
         return SpectrumSums(self._axes, self._power.copy(), self._blocks.copy())
 
     def _take_blocks(self, level: int, waiting: Floats) -> Floats:
-        """Add the blocks that are full, and return the samples that the next one needs."""
+        """Add the complete blocks and return the samples that the next block needs."""
         step = BLOCK // 2
         count = (waiting.shape[1] - step) // step
         if count < 1:
@@ -157,7 +157,7 @@ class RunningSpectrum:
 
 
 def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
-    """Return the density of the sums, or None when no segment is as long as a block.
+    """Return the density of the sums; None if no segment has the length of a block.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
 
 
 def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) -> Spectrum:
-    """Average the bins that fall into one of `PER_DECADE` steps, each by its number of blocks."""
+    """Return the means of the bins in each of `PER_DECADE` steps, weighted by number of blocks."""
     order = np.argsort(f)
     f, psd, blocks = f[order], psd[order], blocks[order]
     groups = np.floor(np.log10(f) * PER_DECADE).astype(int)
@@ -203,6 +203,6 @@ _WINDOW = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(BLOCK) / BLOCK)
 
 
 _ONE_SIDED = np.full(BLOCK // 2 + 1, 2.0 / float(np.sum(_WINDOW**2)))
-"""What makes |FFT|^2 a one-sided periodogram: doubled but for the mean and the Nyquist bin."""
+"""Scale of |FFT|^2 in a one-sided periodogram: the mean and the Nyquist bin count once."""
 
 _ONE_SIDED[[0, -1]] /= 2.0

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`AllanSums`: all that is kept of an IMU's samples, as one addable value.
+"""`AllanSums`: the sums of squared second differences of an IMU's samples, an addable value.
 
-Sample units: the phase theta is the running sum of the samples less the segment's first sample,
-and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u). tau0 only scales the result.
+All sums are in sample units (sample period 1): the phase theta is the cumulative sum of the samples
+less the first sample of the segment, and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from ..imu import AXES, ImuIdentity
 from .history import History, add_padded, same_values
 
 FIRST_FACTORS = (1, 2, 3, 4, 6)
-"""Factors that only level 0 has."""
+"""Averaging factors of level 0 only."""
 
 
 LEVEL_FACTORS = (8, 10, 12, 14)
-"""Factors of every level, in units of the level's stride 2^j."""
+"""Averaging factors of every level, in units of its stride 2^j."""
 
 
 MAX_LEVELS = 42
-"""2^41 x 14 samples are 970 years at 1 kHz: a bound for what is read from strangers, and as far as
-the lags of a covariance fit their search keys."""
+"""Bound for documents: 2^41 x 14 samples are 970 years at 1 kHz; lags of a covariance fit 64-bit
+search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors and their strides of the first levels, ascending.
+    """Return the averaging factors of the first levels and their strides, ascending.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the factors m <= samples/2 of the grid, and their strides."""
+    """Return the averaging factors m <= samples/2 of the grid, and their strides."""
     levels = max(1, samples.bit_length() - 3)
     m, stride = grid(levels)
     keep = 2 * m <= samples
@@ -63,9 +63,9 @@ def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how many second differences a segment of that many samples has at each factor.
+    """Return the number of second differences of a segment of ``samples`` samples at each factor.
 
-    n samples make n + 1 phase points; starts are 0, stride, 2 stride .. n - 2 m.
+    n samples make n + 1 phase points; differences start at 0, stride, 2 stride .. n - 2 m.
     """
     number: NDArray[np.int64] = np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
     return number
@@ -79,32 +79,32 @@ LONGEST_FILLED = 128
 
 
 KEPT_SEGMENTS = 32
-"""How many of the longest segments keep their own signed sums and phase record."""
+"""Number of longest segments that keep their own signed sums and phase record."""
 
 
 LENGTH_CLASS_RATIO = 1.1
-"""Shorter segments are pooled with others of the same length within 10 %."""
+"""Other segments are pooled with those of the same length within 10 %."""
 
 
 TAU0_TOLERANCE = 1e-3
-"""Sums whose sample periods differ by more than 0.1 % are of different streams."""
+"""Sums with sample periods more than 0.1 % apart belong to different streams."""
 
 
 LEAST_VARIANCE = 1e-80
-"""A smaller variance is none: no IMU has steps of 1e-40, and what fits do with a variance, its cube
-and its inverse square over all averaging times, stays within the numbers of full precision."""
+"""Smaller variances count as 0: no IMU resolves 1e-40, and the cube and the inverse square of a
+variance, which a fit takes, stay within the range of normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentRecord:
-    """What is kept of one segment beside its share of the sums: the evidence of its ramp.
+    """What is kept of one segment beside its part of the sums: the data to estimate its ramp.
 
     Attributes
     ----------
     start_ns : int
         Stamp of its first sample.
     samples : int
-        How many samples it has.
+        Number of samples.
     signed : (factors, axes) float64 array
         Sum of d for the first factors of the grid (those with m <= samples/2).
     phase : (points, axes) float64 array
@@ -127,7 +127,7 @@ class SegmentRecord:
 
     @cached_property
     def order(self) -> tuple[int, int, int]:
-        """Longest first, then earliest: the order that decides which segments are kept."""
+        """Sort key: longest first, then earliest. It decides which segments are kept."""
         return (-self.samples, self.start_ns, self.phase_step)
 
     @property
@@ -138,8 +138,8 @@ class SegmentRecord:
     def ols_ramp(self) -> Floats:
         """Return the slope of the samples over the segment by least squares, per sample.
 
-        It is the fixed linear estimator by which pooled segments are freed of their ramp (the
-        32 longest get the efficient one when they are fitted). Zero with under three points.
+        This fixed linear estimator removes the ramp of pooled segments; the 32 longest segments
+        get the efficient one in the fit. Zero with fewer than three points.
         """
         slope: Floats = ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase
         return slope
@@ -175,9 +175,9 @@ class LengthClass:
     index : int
         floor(log(samples) / log(1.1)).
     count, samples : int
-        How many segments, and their samples in all.
+        Number of segments, and of samples in all of them.
     ramp_correction : (factors, axes) float64 array
-        What to add to the sums of d^2 to free these segments of their own ramps:
+        Correction that removes the ramps of these segments from the sums of d^2:
         sum over segments of -2 m^2 r D + M m^4 r^2, with r = `SegmentRecord.ols_ramp`, D the
         signed sum and M the count of the segment (the square of d - r m^2, less d^2).
     """
@@ -214,26 +214,29 @@ class LengthClass:
 
 @dataclass(frozen=True, eq=False)
 class AllanSums:
-    """Running Allan sums of one stream; ``+`` adds those of another run of the same IMU.
+    """Running Allan sums of one stream; ``+`` adds those of another recording of the same IMU.
+
+    Sums of floating-point numbers depend on the order of addition in the last bits: sums of the
+    same recordings added in another order agree to 1e-12 of their value.
 
     Attributes
     ----------
     identity : ImuIdentity
     axes : tuple of str
-        The axes that are present, in the order of `AXES`: the last dimension of the arrays.
+        Axes that are present, in the order of `AXES`: the last dimension of the arrays.
     count : (factors,) int64 array
-        Second differences summed at each factor of ``grid(levels)``.
+        Number of second differences at each factor of ``grid(levels)``.
     sum_sq : (factors, axes) float64 array
         Sum of d^2, in the unit of the samples squared (theta is a sum of samples).
     group_count, group_sum_sq : as count and sum_sq
-        The same over starts 0, m, 2m ... only: the paper's groups that do not overlap.
+        The same for starts 0, m, 2m ... only: groups that do not overlap.
     segments : tuple of SegmentRecord
-        The 32 longest, longest first.
+        The 32 longest segments, longest first.
     classes : tuple of LengthClass
-        All others, by length, shortest first.
+        All other segments by length, shortest first.
     elapsed_ns, intervals : int
-        Time between the first and last stamp of each segment, and the sample periods in it,
-        summed over the segments: tau0 is their quotient, refined with every sample.
+        Time between the first and the last stamp of each segment, and the number of sample
+        periods in it, summed over the segments. Their quotient is tau0.
     history : History
         The same sums by the age of each difference; empty if they were read from a document
         without them.
@@ -261,7 +264,7 @@ class AllanSums:
     def empty(
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
-        """Return sums of nothing: the neutral element of ``+``."""
+        """Return the sums of no samples: the neutral element of ``+``."""
         none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
         return cls(identity, axes, none, no_sums, none, no_sums)
 
@@ -277,45 +280,45 @@ class AllanSums:
 
     @property
     def tau0(self) -> float | None:
-        """Sample period in seconds, or None before two samples have come."""
+        """Sample period in seconds; None with fewer than two samples."""
         return self.elapsed_ns / self.intervals * 1e-9 if self.intervals else None
 
     @property
     def samples(self) -> int:
-        """Samples in all segments."""
+        """Number of samples in all segments."""
         return sum(s.samples for s in self.segments) + sum(c.samples for c in self.classes)
 
     @property
     def segment_count(self) -> int:
-        """How many segments there are."""
+        """Number of segments."""
         return len(self.segments) + sum(c.count for c in self.classes)
 
     @property
     def length_histogram(self) -> tuple[tuple[float, int], ...]:
-        """(mean samples, number) of the segments: kept ones one by one, then each class."""
+        """(mean samples, number) of each kept segment, then of each length class."""
         kept = [(float(s.samples), 1) for s in self.segments]
         return tuple(kept + [(c.samples / c.count, c.count) for c in reversed(self.classes)])
 
     @property
     def avar(self) -> Floats:
-        """Overlapping Allan variance at ``m``, (factors, axes), squared unit of the samples.
+        """Overlapping Allan variance at ``m``, pooled over segments, (factors, axes).
 
-        Pooled over segments. NaN without data.
+        In the squared unit of the samples; NaN without data.
         """
         return allan_variance(self.sum_sq, self.m, self.count)
 
     @property
     def group_avar(self) -> Floats:
-        """Allan variance over groups that do not overlap, as the paper computed it."""
+        """Allan variance over groups that do not overlap, (factors, axes)."""
         return allan_variance(self.group_sum_sq, self.m, self.group_count)
 
     @property
     def _end_slack(self) -> float:
-        """Relative error of tau0 when both ends of each segment are stamped a period off."""
+        """Relative error of tau0 if the stamps at both ends of each segment are a period off."""
         return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
 
     def __deepcopy__(self, memo: object) -> AllanSums:
-        """Return itself: a value never changes."""
+        """Return itself: the value is immutable."""
         return self
 
     def __add__(self, other: AllanSums) -> AllanSums:
@@ -324,25 +327,25 @@ class AllanSums:
         Raises
         ------
         AllanError
-            When the two are of different IMUs, axes, or sample periods (over 0.1 % apart, and more
-            than stamps a period off at the ends of the segments explain).
+            When the two are of different IMUs or axes, or their sample periods differ by more than
+            0.1 % and more than the uncertainty of the stamps at the ends of the segments.
         """
-        self.refuse_stranger(other)
+        self.check_addable(other)
         if self.axes != other.axes:
             raise AllanError(
                 f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} do not add: '
-                'analyse them apart'
+                'analyze them separately'
             )
         return self.extended(other)
 
     def extended(self, other: AllanSums, continues: bool = False) -> AllanSums:
-        """Return the sums of both, which the caller knows to be of one stream.
+        """Return the sums of both without checking that they are of one stream.
 
         Parameters
         ----------
         other : AllanSums
         continues : bool
-            Whether ``other`` is a later segment of the same recording, aged from its start.
+            Whether ``other`` is a later segment of the same recording.
         """
         segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
         pooled = [(s, LengthClass.of(s)) for s in segments[KEPT_SEGMENTS:]]
@@ -375,24 +378,24 @@ class AllanSums:
     def _has_history(self) -> bool:
         return bool(self.history.recordings) or not self.samples
 
-    def refuse_stranger(self, other: AllanSums) -> None:
-        """Do nothing if both are of one stream, whichever axes they have.
+    def check_addable(self, other: AllanSums) -> None:
+        """Check that both are of one IMU and rate; their axes may differ.
 
         Raises
         ------
         AllanError
-            When the two are of different IMUs or sample periods, as `+` says.
+            When they are of different IMUs or sample periods, as in ``+``.
         """
         if self.identity != other.identity:
             raise AllanError(
                 f'sums of {self.identity} and of {other.identity} do not add: '
-                'they are different IMUs, analyse them apart'
+                'they are different IMUs, analyze them separately'
             )
         a, b = self.tau0, other.tau0
         if a and b and abs(a - b) > a * (TAU0_TOLERANCE + self._end_slack + other._end_slack):
             raise AllanError(
                 f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
-                f'{TAU0_TOLERANCE:.1%} apart, analyse them apart'
+                f'{TAU0_TOLERANCE:.1%} apart, analyze them separately'
             )
 
 
@@ -424,15 +427,15 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
 
 
 def _levels(factors: int) -> int:
-    """Return how many levels of the grid hold that many factors (at least one)."""
+    """Return the number of levels of the grid with that many factors, at least 1."""
     return max(1, -(-(factors - 5) // 4))
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
-    """Return the sums of both runs: those of the same axes added, neither argument changed.
+    """Return the sums of two recordings of one IMU: those of the same axes added.
 
-    A run has one `AllanSums` with all axes, or one a sensor where their rates differ. A run that
-    has none yet adds nothing.
+    A recording has one `AllanSums` with all axes, or one per sensor where the sensors have
+    different rates. An empty sequence adds nothing.
 
     Raises
     ------
@@ -441,17 +444,21 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
     """
     if not a or not b:
         return tuple(a or b)
-    if [s.axes for s in a] != [s.axes for s in b]:
-        shown = (' and '.join(', '.join(s.axes) for s in run) for run in (a, b))
+    by_axes = {s.axes: s for s in b}
+    if set(by_axes) != {s.axes for s in a}:
         raise AllanError(
-            f'sums of {next(shown)} and of {next(shown)} do not add: the sensors of the two runs '
-            'differ, analyse them apart'
+            f'sums of {_axes_text(a)} and of {_axes_text(b)} do not add: the sensors differ, '
+            'analyze them separately'
         )
-    return tuple(x + y for x, y in zip(a, b))
+    return tuple(s + by_axes[s.axes] for s in a)
+
+
+def _axes_text(sums: Sequence[AllanSums]) -> str:
+    return ' and separately '.join(', '.join(s.axes) for s in sums)
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
-    """Do nothing if both may be of one stream, one of them later on with more axes.
+    """Check that both may be of one stream, where one may have more axes.
 
     Raises
     ------
@@ -460,4 +467,4 @@ def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
     """
     for x, y in product(a, b):
         if not set(x.axes).isdisjoint(y.axes):
-            x.refuse_stranger(y)
+            x.check_addable(y)

@@ -1,8 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of one IMU add sensor by sensor, and strangers are refused."""
+"""Recordings of one IMU add sensor by sensor; others are rejected."""
 
 from __future__ import annotations
+
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -11,11 +13,14 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums, add_sums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuIdentity
+from allan_ros.io.reading import add_recordings
+from allan_ros.io.recorded import RecordingSums
 
 
-def sums(seed: int, axes: tuple[str, ...] = AXES, frame: str = 'imu') -> AllanSums:
+def sums(seed: int, axes: tuple[str, ...] = AXES, frame: str = 'imu', start: int = 0) -> AllanSums:
     running = RunningAllan(ImuIdentity(frame), axes)
-    running.update(np.random.default_rng(seed).normal(size=(500, len(axes))), 0, 499 * 10**7)
+    noise = np.random.default_rng(seed).normal(size=(500, len(axes)))
+    running.update(noise, start, start + 499 * 10**7)
     running.end_segment()
     return running.sums
 
@@ -34,8 +39,19 @@ def test_a_run_without_samples_adds_nothing():
     assert add_sums(a, ()) == a and add_sums((), a) == a and add_sums((), ()) == ()
 
 
-def test_other_sensors_and_other_imus_are_refused():
-    with pytest.raises(AllanError, match='the sensors of the two runs differ'):
+def test_other_sensors_and_other_imus_are_rejected():
+    with pytest.raises(AllanError, match='the sensors differ'):
         add_sums((sums(1),), (sums(1, AXES[:3]),))
     with pytest.raises(AllanError, match='different IMUs'):
         add_sums((sums(1),), (sums(1, frame='other'),))
+
+
+def test_recordings_added_in_any_order_give_the_same_sums_bit_for_bit():
+    recordings = [RecordingSums(str(i), (sums(i, start=i * 10**12),)) for i in range(3)]
+    first, *others = (add_recordings(order).sums for order in permutations(recordings))
+    assert all(other == first for other in others)
+
+
+def test_sums_added_in_any_order_agree_to_rounding():
+    a, b, c = (sums(i, start=i * 10**12) for i in range(3))
+    assert ((c + b) + a).sum_sq == pytest.approx((a + (b + c)).sum_sq, rel=1e-12)
