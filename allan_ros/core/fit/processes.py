@@ -84,7 +84,7 @@ def with_extras(
     drifts = [e for e in extras if isinstance(e, GaussMarkovTerm)]
     columns = [table.terms, columns_of(table, extras)]
     if tangents:
-        columns.append(_tangents(table, extras))
+        columns.append(tangents_of(table, extras))
     squares = table.squares
     if drifts:
         raw = pooled.process_squares(tuple(e.shape for e in drifts), np.isin(pooled.m, table.m))
@@ -117,7 +117,7 @@ def columns_of(table: Table, extras: Sequence[Extra]) -> Floats:
     return out
 
 
-def _tangents(table: Table, extras: Sequence[Extra]) -> Floats:
+def tangents_of(table: Table, extras: Sequence[Extra]) -> Floats:
     """Return the derivatives of the columns by the logarithms of their shapes."""
     half = SHAPE_STEP**0.5
     above, below = (
