@@ -9,7 +9,8 @@ chance that a window of white noise is moving is below 1e-12, so N has no bias),
 noise grew by half still passes. A motion ends at a lower threshold than it begins, and a margin
 before and after it is left out too.
 
-Isolated spikes are replaced by the mean of their neighbors before. Noise that becomes louder while
+Isolated spikes are replaced by the mean of their neighbors before, unless the noise has heavy
+tails: then they stay, and are no motion either. Noise that becomes louder while
 the IMU stays at rest is told from motion, and counted apart.
 
 The floor is learned from the first windows that can be those of an IMU at rest, and follows the
@@ -286,7 +287,7 @@ class MotionGate:
         few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more are a motion
         around = np.concatenate([before, rows, after], axis=1)
         changed = np.zeros(windows.mean.shape[1], bool)
-        new = rows.copy()
+        new = rows.copy()  # what the windows are judged by
         filled = np.zeros(rows.shape, bool) if block.filled is None else block.filled.copy()
         for n, k in zip(*np.nonzero(far & few[:, None])):
             axis, i = axes[n], at[n] * size + k
@@ -297,14 +298,18 @@ class MotionGate:
             isolated = np.count_nonzero(beside) == 1 and most <= 2
             if isolated and 0 < j < len(x) - 1:
                 new[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
-                filled[axis, i] = changed[at[n]] = True
-                self._counts.spikes += 1
+                changed[at[n]] = True
+                if not floor.heavy[axis]:
+                    filled[axis, i] = True
+                    self._counts.spikes += 1
         if not changed.any():
             return block, windows
         again = Windows.of(new.reshape(len(new), -1, size)[:, changed].reshape(len(new), -1), size)
         for now, then in ((windows.mean, again.mean), (windows.variance, again.variance)):
             now[:, changed] = then
         windows.peak[:, changed] = again.peak
+        if floor.heavy.any():
+            new[floor.heavy] = rows[floor.heavy]  # these values are noise: they stay
         return Block(block.stamps, new, block.cut, filled), windows
 
     # --- still or moving --------------------------------------------------------------------------

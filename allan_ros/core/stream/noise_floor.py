@@ -34,6 +34,10 @@ COLOURED_STEP = 3.0
 SLOW = 0.2
 """A ratio (see `smoothness`) below this is noise at low frequencies."""
 
+HEAVY_BAND, HEAVY_SHARE, LEAST_HEAVY = (4.5, 7.0), 1.5e-3, 3
+"""Deviations, and share and number of samples between them, of noise with heavy tails: white noise
+has 2e-5 there, a t distribution with three degrees of freedom 7e-3."""
+
 LOUDER_RATIO = 1.5
 """Least standard deviation, over that of the floor, of an axis that became louder."""
 
@@ -146,6 +150,8 @@ class NoiseFloor:
         Smallest change between two samples: the resolution of the sensor, or less.
     smooth : (axes,) float64 array
         `smoothness` of the samples the floor was learned from.
+    heavy : (axes,) bool array
+        Whether these samples have heavy tails: then single large values are noise, not spikes.
     """
 
     variance: Floats
@@ -153,6 +159,7 @@ class NoiseFloor:
     mean: Floats
     lsb: Floats
     smooth: Floats
+    heavy: NDArray[np.bool_]
 
     @classmethod
     def learned(cls, stretches: Iterable[Floats], size: int, axes: int) -> NoiseFloor:
@@ -172,14 +179,17 @@ class NoiseFloor:
         lsb[~np.isfinite(lsb)] = 0.0
         zero = np.zeros(axes)
         if not measured:
-            return cls(zero, zero, zero, lsb, np.full(axes, np.nan))
+            return cls(zero, zero, zero, lsb, np.full(axes, np.nan), zero > 0.0)
         windows, step = Windows.joined(measured), np.concatenate(steps, axis=1)
+        variance = _quantile(windows.variance, QUANTILE)
+        scale = np.maximum(variance, 0.25 * lsb**2)
         return cls(
-            _quantile(windows.variance, QUANTILE),
+            variance,
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
             _quantile(windows.mean, 0.5),
             lsb,
             smoothness(stretches),
+            _have_heavy_tails(stretches, size, np.sqrt(scale)),
         )
 
     @property
@@ -278,6 +288,20 @@ class NoiseFloor:
         gravity = float(np.linalg.norm(self.mean[limits.gravity]))
         allowed = np.where(limits.gravity, SAME_DIRECTION * gravity, rate_limit) + white
         return None if (moved > allowed).any() else ratio
+
+
+def _have_heavy_tails(stretches: list[Floats], size: int, sigma: Floats) -> NDArray[np.bool_]:
+    """Return which axes have many values just below the height of a spike, (axes,)."""
+    low, high = (factor * sigma[:, None, None] for factor in HEAVY_BAND)
+    inside, samples = np.zeros(len(sigma), np.int64), 0
+    for rows in stretches:
+        window = max(min(size, rows.shape[1]), 1)
+        cube = rows[:, : rows.shape[1] // window * window].reshape(len(rows), -1, window)
+        off = np.abs(cube - np.median(cube, axis=2, keepdims=True))
+        inside += np.count_nonzero((off > low) & (off < high), axis=(1, 2))
+        samples += rows.shape[1]
+    heavy: NDArray[np.bool_] = inside >= max(LEAST_HEAVY, HEAVY_SHARE * samples)
+    return heavy
 
 
 def _quantile(values: Floats, share: float) -> Floats:
