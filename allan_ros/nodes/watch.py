@@ -28,6 +28,8 @@ from .shell import STEADY, run
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from .live_page import LivePage
+
 
 WORDS = {
     DiagnosticStatus.OK: 'ok',
@@ -45,6 +47,10 @@ SEVERITY = ('ERROR', 'STALE', 'WARN', 'ok')
 STYLES = {'ok': 'cyan', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ERROR': 'bold reverse'}
 """Level -> its style in rich. The text carries the same information without colours; the colours
 differ in lightness, for colour-blind readers."""
+
+
+WEB_PORT = 8095
+"""Port of the live page."""
 
 
 STALE_S = 5.0
@@ -233,7 +239,9 @@ class Display(Protocol):
         """Show the rows, or the hint where there are none."""
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Show the final state."""
+        """Show the final state, and stop serving the page."""
+        if self._page is not None:
+            self._page.close()
 
 
 class Watch(Node):
@@ -247,6 +255,11 @@ class Watch(Node):
         self._began = time.monotonic()
         self._first: float | None = None
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, 100)
+        self._page: LivePage | None = None
+        if options.web is not None:
+            from .live_page import LivePage
+
+            self._page = LivePage(self, options.web)
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY)
 
     @property
@@ -274,6 +287,8 @@ class Watch(Node):
 
     def _refresh(self) -> None:
         now = time.monotonic()
+        if self._page is not None:
+            self._page.discover()
         if self._options.once:
             settled = self._first is not None and now - self._first >= SETTLE_S
             done = settled or now - self._began >= (self._options.seconds or PATIENCE_S)
@@ -406,6 +421,14 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument('--plain', action='store_true', help='lines of text instead of a table')
+    parser.add_argument(
+        '--web',
+        type=int,
+        nargs='?',
+        const=WEB_PORT,
+        metavar='PORT',
+        help=f'also serve the report as a live page on this machine (default port {WEB_PORT})',
+    )
     parser.add_argument(
         '--seconds', type=float, default=0.0, metavar='S', help='exit after this time'
     )

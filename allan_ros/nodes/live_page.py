@@ -1,0 +1,174 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a running node as a live page: `allan_watch --web`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from functools import partial
+from html import escape
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from ..core.errors import AllanError
+from ..io.report import ReportContext, render_report
+from ..io.results import analyse_sums
+from .qos import LATCHED
+from .snapshot import Snapshot
+
+HOST = '127.0.0.1'
+"""Only this machine can connect; a tunnel or a proxy opens it to others."""
+
+REFRESH_S = 10
+"""Seconds after which the browser asks for the page again."""
+
+SUMS = '/sums'
+"""End of the names of the topics whose sums are shown."""
+
+TYPES = ['std_msgs/msg/String']
+
+
+class LivePage:
+    """Subscribes the sums of all accumulators and serves their reports by HTTP.
+
+    Pages are rendered when they are asked for: no browser, no cost.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Subscribes and logs.
+    port : int
+        Of the loopback interface; 0 for any free one.
+
+    Raises
+    ------
+    AllanError
+        When the port is in use.
+    """
+
+    def __init__(self, node: Node, port: int) -> None:
+        self._node = node
+        self._lock = threading.Lock()
+        self._sums: dict[str, tuple[int, str]] = {}
+        self._pages: dict[str, tuple[int, str]] = {}
+        self._subscriptions: dict[str, Any] = {}
+        try:
+            self._server = ThreadingHTTPServer((HOST, port), _handler_of(self))
+        except OSError as error:
+            raise AllanError(
+                f'port {port} cannot be used ({error.strerror}): give another one with --web PORT'
+            ) from error
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+        node.get_logger().info(f'live page: {self.address}')
+
+    @property
+    def address(self) -> str:
+        """URL of the page."""
+        return f'http://{HOST}:{self._server.server_address[1]}/'
+
+    def discover(self) -> None:
+        """Subscribe the sums of accumulators that have started since the last call."""
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self._subscriptions or not topic.endswith(SUMS) or types != TYPES:
+                continue
+            self._subscriptions[topic] = self._node.create_subscription(
+                String, topic, partial(self._on_sums, topic), LATCHED
+            )
+
+    def _on_sums(self, topic: str, message: String) -> None:
+        self.take(topic, message.data)
+
+    def take(self, topic: str, text: str) -> None:
+        """Keep the latest sums of a topic."""
+        with self._lock:
+            self._sums[topic] = (self._sums.get(topic, (0, ''))[0] + 1, text)
+
+    def page(self, path: str) -> str | None:
+        """Return the page of a path: the report of one topic, or a list of topics; None for none.
+
+        The page of a single topic is also that of '/'.
+        """
+        with self._lock:
+            topics = sorted(self._sums)
+        if path == '/' and len(topics) != 1:
+            return _index(topics)
+        topic = topics[0] if path == '/' else path
+        with self._lock:
+            if topic not in self._sums:
+                return None
+            version, text = self._sums[topic]
+            rendered = self._pages.get(topic, (0, ''))
+        if rendered[0] != version:
+            rendered = (version, _report(topic, text))
+            with self._lock:
+                self._pages[topic] = rendered
+        return rendered[1]
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def _report(topic: str, text: str) -> str:
+    try:
+        snapshot = Snapshot.from_json(text)
+        results = analyse_sums(*snapshot.total)
+        when = time.strftime('%H:%M:%S')
+        context = ReportContext(method={'topic': topic, 'computed at': when})
+        return render_report(results, context, 'datasheet')
+    except AllanError as error:
+        return _notice(f'{topic}: {error}')
+
+
+def _index(topics: list[str]) -> str:
+    if not topics:
+        return _notice('No accumulator has published sums yet. Start allan_monitor.')
+    links = ''.join(f'<li><a href="{escape(t)}">{escape(t)}</a></li>' for t in topics)
+    return _notice('', f'<ul>{links}</ul>')
+
+
+def _notice(text: str, html: str = '') -> str:
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>allan_watch</title>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'</head><body><h1>allan_watch</h1><p>{escape(text)}</p>{html}</body></html>\n'
+    )
+
+
+def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        """Answers GET with a page that the browser asks for again after a while."""
+
+        def do_GET(self) -> None:
+            # a page of another site may not read it through a name that resolves to this machine
+            if self.headers.get('Host', '').rsplit(':', 1)[0] not in (HOST, 'localhost'):
+                self.send_error(403)
+                return
+            text = page.page(self.path)
+            if text is None:
+                self.send_error(404)
+                return
+            body = text.encode()
+            self.send_response(200)
+            self.send_header('Content-Type', 'text/html; charset=utf-8')
+            self.send_header('Content-Length', str(len(body)))
+            self.send_header('Cache-Control', 'no-store')
+            self.send_header('Refresh', str(REFRESH_S))
+            self.end_headers()
+            try:
+                self.wfile.write(body)
+            except OSError:  # the browser has left
+                self.close_connection = True
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Do not print requests."""
+
+    return Handler

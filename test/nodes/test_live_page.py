@@ -1,0 +1,102 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The live page: served to this machine only, and renewed when the sums are."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from support.chromium import Chromium, find_chromium
+
+from allan_ros.core.errors import AllanError
+from allan_ros.io.text import to_json
+from allan_ros.nodes.live_page import REFRESH_S, LivePage
+from allan_ros.nodes.snapshot import Snapshot
+
+TOPIC = '/allan_monitor/sums'
+
+
+@pytest.fixture(scope='module')
+def node() -> Iterator[Node]:
+    context = Context()
+    rclpy.init(context=context, domain_id=100 + os.getpid() % 100)
+    made = Node('page', context=context)
+    yield made
+    made.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def page(node: Node) -> Iterator[LivePage]:
+    made = LivePage(node, 0)
+    yield made
+    made.close()
+
+
+def read(address: str) -> str:
+    with urllib.request.urlopen(address, timeout=30.0) as answer:
+        assert answer.headers['Refresh'] == str(REFRESH_S)
+        text: str = answer.read().decode()
+        return text
+
+
+def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
+    assert 'No accumulator has published' in read(page.address)
+    sums, provenance = small_run
+    text = to_json(Snapshot(((sums,), provenance)).to_document())
+    page.take(TOPIC, text)
+    first = read(page.address)
+    assert 'Noise of unit 7' in first and 'AllanChart' in first
+    assert read(page.address) == first  # rendered once
+    page.take(TOPIC, '{"schema": "odd"}')
+    assert TOPIC in read(page.address)
+    page.take('/other/sums', text)
+    assert 'href="/other/sums"' in read(page.address)
+    assert 'Noise of unit 7' in read(page.address + 'other/sums')
+
+
+def test_strangers_and_unknown_paths_are_refused(page: LivePage) -> None:
+    port = int(page.address.rsplit(':', 1)[1].strip('/'))
+    for host, path, code in (('evil.example', '/', 403), ('localhost', '/none', 404)):
+        connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10.0)
+        connection.request('GET', path, headers={'Host': host})
+        assert connection.getresponse().status == code
+        connection.close()
+
+
+def test_a_port_in_use_is_one_line(node: Node) -> None:
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(AllanError, match=f'port {port} cannot be used'):
+            LivePage(node, port)
+
+
+def test_a_browser_that_leaves_does_no_harm_and_another_draws(
+    page: LivePage, small_run, tmp_path: Path
+) -> None:
+    sums, provenance = small_run
+    page.take(TOPIC, to_json(Snapshot(((sums,), provenance)).to_document()))
+    port = int(page.address.rsplit(':', 1)[1].strip('/'))
+    with socket.create_connection(('127.0.0.1', port)) as leaving:
+        leaving.sendall(b'GET / HTTP/1.0\r\nHost: localhost\r\n\r\n')
+    found = find_chromium()
+    if found is None:
+        pytest.skip('skipped: no Chromium')
+    browser = Chromium(found, tmp_path)
+    try:
+        browser.call('Page.navigate', url=page.address)
+        browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
+        assert browser.complaints == []
+    finally:
+        browser.close()
