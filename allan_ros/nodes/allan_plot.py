@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Allan plot of one IMU as an image topic, drawn only while somebody looks at it."""
+"""The Allan plot of one IMU as an image topic, drawn only while there is a subscriber."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .qos import LATCHED
 from .shell import Worker
 
 FORMAT = 'png'
-"""As `sensor_msgs/CompressedImage` wants it named; image_transport decodes it."""
+"""Format name in `sensor_msgs/CompressedImage`; image_transport decodes it."""
 
 Pictures = dict[str, bytes]
 
 
 class AllanPlot:
-    """Publishes ``<home>allan_plot/<sensor>/compressed``, the picture that `allan analyze` writes.
+    """Publishes ``<home>allan_plot/<sensor>/compressed``, the plot that `allan analyze` writes.
 
-    Nothing is drawn, and matplotlib is not loaded, before somebody subscribes.
+    Nothing is drawn, and matplotlib is not loaded, before there is a subscriber.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ class AllanPlot:
     home : str
         Prefix of the topics.
     period : callable
-        Returns the least time between two drawings, s.
+        Returns the shortest time between two plots in s.
     worker : Worker
-        Where it is drawn: a second of work must not hold up a callback.
+        Where plots are drawn: a second of work must not delay a callback.
     """
 
     def __init__(self, node: Node, home: str, period: Callable[[], float], worker: Worker) -> None:
@@ -53,11 +53,11 @@ class AllanPlot:
         self._able = True
 
     def take(self, results: Results | None) -> None:
-        """Take the results that the next picture shows; None for none."""
+        """Take the results of the next plot; None for none."""
         self._results = results
 
     def tick(self, now: float) -> None:
-        """Publish what has been drawn, and draw what is wanted and not yet shown."""
+        """Publish finished plots, and draw new ones for the present subscribers."""
         if self._drawing is not None:
             if self._drawing.done():
                 drawing, self._drawing = self._drawing, None
@@ -79,7 +79,7 @@ class AllanPlot:
     def _publish(self, drawing: Future[Pictures]) -> None:
         try:
             pictures = drawing.result()
-        except Exception as error:  # a picture is never worth the evidence
+        except Exception as error:  # a plot that fails must not end the node
             self._able = False
             self._node.get_logger().warning(
                 f'no allan_plot until the node is started again: it cannot be drawn ({error!r}); '
@@ -94,7 +94,7 @@ class AllanPlot:
 
 
 def _draw(results: Results, sensors: list[str]) -> Pictures:
-    """Return sensor -> its picture, for those that the results know."""
+    """Return sensor -> PNG, for the sensors in the results."""
     from ..io.plots import sensor_figure, to_png
 
     figures = {sensor: sensor_figure(results, sensor) for sensor in sensors}

@@ -28,7 +28,7 @@ MAX_INTEGER = 2**63 - 1
 """ROS integer parameters are int64."""
 
 RCLPY_PARAMETERS = ('use_sim_time', 'start_type_description_service')
-"""Parameters that rclpy itself declares, beside ``qos_overrides.*``."""
+"""Parameters that rclpy itself declares, in addition to ``qos_overrides.*``."""
 
 
 class ParameterGroup(Generic[T]):

@@ -34,7 +34,7 @@ def services_of(node: Node, verb: str, wanted: str) -> list[str]:
     """
     known = {name for name, types in node.get_service_names_and_types() if TRIGGER in types}
     homes = [name.rpartition('/')[0] for name in known if name.endswith(f'/{verb}')]
-    # `reset` is beside `save`, and a noise model beside `fit`: other nodes have neither
+    # an accumulator has `reset` next to `save`, an estimator `noise_model` next to `fit`
     topics = {name for name, _ in node.get_topic_names_and_types()}
     ours = [h for h in homes if f'{h}/reset' in known or f'{h}/noise_model' in topics]
     chosen = f'/{wanted.strip("/")}' if wanted else ''

@@ -263,7 +263,7 @@ class Watch(Node):
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY)
 
     @property
-    def heard(self) -> bool:
+    def received_any(self) -> bool:
         """Whether any status was received."""
         return bool(self._latest)
 
@@ -293,8 +293,8 @@ class Watch(Node):
             settled = self._first is not None and now - self._first >= SETTLE_S
             done = settled or now - self._began >= (self._options.seconds or PATIENCE_S)
         else:
-            lonely = not self.heard and now - self._began >= HINT_S
-            self._display.show(self._rows(), self._hint() if lonely else 'listening ...')
+            silent = not self.received_any and now - self._began >= HINT_S
+            self._display.show(self._rows(), self._hint() if silent else 'listening ...')
             done = 0.0 < self._options.seconds <= now - self._began
         if done:
             self._stop.set()

@@ -49,7 +49,7 @@ def test_a_path_that_another_node_keeps_is_neither_read_nor_written(
     assert not saved.success and 'this node saves nothing' in saved.message
     assert first.stop(signal.SIGKILL) == -signal.SIGKILL
     assert second.stop() == 0, second.output
-    assert second.output.count('kept by another node') == 1
+    assert second.output.count('in use by another node') == 1
     assert samples_in(checkpoint) == {'imu': 2000}
 
     # whoever comes next has it, and clears away what a writer that was killed left

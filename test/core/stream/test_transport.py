@@ -196,3 +196,17 @@ def test_a_changed_rate_is_not_blamed_on_the_bus():
 def test_lost_messages_are_counted_by_the_better_witness():
     assert TransportStatistics(skipped_numbers=3, reported_lost=7).lost == 7
     assert TransportStatistics(skipped_numbers=9, reported_lost=7).lost == 9
+
+
+def test_a_robot_that_drives_since_boot_is_a_warning():
+    source = Input()
+    source.second(stream=[finding('never_still', seconds=60.0)])
+    (found,) = source.watch.observe(
+        2.0,
+        source.reception,
+        StreamHealth(Counts()),
+        ONE,
+        2.0,
+        (finding('never_still', seconds=61.0),),
+    )
+    assert found.severity == 'warning'
