@@ -158,7 +158,10 @@ def test_two_relays_to_one_topic_are_reported(graph):
     graph.start('relay', **QUICK)
     graph.start('relay', **QUICK, remap={'__node': 'other_relay'})
     told = '2 publishers on /imu/data_with_covariance (/allan_imu_relay, /other_relay)'
-    found = lambda: next((s for s in graph.statuses.values() if s.message.startswith(told)), None)
+
+    def found() -> Any:
+        return next((s for s in graph.statuses.values() if s.message.startswith(told)), None)
+
     assert graph.until(found).level == WARN
 
 
