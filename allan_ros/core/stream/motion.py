@@ -208,11 +208,13 @@ class MotionGate:
             out += self._end_stretch()
         self._stretch_cut = self._stretch_cut or stretch[0].cut
         for block in stretch:
-            # only the window that began before is copied together, and what it looks ahead at
+            # only the window that began before is copied together; the samples it looks ahead at
+            # are the first of the next one, which is a view
             seam = -len(self._waiting) % self.size + SPIKE_NEIGHBORS
             out += self._fill(block.part(slice(None, seam)))
             if len(block) > seam:
-                out += self._fill(block.part(slice(seam, None)))
+                self._waiting = self._waiting.part(slice(0))
+                out += self._fill(block.part(slice(seam - SPIKE_NEIGHBORS, None)))
         return out
 
     def _fill(self, more: Block) -> list[Block]:
