@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib.font_manager  # noqa: F401  (builds its cache on first use)
 from hypothesis import strategies as st
 
 from allan_ros.cli.main import main

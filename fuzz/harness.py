@@ -48,9 +48,17 @@ CURRENT = 'ALLAN_FUZZ_CURRENT'
 """Environment variable: file in which the input of the moment stands, for when the process dies."""
 
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-_FORBIDDEN = ('os.system', 'os.exec', 'os.posix_spawn', 'os.symlink', 'os.link', 'os.chmod')
+_FORBIDDEN = ('os.system', 'os.exec', 'os.posix_spawn', 'os.link', 'os.chmod')
 _FORBIDDEN += ('subprocess.Popen', 'socket.connect', 'socket.bind', 'pickle.find_class')
-_CHANGES = ('os.rename', 'os.remove', 'os.mkdir', 'os.rmdir', 'os.truncate', 'shutil.rmtree')
+_CHANGES = (
+    'os.symlink',
+    'os.rename',
+    'os.remove',
+    'os.mkdir',
+    'os.rmdir',
+    'os.truncate',
+    'shutil.rmtree',
+)
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,7 @@ class Watch:
                 self._refuse(f'open {path!r} to write')
         # inside a folder that was opened before, names are relative to it
         in_folder = any(isinstance(a, int) and a >= 0 for a in arguments[-1:])
-        paths = arguments[: 1 + ('rename' in event)]
+        paths = arguments[1:2] if event == 'os.symlink' else arguments[: 1 + ('rename' in event)]
         if event in _CHANGES and not in_folder and not all(map(self._is_ours, paths)):
             self._refuse(f'{event} {arguments!r:.200}')
 

@@ -10,7 +10,8 @@ from functools import partial
 
 from .harness import Target
 
-NAMES = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'imu', 'documents', 'nodes')
+NAMES = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'losses', 'hostile', 'imu')
+NAMES += ('documents', 'absurd', 'nodes')
 
 
 def _load(name: str) -> Target:

@@ -19,7 +19,7 @@ from fuzz.reading import MESSAGES, read_and_check
 from fuzz.targets import TARGETS
 
 INPUTS = {'mcap': 20, 'sqlite3': 30, 'ros1': 40, 'folder': 30, 'tables': 40, 'imu': 3}
-INPUTS |= {'documents': 8}
+INPUTS |= {'documents': 8, 'losses': 60, 'hostile': 10, 'absurd': 4}
 """Target -> how many inputs; the one of the nodes starts processes, and is for `make fuzz`."""
 
 WHOLE: dict[str, tuple[bytes, Callable[[bytes], Iterator[int]]]] = {

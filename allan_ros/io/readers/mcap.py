@@ -80,7 +80,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         opcode, length = RECORD.unpack_from(data, at)
         start = at + RECORD.size
         at = start + length
-        if at > size:
+        if at > size or not opcode:
             raise struct.error('a record extends beyond the end of its chunk')
         yield opcode, start, at
 

@@ -1,0 +1,75 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged recordings whose number of messages is known: a lost message must be reported."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hypothesis import strategies as st
+
+from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.writing import write_recording
+
+from .damage import damaged
+from .harness import BrokenRule, Target, refused_or_valid
+from .reading import small_batch
+
+SAMPLES = 600
+FORMS = {
+    'run.mcap': ('mcap', 'none'),
+    'zstd.mcap': ('mcap', 'chunk'),
+    'run.db3': ('sqlite3', 'none'),
+    'run.bag': ('ros1', 'none'),
+    'bz2.bag': ('ros1', 'bz2'),
+    'run.csv': ('csv', 'none'),
+}
+"""File -> storage and compression; those of rosbag2 have a metadata.yaml next to them."""
+
+REPORTS = {'count_differs', 'bag_cut', 'table_cut'}
+
+
+@lru_cache(maxsize=1)
+def seeds() -> dict[str, dict[str, bytes]]:
+    """Return form -> file name -> content."""
+    found = {}
+    for name, (storage, compression) in FORMS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, 'run' if storage in ('mcap', 'sqlite3') else name)
+            how = {'storage': storage, 'compression': compression}
+            write_recording(path, [small_batch(SAMPLES)], **how)
+            files = path.iterdir() if path.is_dir() else [path]
+            found[name] = {file.name: file.read_bytes() for file in files}
+    return found
+
+
+@st.composite
+def _damaged(draw: Any) -> tuple[str, bytes]:
+    form = draw(st.sampled_from(list(FORMS)))
+    data = max(seeds()[form].values(), key=len)
+    return form, draw(damaged([data], most=draw(st.sampled_from([1, 1, 1, 3]))))
+
+
+def check(made: tuple[str, bytes], folder: Path) -> bool:
+    """Read the recording; raise when messages are missing and nothing is reported."""
+    form, data = made
+    files = seeds()[form]
+    storage = max(files, key=lambda name: len(files[name]))
+    for name, content in files.items():
+        (folder / name).write_bytes(data if name == storage else content)
+    read = 0
+    with refused_or_valid() as outcome:
+        (recording,) = open_recordings([folder if len(files) > 1 else folder / storage])
+        for batch in recording.batches():
+            read += len(batch)
+        reports = {finding.id for finding in recording.findings}
+        ends_with_line = form.endswith('.csv') and data.endswith(b'\n')  # a valid, shorter table
+        if read != SAMPLES and not reports & REPORTS and not ends_with_line:
+            raise BrokenRule(f'silent loss: {read} of {SAMPLES} messages, findings {reports}')
+    return outcome.valid
+
+
+TARGET = Target('losses', _damaged(), check)
