@@ -137,6 +137,9 @@ SCENARIOS = {
     'month': Scenario(MONTH, 1.0, 30 * DAY, 15, segments=2600, at_random=True),
     'month_flicker': Scenario(WITH_FLICKER, 1.0, 30 * DAY, 16, segments=2600, at_random=True),
     'month_whole': Scenario(WITH_FLICKER, 1.0, 30 * DAY, 17),
+    'million': Scenario(WITH_FLICKER, 1.0, 1e6, 101),
+    'half_day': Scenario(X, 20.0, 12 * HOUR, 103),
+    'day': Scenario(gyro(N=0.242, B=5.237, K=31.8), 10.0, DAY, 104),
     'month_gauss_markov': Scenario(
         MONTH, 1.0, 30 * DAY, 18, segments=2600, at_random=True, gauss_markov=(0.04, 100.0)
     ),

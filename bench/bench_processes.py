@@ -1,0 +1,232 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Accuracy of the process model: Gauss-Markov processes beside the five terms.
+
+    python bench/bench_processes.py humps --blocks 1      one process beside table 1, X
+    python bench/bench_processes.py growth --blocks 1     predicted against actual angle growth
+    python bench/bench_processes.py adis                  measured curve over drawn model
+
+A block is six records. ``adis`` needs the recordings of $ALLAN_ROS_SHARED.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from bench_accuracy import AXES, HOUR, X, clopper_pearson, gyro, read_slopes
+from scipy.signal import lfilter
+
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.filters.growth import predicted_growth
+from allan_ros.core.fit import AxisFit, fit_noise
+from allan_ros.core.noise import (
+    NoiseTerms,
+    ProcessModel,
+    gauss_markov_avar,
+    term_avar,
+)
+from allan_ros.core.simulate import simulate_axis
+
+RATE = 100.0
+SECONDS = 2 * HOUR
+WINDOW = 100.0
+HORIZONS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Seconds over which the angle is predicted after the bias was averaged over `WINDOW`."""
+
+SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared'))
+
+
+def process(n: int, tau0: float, sigma: float, time: float, rng: np.random.Generator) -> np.ndarray:
+    """Return samples of a stationary first-order Gauss-Markov process."""
+    keep = math.exp(-tau0 / time)
+    steps = rng.standard_normal(n) * sigma * math.sqrt(1.0 - keep * keep)
+    steps[0] = sigma * rng.standard_normal()
+    return np.asarray(lfilter([1.0], [1.0, -keep], steps))
+
+
+def sigma_of_hump(truth: NoiseTerms, time: float, hump: float) -> float:
+    """Return sigma such that the Allan deviation of the process is ``hump`` times the rest."""
+    m = np.unique(np.round(np.geomspace(1.0, 100.0 * time * RATE, 300)))
+    rest = term_avar(m, 1.0 / RATE, truth).sum(axis=-1)
+    return hump / math.sqrt(float(np.max(gauss_markov_avar(m, time * RATE) / rest)))
+
+
+def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
+    """Return the sums of six axes."""
+    engine = RunningAllan(axes=AXES[: rows.shape[1]])
+    engine.update(rows, 0, round((len(rows) - 1) / rate * 1e9))
+    engine.end_segment()
+    return engine.sums
+
+
+def humps(blocks: int) -> None:
+    """Print N, and how often the process is found, for one process beside table 1, X."""
+    print(
+        '| T [s] | hump | records | N bias % | N coverage % (95 % band) | found % | ms per axis |'
+    )
+    print('|---|---|---|---|---|---|---|')
+    n = round(SECONDS * RATE)
+    for time_ in (0.1, 0.3, 1.0, 10.0, 100.0):
+        for hump in (0.3, 1.0, 3.0):
+            sigma, fits, spent = sigma_of_hump(X, time_, hump), [], 0.0
+            for block in range(blocks):
+                rng = np.random.default_rng([31, block, round(1e3 * time_), round(10 * hump)])
+                rows = np.stack(
+                    [
+                        simulate_axis(n, 1 / RATE, X, rng) + process(n, 1 / RATE, sigma, time_, rng)
+                        for _ in AXES
+                    ],
+                    axis=1,
+                )
+                sums = sums_of(rows)
+                begin = time.process_time()
+                fits += fit_noise(sums).axes.values()
+                spent += time.process_time() - begin
+            print(_hump_line(time_, hump, fits, 1e3 * spent / len(fits)), flush=True)
+
+
+def _hump_line(time_: float, hump: float, fits: list[AxisFit], cost: float) -> str:
+    values = np.array([fit.noise['N'].value or math.nan for fit in fits])
+    ends = [fit.noise['N'].ci95 or (0.0, fit.noise['N'].upper95 or 0.0) for fit in fits]
+    inside = sum(low <= X.N <= high for low, high in ends)
+    low, high = clopper_pearson(inside, len(fits))
+    found = np.mean(
+        [
+            any(0.5 < p.correlation_time / time_ < 2.0 for p in fit.processes.gauss_markov)
+            for fit in fits
+        ]
+    )
+    bias = 100.0 * (float(np.nanmean(values)) / X.N - 1.0)
+    covered = f'{100 * inside / len(fits):.0f} ({100 * low:.0f}-{100 * high:.0f})'
+    cells = f'{time_:g} | {hump:g} | {len(fits)} | {bias:+.2f} | {covered} | {100 * found:.0f}'
+    return f'| {cells} | {cost:.0f} |'
+
+
+def growth_error(model: ProcessModel, samples: np.ndarray, rate: float) -> float:
+    """Return the rms log ratio of predicted to actual angle error over the horizons."""
+    theta = np.concatenate([[0.0], np.cumsum(samples - samples.mean())]) / rate
+    b, actual = round(WINDOW * rate), []
+    for horizon in HORIZONS:
+        a = round(horizon * rate)
+        e = theta[a + b :] - theta[b:-a] - horizon / WINDOW * (theta[b:-a] - theta[: -(a + b)])
+        actual.append(float(np.sqrt(np.mean(e**2))))
+    predicted = predicted_growth(model, np.array(HORIZONS), WINDOW)
+    return float(np.sqrt(np.mean(np.log(predicted / np.array(actual)) ** 2)))
+
+
+def gmwm(sums: AllanSums, axis: int) -> ProcessModel:
+    """Return the best model of up to three processes by the diagonal weights of the GMWM."""
+    sys.path.insert(0, str(SHARED / 'oracle'))
+    from processes import fit_processes
+
+    octave = np.flatnonzero(np.isin(sums.m, 2 ** np.arange(40)) & (4 * sums.m <= sums.samples))
+    tau, avar = sums.m[octave] * sums.tau0, sums.avar[octave, axis]
+    best = None
+    for p in (1, 2, 3):
+        found = fit_processes(tau, avar, sums.samples, sums.tau0, p, starts=2)
+        if best is None or found['chi2'] < 0.8 * best['chi2']:
+            best = found
+    return ProcessModel(NoiseTerms(N=best['N'], K=best['K']), tuple(best['gms']))
+
+
+def models_of(sums: AllanSums, with_gmwm: bool) -> dict[str, list[ProcessModel]]:
+    """Return the models of all axes by several methods."""
+    slopes = [NoiseTerms(N=r['N'], K=r['K']) for r in read_slopes(sums)]
+    out = {
+        'this package': [fit.selected for fit in fit_noise(sums).axes.values()],
+        'relative NNLS': [fit.selected for fit in fit_noise(sums, 'relative').axes.values()],
+        'slopes, N and K': [ProcessModel(terms) for terms in slopes],
+    }
+    if with_gmwm:
+        out['GMWM'] = [gmwm(sums, axis) for axis in range(len(sums.axes))]
+    return out
+
+
+def growth(blocks: int, with_gmwm: bool) -> None:
+    """Print the error of predicted growth for sensors of several processes, by method."""
+    b = gyro(B=1.0).B
+    white, walk = NoiseTerms(N=X.N), NoiseTerms(N=X.N, K=gyro(K=15.0).K)
+    cases = {
+        '0.1 + 10 + 200 s': (white, ((60 * b, 0.1), (9 * b, 10.0), (6 * b, 200.0))),
+        '3 + 30 + 300 s + K': (walk, ((14 * b, 3.0), (8 * b, 30.0), (6 * b, 300.0))),
+        'table 1, X without R': (NoiseTerms(X.Q, X.N, X.B, X.K), ()),
+    }
+    n = round(SECONDS * RATE)
+    for name, (truth, processes) in cases.items():
+        errors: dict[str, list[float]] = {}
+        for block in range(blocks):
+            rng = np.random.default_rng([33, block])
+            rows = np.stack([simulate_axis(n, 1 / RATE, truth, rng) for _ in AXES], axis=1)
+            for sigma, time_ in processes:
+                for axis in range(rows.shape[1]):
+                    rows[:, axis] += process(n, 1 / RATE, sigma, time_, rng)
+            for method, models in models_of(sums_of(rows), with_gmwm).items():
+                found = [growth_error(m, rows[:, a], RATE) for a, m in enumerate(models)]
+                errors.setdefault(method, []).extend(found)
+        _print_growth(name, errors)
+
+
+def _print_growth(name: str, errors: dict[str, list[float]]) -> None:
+    for method, found in errors.items():
+        print(
+            f'| {name} | {method} | {len(found)} | {np.median(found):.3f} | {np.max(found):.3f} |',
+            flush=True,
+        )
+
+
+def adis(skip: float, with_gmwm: bool) -> None:
+    """Print measured over drawn Allan deviation of the shared recordings, and growth errors."""
+    sys.path.insert(0, str(SHARED / 'data' / 'adis16405'))
+    from load import load
+
+    ratios: dict[tuple[str, int], list[float]] = {}
+    errors: dict[str, list[float]] = {}
+    for unit in ('imu1', 'imu2', 'imu4'):
+        rows = load(unit)[round(skip * RATE) :, 1:]
+        sums = sums_of(rows)
+        tau, half = sums.m * sums.tau0, len(rows) / RATE / 2.0
+        begin = time.process_time()
+        fits = fit_noise(sums)
+        cost = 1e3 * (time.process_time() - begin) / len(fits.axes)
+        print(f'{unit}: {cost:.0f} ms per axis')
+        for a, (axis, fit) in enumerate(fits.axes.items()):
+            ratio = np.sqrt(sums.avar[:, a] / fit.selected.avar(tau, sums.tau0))
+            for k, (low, high) in enumerate(((600.0, 1500.0), (1500.0, half))):
+                median = float(np.median(ratio[(tau >= low) & (tau <= high)]))
+                ratios.setdefault((axis.split('_')[0], k), []).append(median)
+        for method, models in models_of(sums, with_gmwm).items():
+            found = [growth_error(m, rows[:, a], RATE) for a, m in enumerate(models)]
+            errors.setdefault(method, []).extend(found)
+    for (sensor, k), found in ratios.items():
+        span = ('600-1500 s', '1500 s to half the record')[k]
+        each = ' '.join(f'{r:.2f}' for r in found)
+        print(f'{sensor} {span}: median {np.median(found):.2f} of {each}')
+    _print_growth('ADIS16405', errors)
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description='Accuracy of the process model.')
+    parser.add_argument('what', nargs='*', default=['humps', 'growth'])
+    parser.add_argument('--blocks', type=int, default=1)
+    parser.add_argument('--skip', type=float, default=3900.0, help='seconds left out (adis)')
+    parser.add_argument('--gmwm', action='store_true', help='also the prototype of the GMWM')
+    options = parser.parse_args()
+    for what in options.what:
+        if what == 'humps':
+            humps(options.blocks)
+        elif what == 'growth':
+            growth(options.blocks, options.gmwm)
+        elif what == 'adis':
+            adis(options.skip, options.gmwm)
+
+
+if __name__ == '__main__':
+    main()
