@@ -1,0 +1,69 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 allan`: every verb is dispatched, with and without ros2cli; verbs for running nodes work."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from allan_ros.cli.main import VERBS
+from allan_ros.ros2_command import NODE_VERBS, AllanCommand
+
+RUN = """
+import argparse, sys
+from allan_ros.ros2_command import AllanCommand
+command, parser = AllanCommand(), argparse.ArgumentParser()
+command.add_arguments(parser, 'ros2 allan')
+sys.exit(command.main(parser=parser, args=parser.parse_args()))
+"""
+
+
+def ros2_allan(*words: str) -> subprocess.CompletedProcess[str]:
+    """Run the command as ros2cli does, in a process of its own."""
+    environment = {**os.environ, 'PYTHONPATH': str(Path(__file__).resolve().parents[2])}
+    return subprocess.run(
+        [sys.executable, '-c', RUN, *words], capture_output=True, text=True, env=environment
+    )
+
+
+def test_it_has_the_verbs_of_allan_and_those_for_nodes() -> None:
+    parser = argparse.ArgumentParser()
+    AllanCommand().add_arguments(parser, 'ros2 allan')
+    for verb in (*VERBS, *NODE_VERBS):
+        options = parser.parse_args([verb, 'input', '--help', '-o', 'out'])
+        assert (options.verb, options.arguments) == (verb, ['input', '--help', '-o', 'out'])
+        assert f'  {verb} ' in parser.format_help()
+
+
+def test_a_verb_of_allan_runs_with_its_options_and_exit_code() -> None:
+    assert 'adis16475-3' in ros2_allan('sensors').stdout
+    failed = ros2_allan('analyze', 'missing.csv')
+    assert failed.returncode == 1 and failed.stderr.startswith('allan analyze: ')
+
+
+def test_verbs_for_running_nodes(graph: Any, still_imu: Any, tmp_path: Path) -> None:
+    checkpoint = tmp_path / 'imu.json'
+    reliable = {
+        'qos_overrides./imu/data.subscription.reliability': 'reliable',
+        'qos_overrides./imu/data.subscription.history': 'keep_all',
+    }
+    graph.start('monitor', **reliable, **{'checkpoint.path': str(checkpoint)})
+    graph.send(graph.publisher(), still_imu(2000))
+    graph.until(lambda: graph.value('input', 'used') == '2000')
+    saved = ros2_allan('save', '--node', 'allan_monitor')
+    assert saved.returncode == 0, saved.stdout + saved.stderr
+    assert saved.stdout == f'/allan_monitor/save: {checkpoint}: 2000 samples\n'
+    assert checkpoint.exists()
+    other = ros2_allan('fit', '--node', '/other')
+    assert other.returncode == 1 and 'no allan_ros node /other' in other.stdout
+    checked = ros2_allan('check', '--plain')  # the publisher is silent by now
+    assert checked.returncode == 4 and 'No message on /imu/data' in checked.stdout
