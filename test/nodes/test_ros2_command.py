@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 allan`: every verb is dispatched, with and without ros2cli; verbs for running nodes work."""
+"""`ros2 allan`: every verb is dispatched, also without ros2cli; verbs for running nodes work."""
 
 from __future__ import annotations
 
