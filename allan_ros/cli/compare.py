@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs side by side, or beside a datasheet: which differences are more than chance.
+"""Compare runs, or runs with a datasheet: which differences are significant.
 
 An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
 a datasheet. The first run is what the others are compared with.
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.compare import MARGIN
@@ -24,13 +25,13 @@ from .console import Console, width, wrapped
 from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
-    from ..io.comparison import RunComparison
+    from ..io.comparison import RunComparison, Subject
 
 SENSOR_PREFIX = 'sensor:'
 
 EXIT_DIFFERENT = 3
 
-EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: something differs by more than chance'}
+EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or a limit exceeded'}
 
 NOT_THERE = ''
 """Stands where a run has no such axis."""
@@ -43,6 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '-o', '--output', metavar='DIR', help='folder for tables and pictures (default: none)'
+    )
+    parser.add_argument(
+        '--report',
+        action='store_true',
+        help='also write report.html: the first run with the curves of the others drawn over it',
     )
     parser.add_argument(
         '--label',
@@ -70,8 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--fail-on-difference',
         action='store_true',
-        help=f'exit with {EXIT_DIFFERENT} when anything differs by more than chance, or is beyond '
-        'a datasheet',
+        help=f'exit with {EXIT_DIFFERENT} if any difference is significant, or a limit of a '
+        'datasheet is exceeded',
     )
     result = parser.add_argument_group('result')
     result.add_argument(
@@ -99,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
     load_style(pictures.plot_style)
+    if args.report and not args.output:
+        raise AllanError('--report writes into the folder of -o: give one')
     if not args.margin >= 0.0:
         raise AllanError(f'--margin {args.margin:g}: give 0 or more')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
@@ -124,8 +132,26 @@ def run(args: argparse.Namespace) -> int:
         from ..io.comparison_files import write_comparison
 
         written = write_comparison(args.output, comparison, args.units, pictures)
+        if args.report:
+            written.append(_write_report(args.output, runs, args.margin, args.units))
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
+
+
+def _write_report(folder: str, runs: Sequence[Subject], margin: float, units: str) -> Path:
+    """Write the report of the first run, with the curves of the others over its own."""
+    from ..io.files import write_atomic
+    from ..io.report import ReportContext, render_report
+
+    first, *others = runs
+    context = ReportContext(
+        baselines={run.label: run.results for run in others},
+        margin=margin,
+        method={'runs': ', '.join(run.label for run in runs)},
+    )
+    path = Path(folder) / 'report.html'
+    write_atomic(path, render_report(first.results, context, units))
+    return path
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:

@@ -19,6 +19,10 @@ from typing import Any, TextIO
 
 from ..core.findings import Finding, grouped
 
+WIDTH = 100
+"""Columns where there is no terminal and ``COLUMNS`` does not say."""
+
+
 REDRAW_S = 0.1
 """Seconds between two drawings: smooth to the eye, nothing to the processor."""
 
@@ -72,21 +76,35 @@ class Progress:
         if self._draws and now - self._drawn >= REDRAW_S:
             self._drawn = now
             width = shutil.get_terminal_size().columns
-            line = progress_line(self._label, self._done, self._total, now - self._start)
-            self._stream.write(f'\r\x1b[K{line[: width - 1]}')
+            line = progress_line(self._label, self._done, self._total, now - self._start, width - 1)
+            self._stream.write(f'\r\x1b[K{line}')
             self._stream.flush()
 
 
-def progress_line(label: str, done: int, total: int | None, elapsed_s: float) -> str:
-    """Return the line for so many units done in so many seconds."""
+def progress_line(
+    label: str, done: int, total: int | None, elapsed_s: float, columns: int = WIDTH
+) -> str:
+    """Return the line for so many units done in so many seconds, as wide as ``columns`` allow.
+
+    Where there is no room for all, the speed goes first, then the beginning of the label: the
+    share and the time left stay.
+    """
     speed = done / elapsed_s if elapsed_s > 0 else 0.0
     counted = f'{done:,} samples, {speed:,.0f}/s'
     if not total:
-        return f'{label}  {counted}'
+        return _fitted(label, f'  {counted}', columns)
     share = min(done / total, 1.0)
     filled = round(share * BAR)
     left = f', {time_left((total - done) / speed)} left' if speed > 0 and done < total else ''
-    return f'{label}  [{"#" * filled}{"." * (BAR - filled)}] {share:4.0%}  {counted}{left}'
+    bar = f'  [{"#" * filled}{"." * (BAR - filled)}] {share:4.0%}'
+    rest = f'{bar}  {counted}{left}'
+    return _fitted(label, rest if len(label) + len(rest) <= columns else f'{bar}{left}', columns)
+
+
+def _fitted(label: str, rest: str, columns: int) -> str:
+    """Return both, the label without its beginning if it is too long."""
+    room = max(columns - len(rest), 8)
+    return (label if len(label) <= room else f'...{label[3 - room :]}') + rest
 
 
 def time_left(seconds: float) -> str:
@@ -97,10 +115,6 @@ def time_left(seconds: float) -> str:
     if seconds < 3600:
         return f'{seconds // 60} min {seconds % 60:02d} s'
     return f'{seconds // 3600} h {seconds % 3600 // 60:02d} min'
-
-
-WIDTH = 100
-"""Columns where there is no terminal and ``COLUMNS`` does not say."""
 
 
 NARROWEST = 40

@@ -11,7 +11,7 @@ ones with --gyro, --accel, --gyro-x ..., in datasheet units:
   allan simulate bag --preset paper
   allan simulate imu.csv --gyro N=0.3,B=7 --gyro-z K=30 --accel N=0.02
 
-OUT is an mcap bag, or what its suffix says: .bag (ROS 1), .csv, .tsv, .npz.
+OUT is a bag (a folder), or a file by its suffix: .mcap, .db3, .bag (ROS 1), .csv, .tsv, .npz.
 """
 
 from __future__ import annotations

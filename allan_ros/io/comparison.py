@@ -255,7 +255,8 @@ def _of_pair(pair: Pair, family_error: float) -> str:
         )
     # Coefficients name what differs; deviations speak where no coefficient does.
     named = [d for d in beyond if d.tau is None] or list(beyond)
-    most = max(named, key=_surely)
+    # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
+    most = max(named, key=lambda d: (d.ratio is not None, _surely(d)))
     said = f'{pair.second} is {_by(most)} {pair.first} in {quantity_text(most)} {_interval(most)}'
     others = len(beyond) - 1
     opposite = sum(d.verdict != most.verdict for d in beyond)

@@ -31,6 +31,8 @@ COMPRESSIONS: dict[str, tuple[str, ...]] = {
 """Storage -> kinds of compression; those of rosbag2 use zstd."""
 STORAGE_OF_SUFFIX = {'.bag': 'ros1', '.csv': 'csv', '.tsv': 'csv', '.npz': 'npz'}
 DEFAULT_STORAGE = 'mcap'
+FILE_SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
+"""Suffix of a single file instead of a bag with metadata.yaml -> its storage."""
 
 
 def write_recording(
@@ -51,7 +53,7 @@ def write_recording(
     batches : iterable of ImuBatch
         In the order of recording.
     storage : 'mcap', 'sqlite3', 'ros1', 'csv' or 'npz', optional
-        By default from the suffix: .bag, .csv, .tsv, .npz; otherwise an mcap bag.
+        By default from the suffix: .mcap, .db3, .bag, .csv, .tsv, .npz; otherwise an mcap bag.
     compression : str
         One of `COMPRESSIONS` for that storage.
     topic : str
@@ -65,7 +67,8 @@ def write_recording(
         When the path exists or cannot be written, or the storage or compression is unknown.
     """
     path = Path(path)
-    storage = storage or STORAGE_OF_SUFFIX.get(path.suffix.lower(), DEFAULT_STORAGE)
+    by_suffix = {**STORAGE_OF_SUFFIX, **FILE_SUFFIXES}
+    storage = storage or by_suffix.get(path.suffix.lower(), DEFAULT_STORAGE)
     if storage not in COMPRESSIONS:
         raise AllanError(f'storage {storage!r} is unknown: choose one of {", ".join(COMPRESSIONS)}')
     if compression not in COMPRESSIONS[storage]:
@@ -89,7 +92,10 @@ def _write(
     if storage in ('mcap', 'sqlite3'):
         from .rosbag2_writer import write_rosbag2
 
-        return write_rosbag2(path, batches, storage, compression, topic)
+        written = write_rosbag2(path, batches, storage, compression, topic)
+        if path.suffix.lower() in FILE_SUFFIXES and path.is_dir():
+            _only_file(path)
+        return written
     if storage == 'ros1':
         return _write_ros1(path, batches, compression, topic)
     if storage == 'csv':
@@ -99,6 +105,14 @@ def _write(
     from .readers.arrays import write_npz
 
     return write_npz(path, batches, deflate=compression == 'deflate')
+
+
+def _only_file(bag: Path) -> None:
+    """Replace a bag by its storage file: the name given is that of a file."""
+    (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
+    kept = file.rename(bag.with_name(f'{bag.name}.file'))
+    shutil.rmtree(bag)
+    kept.rename(bag)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from dataclasses import astuple, fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -143,3 +144,14 @@ def test_every_fault_has_an_option(capsys):
         main(['simulate', '--help'])
     text = capsys.readouterr().out
     assert all(f'--{f.name.replace("_", "-")}' in text for f in fields(Faults))
+
+
+@pytest.mark.parametrize('suffix', ['mcap', 'db3'])
+def test_the_suffix_of_a_file_gives_a_file(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f'short.{suffix}'
+    words = ['simulate', str(path), '--preset', 'paper', '--hours', '0.01', '--rate', '50']
+    for again in ([], ['--overwrite']):
+        assert main([*words, *again]) == 0
+        assert path.is_file()
+    assert {p.name for p in tmp_path.iterdir()} == {path.name, f'{path.name}.truth.json'}
+    assert main(['analyze', str(path), '-q']) == 0

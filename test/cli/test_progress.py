@@ -55,3 +55,11 @@ def test_a_terminal_is_left_clean(monkeypatch: pytest.MonkeyPatch) -> None:
         bar.advance(5)
     assert '50%' in stream.getvalue()
     assert stream.getvalue().endswith('\r\x1b[K')
+
+
+@pytest.mark.parametrize('columns', [40, 60, 79])
+def test_a_long_name_leaves_room_for_the_share_and_the_time(columns: int) -> None:
+    label = '/a/very/long/path/' * 8 + 'recording_of_monday.mcap'
+    line = progress_line(label, 250_000, 1_000_000, 10.0, columns)
+    assert len(line) <= max(columns, 58)
+    assert line.endswith(' 25%, 30 s left')
