@@ -31,7 +31,7 @@ def test_analyze_keeps_the_comparison_with_a_datasheet(analysed: Path) -> None:
 def test_analyze_says_how_it_stands(recording: Path, capsys) -> None:
     assert main(['analyze', str(recording), '--sensor', 'adis16475-3']) == 0
     said = capsys.readouterr().out
-    assert 'beside the datasheet of ADIS16475-3: ' in said
+    assert 'compared with the datasheet of ADIS16475-3: ' in said
     assert 'gyro  N  x y z within: limit 0.300 deg/sqrt(h) (stated 0.3 deg/sqrt(h))' in said
 
 
@@ -107,3 +107,35 @@ def test_one_datasheet_is_shown_with_its_sources(capsys) -> None:
     assert main(['sensors', '--json']) == 0
     assert shown in json.loads(capsys.readouterr().out)['sensors']
     assert main(['sensors', 'adis16475']) == 1
+
+
+def test_a_report_draws_the_others_over_the_first(
+    analysed: Path, recording: Path, tmp_path: Path, capsys
+) -> None:
+    words = ['compare', str(analysed), str(recording), '--label', 'kept', '--label', 'again']
+    assert main([*words, '--report']) == 1
+    assert '--report writes into the folder of -o' in capsys.readouterr().err
+    assert main([*words, '--report', '-o', str(tmp_path)]) == 0
+    page = (tmp_path / 'report.html').read_text()
+    assert '"name":"again","axis":"gyro_x"' in page
+    assert 'Compared with again' in page
+
+
+def test_a_measured_ratio_comes_before_a_bound(analysed: Path, tmp_path: Path, capsys) -> None:
+    document = json.loads((analysed / 'results.json').read_text())
+    noise = document['axes']['gyro_z']['noise']
+    noise['N']['value'] *= 10
+    noise['N']['ci95'] = [10 * end for end in noise['N']['ci95']]
+    hidden = next(t for t in 'KBR' if noise[t]['status'] != 'estimated')
+    value = 1000 * noise[hidden]['upper95']
+    noise[hidden] = {
+        **noise[hidden],
+        'value': value,
+        'ci95': [0.99 * value, 1.01 * value],
+        'upper95': None,
+        'status': 'estimated',
+    }
+    worse = tmp_path / 'worse.json'
+    worse.write_text(json.dumps(document))
+    assert main(['compare', str(analysed), str(worse)]) == 0
+    assert capsys.readouterr().out.startswith('worse is 10.0x noisier than run in gyro z N (')
