@@ -215,6 +215,8 @@ def test_a_looped_recording_counts_once(graph, still_imu, tmp_path: Path):
     graph.send(publisher, batch)
     graph.send(publisher, batch)
     graph.until(lambda: (tmp_path / 'sums.json.previous').exists())
+    found = graph.until(lambda: graph.value('input', 'finding: run_began_anew'))
+    assert 'sums.json.previous' in found
     graph.until(lambda: saved_samples(graph) == 2000)
     assert graph.call('/allan_accumulator/save').success
     for path in (checkpoint, tmp_path / 'sums.json.previous'):
