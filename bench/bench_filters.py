@@ -1,0 +1,324 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Consistency of filters that use what is exported: NEES, outages, error growth, bias intervals.
+
+    python bench/bench_filters.py nees                  24 axes per sensor, about 5 min
+    python bench/bench_filters.py nees --sensors x z --axes 8
+    python bench/bench_filters.py growth                shared ADIS16405 units, about 1 min
+    python bench/bench_filters.py bias --records 8      coverage of the bias interval
+    python bench/bench_filters.py gtsam                 a factor graph in rest and motion, 2 min
+    python bench/bench_filters.py figure                docs/images/filter_growth.png
+
+Each sensor is simulated for two hours and analyzed. A filter of attitude and bias with its exported
+numbers then runs on other records of the same sensor, with an attitude measurement of 0.1 deg per
+second. The simulators, the filter and the measures are those of `reality.py`, which shares no code
+with this package; it is looked for in $ALLAN_ROS_SHARED/oracle or ../shared/oracle.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import runpy
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import allan_ros as ar
+from allan_ros.core.filters.bias import BiasFilter
+from allan_ros.core.filters.growth import predicted_growth
+from allan_ros.core.filters.reductions import Horizons, reduce_model
+from allan_ros.core.imu import AXES
+from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.io.exporters import ExportOptions, make_export
+from bench.doc_table import DocTable
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared'))
+PAGE = ROOT / 'docs' / 'filters.md'
+RATE, SECONDS = 100.0, 7200
+DT = 1.0 / RATE
+OUTAGES = (10, 60, 300)
+EXPORTS, MEASURES = ('bare N, K', 'N, K', 'state space'), ('NEES', 'outage')
+GROWTH_S = (1.0, 10.0, 100.0, 300.0)
+WINDOW_S = 100.0
+
+
+def oracle() -> dict[str, Any]:
+    """Return the names of the independent simulator and filter, or stop where there is none."""
+    path = SHARED / 'oracle' / 'reality.py'
+    if not path.is_file():
+        print('skipped: no shared data')
+        raise SystemExit
+    return runpy.run_path(str(path))
+
+
+REALITY = oracle()
+DEG = REALITY['deg']
+TABLE1 = REALITY['TABLE1']
+N_X = {'N': TABLE1['x']['N']}
+SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...], int]] = {
+    'x': ('table 1 X', TABLE1['x'], (), SECONDS),
+    'y': ('table 1 Y', TABLE1['y'], (), SECONDS),
+    'z': ('table 1 Z', TABLE1['z'], (), SECONDS),
+    'nb': ('N + B', {**N_X, 'B': TABLE1['x']['B']}, (), SECONDS),
+    'nk': ('N + K', {**N_X, 'K': TABLE1['x']['K']}, (), SECONDS),
+    'gm1': ('Gauss-Markov 10 s', N_X, ((9.0, 10.0),), SECONDS),
+    'gm2': ('Gauss-Markov 10 + 200 s', N_X, ((9.0, 10.0), (6.0, 200.0)), SECONDS),
+    'gm3': ('Gauss-Markov 3 + 30 + 300 s', N_X, ((9.0, 3.0), (6.0, 30.0), (6.0, 300.0)), SECONDS),
+    'x5': ('5 min of X', TABLE1['x'], (), 300),
+}
+"""Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, seconds of the record."""
+
+
+def draw(name: str, seconds: int, rng: np.random.Generator, axes: int) -> tuple[Any, Any]:
+    """Return the white part and all of the samples of a sensor, (n, axes) each."""
+    _, terms, processes, _ = SENSORS[name]
+    n = round(seconds * RATE)
+    white = REALITY['white_noise'](n, DT, terms['N'], rng, axes)
+    samples = white + REALITY['draw'](n, DT, {**terms, 'N': 0.0}, rng, axes)
+    for sigma, tau in processes:
+        samples += REALITY['gauss_markov'](n, DT, DEG(B=sigma)['B'], tau, rng, axes)
+    return white, samples
+
+
+def analysed(samples: Any) -> ar.Results:
+    """Return the results of samples at rest, (n, 3), as gyro and as accelerometer."""
+    return ar.analyze(np.hstack([samples, samples]), rate=RATE, motion_gate=False, skip=0.0)
+
+
+def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
+    """Return the filter models of one axis: the bare N and K, the default file, the state space."""
+    models = {}
+    for name, fidelity in (('bare N, K', 'coefficients'), ('N, K', 'reduction')):
+        read: dict[str, Any] = {}
+        exec(make_export(results, 'gtsam', ExportOptions(fidelity=fidelity)).text, read)
+        i = AXES.index(axis)
+        white, walk = read['gyroscopeCovariance'][i], read['biasOmegaCovariance'][i]
+        models[name] = {'N': white**0.5, 'K': walk**0.5}
+    one = json.loads(make_export(results, 'state_space').text)['axes'][axis]
+    processes = [(p['sigma'], p['tau']) for p in one['gauss_markov']]
+    models['state space'] = {'N': one['white'], 'K': one['walk'], 'gms': processes}
+    return models
+
+
+def nees(names: list[str], axes: int, write: bool) -> None:
+    """Print, and write into the page, NEES and outage ratios of each sensor and export."""
+    heading = ('sensor', *(f'{measure}: {e}' for e in EXPORTS for measure in MEASURES))
+    table = DocTable('nees', heading, PAGE)
+    for name in names:
+        began, title = time.monotonic(), SENSORS[name][0]
+        rng = np.random.default_rng(20 + list(SENSORS).index(name))
+        results = analysed(draw(name, SENSORS[name][3], rng, 3)[1])
+        found: dict[str, list[list[float]]] = {}
+        per_axis = max(axes // 3, 1)
+        for axis in AXES[:3]:
+            white, samples = draw(name, SECONDS, rng, per_axis)
+            for export, model in exported(results, axis).items():
+                seed = np.random.default_rng(1)
+                ran = REALITY['run_filter'](model, samples, DT, seed, white, outages=OUTAGES)
+                row = [ran['nees'], *(ran['outage'][h] for h in OUTAGES)]
+                found.setdefault(export, []).append(row)
+        cells = [title]
+        for export in EXPORTS:
+            each = np.array(found[export])
+            mean = [each[:, 0].mean(), *np.sqrt((each[:, 1:] ** 2).mean(axis=0))]
+            cells += [f'{mean[0]:.2f}', ' / '.join(f'{ratio:.2f}' for ratio in mean[1:])]
+            print(f'{title:28} {export:12}', *(f'{value:6.2f}' for value in mean))
+        print(f'{"":28} {3 * per_axis} axes, {time.monotonic() - began:.0f} s', flush=True)
+        if write:
+            table.put(cells)
+
+
+def units() -> dict[str, Any]:
+    """Return the samples of the shared ADIS16405 units, (n, 6) each."""
+    folder = SHARED / 'data' / 'adis16405'
+    load = runpy.run_path(str(folder / 'load.py'))['load']
+    names = sorted(path.stem.removesuffix('_counts') for path in folder.glob('*_counts.npz'))
+    return {name: load(name)[:, 1:7] for name in names}
+
+
+def growth(skip_hours: float) -> None:
+    """Print predicted over actual growth of the integral on the settled part of real recordings."""
+    for name, samples in units().items():
+        settled = samples[round(skip_hours * 3600 * RATE) :]
+        results = ar.analyze(settled, rate=RATE, motion_gate=False, skip=0.0)
+        for i, axis in enumerate(AXES):
+            model = results[axis].fit.selected
+            ratios = []
+            for horizon in GROWTH_S:
+                actual = REALITY['actual_growth'](settled[:, i], DT, horizon, WINDOW_S)
+                ratios.append(float(predicted_growth(model, horizon, WINDOW_S)) / actual)
+            print(f'{name} {axis:8}', *(f'{ratio:5.2f}' for ratio in ratios), flush=True)
+
+
+def bias(records: int) -> None:
+    """Print the coverage of the 95 % interval of the bias now, 60 s and 600 s later."""
+    for name in ('x', 'y', 'z'):
+        hits: dict[int, list[bool]] = {0: [], 60: [], 600: []}
+        for record in range(records):
+            rng = np.random.default_rng(100 * record + ord(name))
+            white, samples = draw(name, SECONDS, rng, 3)
+            results = analysed(samples)
+            means, drift = (
+                values.reshape(SECONDS, -1, 3).mean(axis=1) for values in (samples, samples - white)
+            )
+            for i, axis in enumerate(AXES[:3]):
+                tracker = BiasFilter(results[axis].fit.selected)
+                for k, mean in enumerate(means[:, i], 1):
+                    tracker.update(float(mean))
+                    if k >= 600 and k % 30 == 0 and k + 610 <= SECONDS:
+                        for after, hit in hits.items():
+                            low, high = tracker.estimate(after).ci95
+                            true = drift[k + after : k + after + 10, i].mean()
+                            hit.append(bool(low < true < high))
+        cells = '  '.join(f'{after} s: {np.mean(hit):.3f}' for after, hit in hits.items())
+        print(f'table 1 {name}: coverage {cells} ({3 * records} axes)', flush=True)
+
+
+GRAPH_S, GRAPH_RUNS = 150, 12
+"""Length of a trajectory of the graph, and number of trajectories."""
+
+TURN_RATE, TURN_START, TURN_END = 0.2, 50, 100
+"""rad/s about z, and the seconds between which the platform turns; before and after it rests."""
+
+
+def graph(runs: int) -> None:
+    """Print the NEES of attitude and gyro bias of GTSAM with the bare and the default export.
+
+    A graph has one pose per second, CombinedImuFactors between them, and a measurement of every
+    pose with 0.1 deg and 1 cm. Compared are the estimates of every tenth second after the first 60.
+    """
+    import gtsam
+
+    rng = np.random.default_rng(8)
+    results = analysed(draw('x', SECONDS, rng, 3)[1])
+    noise, drift = [], []
+    for _ in range(runs):
+        white, samples = draw('x', GRAPH_S + 1, rng, 6)
+        bias = samples - white
+        noise.append(samples - bias[0])
+        drift.append(bias - bias[0])
+    for fidelity in ('coefficients', 'reduction'):
+        read: dict[str, Any] = {}
+        exec(make_export(results, 'gtsam', ExportOptions(fidelity=fidelity)).text, read)
+        params = read['set_noise'](gtsam.PreintegrationCombinedParams.MakeSharedU(9.81))
+        errors = [_graph_nees(gtsam, params, *pair) for pair in zip(noise, drift)]
+        print(
+            f'GTSAM {fidelity:14} NEES {np.mean(errors):5.2f} of attitude and gyro bias', flush=True
+        )
+
+
+def _graph_nees(gtsam: Any, params: Any, noise: Any, drift: Any) -> float:
+    """Return the mean NEES of one trajectory: samples of noise (n, 6), of which drift is bias."""
+    x, v, b = (lambda i, c=c: gtsam.symbol(c, i) for c in 'xvb')
+    sigmas = np.array([0.1 * np.pi / 180.0] * 3 + [0.01] * 3)
+    measured = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    rng = np.random.default_rng(1)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    per_s, angle = round(RATE), 0.0
+    truth = []
+    for second in range(GRAPH_S + 1):
+        true = gtsam.Pose3(gtsam.Rot3.Rz(angle), np.zeros(3))
+        truth.append(true)
+        seen = true.retract(sigmas * rng.standard_normal(6))
+        factors.add(gtsam.PriorFactorPose3(x(second), seen, measured))
+        values.insert(x(second), true)
+        values.insert(v(second), np.zeros(3))
+        values.insert(b(second), gtsam.imuBias.ConstantBias())
+        if second == GRAPH_S:
+            break
+        rate = TURN_RATE if TURN_START <= second < TURN_END else 0.0
+        sums = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
+        for row in noise[second * per_s : (second + 1) * per_s]:
+            force = row[3:] + np.array([0.0, 0.0, 9.81])
+            sums.integrateMeasurement(force, row[:3] + np.array([0.0, 0.0, rate]), DT)
+        nodes = (x(second), v(second), x(second + 1), v(second + 1), b(second), b(second + 1))
+        factors.add(gtsam.CombinedImuFactor(*nodes, sums))
+        angle += rate
+    spread = gtsam.noiseModel.Isotropic.Sigma
+    factors.add(gtsam.PriorFactorVector(v(0), np.zeros(3), spread(3, 0.1)))
+    factors.add(gtsam.PriorFactorConstantBias(b(0), gtsam.imuBias.ConstantBias(), spread(6, 0.01)))
+    found = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    marginals = gtsam.Marginals(factors, found)
+    errors = []
+    for second in range(60, GRAPH_S, 10):
+        turn = truth[second].rotation().between(found.atPose3(x(second)).rotation())
+        attitude = marginals.marginalCovariance(x(second))[:3, :3]
+        bias_error = found.atConstantBias(b(second)).gyroscope()
+        bias_error = bias_error - drift[second * per_s : (second + 1) * per_s, :3].mean(axis=0)
+        spread_b = marginals.marginalCovariance(b(second))[3:, 3:]
+        for error, covariance in ((gtsam.Rot3.Logmap(turn), attitude), (bias_error, spread_b)):
+            errors.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
+    return float(np.mean(errors))
+
+
+def figure() -> None:
+    """Draw predicted and actual growth of the angle error for the three choices."""
+    import matplotlib
+
+    matplotlib.use('agg')
+    from matplotlib import pyplot
+
+    rng = np.random.default_rng(3)
+    results = analysed(draw('x', SECONDS, rng, 3)[1])
+    _, samples = draw('x', SECONDS, rng, 12)
+    models = exported(results, 'gyro_x')
+    window = 30.0
+    times = np.geomspace(0.5, 300.0, 40)
+    per_axis = [
+        [REALITY['actual_growth'](samples[:, i], DT, h, window) for h in times] for i in range(12)
+    ]
+    scale = 180.0 / np.pi
+    actual = np.sqrt((np.array(per_axis) ** 2).mean(axis=0)) * scale
+    chart, axes = pyplot.subplots(figsize=(6.4, 4.0), layout='constrained')
+    axes.loglog(times, actual, 'k.', label='actual (12 simulated axes)')
+    styles = {'bare N, K': 'C3--', 'N, K': 'C0-', 'state space': 'C2-'}
+    for name, style in styles.items():
+        one = models[name]
+        model = ProcessModel(NoiseTerms(N=one['N'], K=one['K']), tuple(one.get('gms', ())))
+        predicted = predicted_growth(model, times, window) * scale
+        label = {'N, K': 'N and raised K (default)', 'bare N, K': 'bare N and K'}.get(name, name)
+        axes.loglog(times, predicted, style, label=label)
+    axes.axvspan(1.0, 30.0, color='C0', alpha=0.08, lw=0.0)
+    axes.set(xlabel='time without correction h [s]', ylabel='angle error, 1 sigma [deg]')
+    axes.legend(title=f'bias known from {window:g} s; shaded: 1 to 30 s')
+    axes.grid(True, which='both', alpha=0.2)
+    path = ROOT / 'docs' / 'images' / 'filter_growth.png'
+    chart.savefig(path, dpi=120)
+    print(path.relative_to(ROOT))
+    reduction = reduce_model(replace(results['gyro_x'].fit.selected), 'walk', Horizons(1.0, 30.0))
+    print(f'predicted over model growth {reduction.ratio[0]:.2f} to {reduction.ratio[1]:.2f}')
+
+
+def main() -> None:
+    """Run one of the measurements."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('what', choices=('nees', 'growth', 'bias', 'gtsam', 'figure'))
+    parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS), default=[*SENSORS])
+    parser.add_argument('--axes', type=int, default=24, help='axes the filter runs on')
+    parser.add_argument('--records', type=int, default=8, help='records of three axes')
+    parser.add_argument('--skip-hours', type=float, default=1.1, help='unsettled part of real data')
+    parser.add_argument('--write', action='store_true', help='write the table into docs/filters.md')
+    args = parser.parse_args()
+    if args.what == 'nees':
+        nees(args.sensors, args.axes, args.write)
+    elif args.what == 'growth':
+        growth(args.skip_hours)
+    elif args.what == 'bias':
+        bias(args.records)
+    elif args.what == 'gtsam':
+        graph(GRAPH_RUNS)
+    else:
+        figure()
+
+
+if __name__ == '__main__':
+    main()
