@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, TextIO
 
+from ..core.errors import one_line
 from ..core.findings import Finding, grouped
 
 WIDTH = 100
@@ -169,7 +170,7 @@ class Console:
     def say(self, text: str) -> None:
         """Tell something beside the result."""
         if not self.quiet:
-            print(f'allan {self.verb}: {text}', file=sys.stderr)
+            print(one_line(f'allan {self.verb}: {text}'), file=sys.stderr)
 
     def detail(self, text: str) -> None:
         """Tell something for those who look closely."""

@@ -152,6 +152,10 @@ MEETING_STEPS = 60
 """Halvings until two limits meet: to the last digit."""
 
 
+LARGEST_EXPONENT = 709.0
+"""exp of more is beyond the largest float."""
+
+
 FARTHEST_Z = 40.0
 """Where limits that have not met are given up: the probability underflows."""
 
@@ -282,13 +286,18 @@ def _of_estimates(
     a: tuple[float, float, float], b: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float], float]:
     """Return ratio b/a, interval and probability from the widths on the sides that face."""
-    log_ratio = math.log(b[0] / a[0])
+    log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
     up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
     facing = down if log_ratio > 0.0 else up
     z = abs(log_ratio) * Z_TWO_SIDED / facing if facing > 0.0 else math.inf * bool(log_ratio)
-    interval = math.exp(log_ratio - down), math.exp(log_ratio + up)
-    return math.exp(log_ratio), interval, min(2.0 * float(ndtr(-z)), 1.0)
+    interval = _exp(log_ratio - down), _exp(log_ratio + up)
+    return _exp(log_ratio), interval, min(2.0 * float(ndtr(-z)), 1.0)
+
+
+def _exp(x: float) -> float:
+    """Return exp(x), infinite where a float has no larger number."""
+    return math.exp(x) if x < LARGEST_EXPONENT else math.inf
 
 
 def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
@@ -297,7 +306,7 @@ def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
     An interval inverts a test in which the other terms are fitted anew, so an estimate may stand
     at its very end; that end is not known the better for it.
     """
-    return max(math.log(upper / lower), math.log(of[2] / of[1]) / 2.0)
+    return max(math.log(upper) - math.log(lower), (math.log(of[2]) - math.log(of[1])) / 2.0)
 
 
 def _of_limit(a: tuple[float, float, float], limit: float) -> float:
@@ -328,7 +337,7 @@ class _Interpolated:
     def __init__(self, curve: DeviationCurve) -> None:
         with np.errstate(invalid='ignore', divide='ignore'):
             edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
-            known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF)
+            known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)
         self._tau = np.log(curve.tau[known])
         self._adev = np.log(curve.adev[known])
         self._edf = np.log(edf[known])

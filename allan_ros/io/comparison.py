@@ -18,7 +18,7 @@ from ..core.compare import (
     curve_differences,
     settle,
 )
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.imu import AXES
 from .datasheet_comparison import DatasheetComparison, against_datasheet, comparison_to_document
 from .datasheets import Datasheet
@@ -31,10 +31,13 @@ SCHEMA = 'allan_ros/comparison/1'
 
 @dataclass(frozen=True)
 class Subject:
-    """One run under the name it is shown by."""
+    """One run and its label, which is made safe to show in a terminal and in tables."""
 
     label: str
     results: Results
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'label', one_line(self.label))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from ..core.compare import Difference
+from ..core.errors import one_line
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS, SI_UNITS, sensor_of
 from .comparison import (
@@ -320,24 +321,30 @@ def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
 def _markdown_lines(comparison: RunComparison, units: str) -> Iterator[str]:
     yield from (f'{line}\n' for line in comparison_headline(comparison))
     for pair in comparison.pairs:
-        yield f'## {pair.second} against {pair.first}\n'
-        yield f'| axis | quantity | unit | {pair.first} | {pair.second} | ratio | |'
+        first, second = _cell_text(pair.first), _cell_text(pair.second)
+        yield f'## {second} against {first}\n'
+        yield f'| axis | quantity | unit | {first} | {second} | ratio | |'
         yield '|---|---|---|---|---|---|---|'
         for d in pair.differences:
             yield _markdown_row(comparison, pair, d, units)
         yield ''
     for label, beside in comparison.beside:
-        yield f'## {label} beside the datasheet of {beside.datasheet.name}\n'
+        yield f'## {_cell_text(label)} and the datasheet of {_cell_text(beside.datasheet.name)}\n'
         yield '| axis | term | limit | stated | |'
         yield '|---|---|---|---|---|'
         for held in beside.held:
             unit = shown_unit(held.axis, held.term, units)
             limit = f'{held.limit.value * unit.factor:.3g} {unit.name}'
             yield (
-                f'| {held.axis} | {held.term} | {limit} | {held.limit.stated} '
+                f'| {held.axis} | {held.term} | {limit} | {_cell_text(held.limit.stated)} '
                 f'| {VERDICT_TEXT[held.verdict]} |'
             )
         yield ''
+
+
+def _cell_text(text: str) -> str:
+    """Return text of a user as it may stand in a Markdown table."""
+    return one_line(text).replace('|', '\\|').replace('<', '&lt;')
 
 
 def _markdown_row(comparison: RunComparison, pair: Pair, d: Difference, units: str) -> str:

@@ -15,6 +15,8 @@ from dataclasses import asdict
 from dataclasses import fields as fields_of
 from typing import Any
 
+import numpy as np
+
 from .. import __version__
 from ..core.allan.curve import CI_LEVEL
 from ..core.allan.document import sums_from_document, sums_to_document
@@ -396,6 +398,9 @@ def _curve_from_document(fields: Fields) -> AxisCurve:
     columns = {key: fields.numbers(key) for key in ('tau', 'adev', 'ci_low', 'ci_high')}
     if {len(column) for column in columns.values()} != {factors}:
         raise AllanError(f'{fields.where}: its columns have different lengths')
+    tau = columns['tau']
+    if factors and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails too
+        raise AllanError(f'{fields.where}.tau is not positive and increasing')
     return AxisCurve(
         fields.integers('m', factors),
         columns['tau'],

@@ -35,7 +35,7 @@ def test_json_is_the_results_document_and_nothing_else(
     assert main(['analyze', str(recording), '--json']) == 0
     shown = capsys.readouterr()
     file = json.loads((folder / 'results.json').read_text())
-    del file['files']  # of the folder, not of the analysis
+    assert set(file.pop('files')) == {path.name for path in folder.iterdir()}
     assert {**json.loads(shown.out), 'findings': file['findings']} == file
     assert main(['merge', str(folder / 'sums.json'), '--json']) == 0
     merged = json.loads(capsys.readouterr().out)

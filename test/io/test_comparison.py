@@ -136,3 +136,33 @@ def test_labels_are_short_where_that_tells_them_apart() -> None:
     assert labels_of(['a/results.json', 'b/sums.json']) == ['a', 'b']
     assert labels_of(['runs/one', 'two.mcap']) == ['one', 'two']
     assert labels_of(['a/x.json', 'b/x.json']) == ['a/x.json', 'b/x.json']
+
+
+HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
+
+
+def test_labels_are_shown_safely(small_results: Results, tmp_path: Path) -> None:
+    comparison = compare_runs([Subject(HOSTILE, small_results), Subject('b', small_results)])
+    shown = repr(comparison) + markdown(comparison) + csv_table(comparison)
+    assert not set(shown) & set('\x1b\u202e\r')
+    assert '\\x1b' in shown and '\\|' in markdown(comparison)
+    rows = [line for line in markdown(comparison).splitlines() if line.startswith('|')]
+    assert {line.replace('\\|', '').count('|') for line in rows} == {8}
+    assert write_comparison(tmp_path, comparison)
+
+
+@pytest.mark.parametrize('value', [5e-324, 1e-150, 1e150])
+def test_huge_and_tiny_values_compare(value: float, small_results: Results) -> None:
+    fit = small_results.axes['gyro_x'].fit
+    for c in (
+        Coefficient(value, (5e-324, 1e150)),
+        Coefficient(value, (value, value)),
+        Coefficient(1e-12, (1e-150, 1e-12)),
+        Coefficient(None, None, value, 'not_observable'),
+    ):
+        noise = {**fit.noise, 'N': c}
+        axis = replace(small_results.axes['gyro_x'], fit=replace(fit, noise=noise))
+        other = replace(small_results, axes={**small_results.axes, 'gyro_x': axis})
+        for runs in ((small_results, other), (other, small_results), (other, other)):
+            comparison = compare_runs([Subject(*run) for run in zip('ab', runs)])
+            assert repr(comparison) and csv_table(comparison) and markdown(comparison)
