@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run the targets one after the other, each in a process of its own, and print one table."""
+"""Run the targets one after the other, each in its own process, and print a table."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from .targets import TARGETS
 EXIT_CRASHES = 1
 
 HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest, s', 'memory, MB')
-"""Memory is what the process grew by after its first inputs."""
+"""Memory is the growth of the process after the first inputs."""
 
 GRACE_S = FORKED_SECONDS + 60.0
-"""How much longer than it was given a target may take: to warm up, the last input, to shrink."""
+"""Time a target may take beyond its share: to start, for the last input, and to shrink."""
 
 
 def main() -> int:
-    """Return 1 where a target crashed."""
+    """Run the targets and return 1 if one crashed."""
     parser = argparse.ArgumentParser(prog='python -m fuzz', description=__doc__)
     parser.add_argument('targets', nargs='*', metavar='TARGET', help=f'of {", ".join(TARGETS)}')
     parser.add_argument('--seconds', type=float, default=60.0, help='in all (default 60)')
@@ -63,7 +63,7 @@ def main() -> int:
 
 
 def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally:
-    """Run one target apart, so that its limits and its end are its own."""
+    """Run one target in a process with its own limits."""
     command = [sys.executable, '-m', 'fuzz', '--here', name]
     command += ['--seconds', str(seconds), '--seed', str(number)] + ['--shrink'] * shrink
     with tempfile.TemporaryDirectory(prefix='allan_fuzz.') as folder:

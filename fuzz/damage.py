@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Damage of every form: to bytes, to the numbers in them, to JSON and to text."""
+"""Strategies that damage bytes, the numbers in them, JSON and text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hypothesis.strategies import SearchStrategy
 
 ODD_INTEGERS = (0, 1, 2, 127, 255, 256, 4096, 65535, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
 ODD_INTEGERS += (2**62, 2**63 - 1, 2**63, 2**64 - 1)
-"""Lengths, counts and offsets that programs trip over."""
+"""Lengths, counts and offsets at which programs often fail."""
 
 ODD_FLOATS = (0.0, -0.0, 5e-324, 1e-310, 1e-160, 1e-9, 9.80665, 1e18, 1e154, 1e300, 1.8e308)
 ODD_FLOATS += (math.inf, math.nan)
@@ -29,12 +29,12 @@ floats = st.sampled_from(ODD_FLOATS).flatmap(lambda f: st.sampled_from((f, -f)))
 texts = st.sampled_from(ODD_TEXTS) | st.text(max_size=20)
 
 WIDTHS = {1: '<B', 2: '<H', 4: '<I', 8: '<Q'}
-"""Bytes of a little-endian number -> how struct calls it."""
+"""Size of a little-endian number -> format of struct."""
 
 
 @st.composite
 def damaged(draw: Any, seeds: Sequence[bytes], most: int = 4) -> bytes:
-    """Draw one of the seeds with some bytes or numbers changed, taken out, doubled or cut off."""
+    """Draw one of the seeds with some bytes or numbers changed, removed, doubled or cut off."""
     data = bytearray(draw(st.sampled_from(seeds)))
     for _ in range(draw(st.integers(1, most))):
         if not data:
@@ -60,7 +60,7 @@ def damaged(draw: Any, seeds: Sequence[bytes], most: int = 4) -> bytes:
 
 
 HUGE = 'HUGE'
-"""Stands for a number that JSON can spell and a float cannot hold."""
+"""Placeholder for a number that JSON can express and a float cannot."""
 
 scalars = (
     st.none()
@@ -89,7 +89,7 @@ json_values = (
 
 @st.composite
 def damaged_json(draw: Any, seeds: Sequence[Any], most: int = 3) -> str:
-    """Draw one of the documents as text, with fields replaced, removed, doubled or made up."""
+    """Draw one of the documents as text, with fields replaced, removed, doubled or added."""
     document = json.loads(json.dumps(draw(st.sampled_from(seeds))))
     doubled = ''
     for _ in range(draw(st.integers(0, most))):
@@ -134,10 +134,10 @@ def _somewhere(draw: Any, document: Any) -> tuple[Any, Any]:
 
 
 def as_utf8(text: str) -> bytes:
-    """Return the text as a file holds it, half surrogates and all."""
+    """Return the text as UTF-8, lone surrogates included."""
     return text.encode('utf-8', 'surrogatepass')
 
 
 def any_bytes(seeds: Sequence[bytes]) -> SearchStrategy[bytes]:
-    """Draw damaged seeds, sometimes bytes of no form at all."""
+    """Draw damaged seeds, and sometimes random bytes."""
     return damaged(seeds) | damaged(seeds) | damaged(seeds) | st.binary(max_size=600)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""results.json, sums.json and checkpoints, by the ways of the command line and the nodes."""
+"""results.json, sums.json and checkpoints, used as the command line and the nodes use them."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from .reading import small_batch
 
 SAMPLES = 3000
 FITTED = 8
-"""One of so many sums is fitted, which takes a hundred times the reading."""
+"""One of this many sums is fitted, which takes a hundred times as long as reading."""
 
 
 @lru_cache(maxsize=1)
 def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a sums file and a results file that are whole."""
+    """Return a valid sums file and a valid results file."""
     accumulator = ImuStream()
     batch = small_batch(SAMPLES)
     for start in (0, SAMPLES // 3):
@@ -60,7 +60,7 @@ def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
 
 @st.composite
 def _texts(draw: Any) -> tuple[str, bytes, int]:
-    """Draw what the file is taken for, its bytes, and a number that decides what is done."""
+    """Draw the kind of file, its bytes, and a number that selects what is done with it."""
     sums, results = seeds()
     kind = draw(st.sampled_from(['sums', 'results', 'checkpoint']))
     seed = results if kind == 'results' else sums
@@ -72,7 +72,7 @@ def _texts(draw: Any) -> tuple[str, bytes, int]:
 
 
 def check(made: tuple[str, bytes, int], folder: Path) -> bool:
-    """Read it as what it is taken for, and do with it what is done with such."""
+    """Read the file as that kind, and use it."""
     kind, data, choice = made
     path = folder / f'{kind}.json'
     path.write_bytes(data)
@@ -123,7 +123,7 @@ def _use_sums(document: object, choice: int) -> None:
 
 
 def _restart(path: Path, data: bytes) -> bool:
-    """Begin with the file as a node does; the one thing it may do is rename it, never lose it."""
+    """Start with the file as a node does, which may rename it but never delete it."""
     checkpoint = Checkpoint(path)
     if checkpoint.loaded is not None:
         check_line(str(checkpoint.loaded))

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bag folders: a damaged metadata.yaml beside whole or damaged files."""
+"""Bag folders: a damaged metadata.yaml with intact or damaged files."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ ALIASES, MERGES = (
     first + ''.join(f'{b}: &{b} {link.format(",".join([f"*{a}"] * 9))}\n' for a, b in PAIRS)
     for first, link in (('a: &a [x,x,x]\n', '[{}]'), ('a: &a {k: 1}\n', '{{<<: [{}]}}'))
 )
-"""Entries of which each holds the one before nine times."""
+"""Entries that each contain the previous one nine times."""
 
 YAML_TRICKS = (
     'rosbag2_bagfile_information: !!python/object/apply:os.system ["touch pwned"]\n',

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every target is held to, and the process in which it runs.
+"""The rule that is checked for every target, and the process in which it runs.
 
 The rule: whatever goes in, out comes a valid result or an `AllanError` of one printable line,
 within `INPUT_SECONDS` of CPU and `MEMORY_BYTES`, and nothing is written but where the target says
@@ -30,22 +30,22 @@ from hypothesis.strategies import SearchStrategy
 from allan_ros.core.errors import AllanError
 
 INPUT_SECONDS = 10.0
-"""No input of some kilobytes may take more of a core."""
+"""CPU time that one input may take."""
 
 FORKED_SECONDS = 100.0
-"""How long one may take where other processes are waited for, on a loaded machine."""
+"""Time one input may take where other processes are involved, on a loaded machine."""
 
 MEMORY_BYTES = 1 << 30
-"""Address space a target may take beyond what it has once it is warm."""
+"""Address space a target may use beyond that after its first inputs."""
 
 ROUND = 100
-"""Inputs drawn from one seed; after each round the clock is looked at."""
+"""Inputs drawn from one seed; the clock is checked after each round."""
 
 LONGEST_LINE = 4000
-"""Characters of an error beyond which nobody reads it."""
+"""Largest length of an error message, in characters."""
 
 CURRENT = 'ALLAN_FUZZ_CURRENT'
-"""Environment variable: file in which the input of the moment stands, for when the process dies."""
+"""Environment variable: file with the current input, in case the process dies."""
 
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _FORBIDDEN = ('os.system', 'os.exec', 'os.posix_spawn', 'os.link', 'os.chmod')
@@ -63,7 +63,7 @@ _CHANGES = (
 
 @dataclass(frozen=True)
 class Target:
-    """One way into the program.
+    """One entry point of the program.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Target:
 
 @dataclass
 class Tally:
-    """What became of one target."""
+    """The result of one target."""
 
     name: str
     inputs: int = 0
@@ -97,19 +97,19 @@ class Tally:
 
 
 class BrokenRule(AssertionError):
-    """An input got through that should have been refused, or was refused badly."""
+    """An input that should have been refused was accepted, or the error message is invalid."""
 
 
 @dataclass
 class Outcome:
-    """What became of an input: valid until it is refused."""
+    """The result of one input: valid until it is refused."""
 
     valid: bool = True
 
 
 @contextmanager
 def refused_or_valid() -> Iterator[Outcome]:
-    """Let an `AllanError` pass that a user can read; anything else is a crash."""
+    """Catch an `AllanError` with a valid message; anything else is a crash."""
     outcome = Outcome()
     try:
         yield outcome
@@ -119,13 +119,13 @@ def refused_or_valid() -> Iterator[Outcome]:
 
 
 def check_line(said: str) -> None:
-    """Raise unless this is one printable line of bearable length."""
+    """Raise unless this is one printable line of limited length."""
     if not said or not said.isprintable() or len(said) > LONGEST_LINE:
         raise BrokenRule(f'no line to read: {said[:200]!r}')
 
 
 def check_document(text: str) -> None:
-    """Raise unless the text is strict JSON: no NaN, no infinity, whole as UTF-8."""
+    """Raise unless the text is strict JSON: no NaN, no infinity, valid as UTF-8."""
     json.loads(text, parse_constant=_no_constant)
     text.encode()
 
@@ -135,7 +135,7 @@ def _no_constant(name: str) -> float:
 
 
 class Watch:
-    """Sees what the interpreter opens for writing, changes, starts or connects (PEP 578)."""
+    """Audits what the interpreter opens for writing, changes, starts or connects (PEP 578)."""
 
     def __init__(self) -> None:
         self.folder: str | None = None
@@ -173,7 +173,7 @@ class Watch:
 def run_target(
     target: Target, seconds: float, first_seed: int, watch: Watch | None, shrink: bool = False
 ) -> Tally:
-    """Feed a target until the time is over; crashes are told apart by their place."""
+    """Run a target until the time is over; crashes are distinguished by their location."""
     tally = Tally(target.name)
     scratch = Path(os.path.realpath(tempfile.mkdtemp(prefix='allan_fuzz.')))
     tempfile.tempdir = str(scratch)
@@ -227,7 +227,7 @@ def _round(
     tally: Tally,
     shrink: bool,
 ) -> None:
-    """Draw some inputs from one seed, and note what breaks."""
+    """Draw some inputs from one seed, and record crashes."""
     drawn: list[Any] = []
 
     @seed(number)
@@ -256,7 +256,7 @@ def _round(
 
 
 def _place(error: BaseException) -> str:
-    """Return the last line of ours that the error went through."""
+    """Return the last line of the package in the traceback."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [f for f in frames if '/allan_ros/' in f.filename.replace('\\', '/')] or list(frames)
     return f'{Path(ours[-1].filename).name} line {ours[-1].lineno}'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized Imu messages of any bytes: the decoder, the relay's patch, and all behind them."""
+"""Serialized Imu messages of any bytes: the decoder, the patch of the relay, and the stream."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from .reading import payloads
 
 VARIANCES = {'gyro': (1.0, 2.0, 3.0), 'accel': (4.0, 5.0, 6.0)}
 REPEATS = (1, 1, 1, 30, 700, 1100)
-"""How often a message comes: enough for a clock to be learned, sometimes."""
+"""How often a message is repeated: sometimes enough for the clock to settle."""
 
 
 @st.composite
 def _message(draw: Any) -> bytes:
-    """Draw a well-formed message of odd values."""
+    """Draw a well-formed message with odd values."""
     order = draw(st.sampled_from('<>'))
     frame = draw(texts).encode('utf-8', 'surrogatepass') + draw(st.sampled_from([b'\0', b'']))
     stamp = struct.pack(
@@ -46,7 +46,7 @@ def _message(draw: Any) -> bytes:
 
 
 any_message = any_bytes(payloads('cdr', 2)) | _message()
-"""Bytes that are, may be, or never were an Imu."""
+"""Valid, damaged and arbitrary messages."""
 
 
 @st.composite

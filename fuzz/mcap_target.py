@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""mcap files (https://mcap.dev/spec) built record by record, so that damage lies where it hurts.
+"""mcap files (https://mcap.dev/spec) built record by record, with damage in chosen fields.
 
 Lengths, offsets, checksums and indexes are those of what was built, except where one is damaged:
 so a reader gets past its first checks, and meets what is behind them.
@@ -37,7 +37,7 @@ SCHEMA_ALPHABET = st.sampled_from(
 
 @dataclass(frozen=True)
 class Plan:
-    """What a file is made of; each field that is None or () is as it should be."""
+    """The content of a file; a field that is None or () is correct."""
 
     chunks: int = 2
     compression: str = ''
@@ -60,7 +60,7 @@ class Plan:
 
 
 def record(opcode: int, body: bytes) -> bytes:
-    """Return a record with its length in front."""
+    """Return a record with its opcode and length."""
     return struct.pack('<BQ', opcode, len(body)) + body
 
 
@@ -146,7 +146,7 @@ def _compressed(data: bytes, how: str) -> bytes:
 
 
 def boundaries(data: bytes) -> Iterator[int]:
-    """Yield where each record of a whole file begins and ends, inside of plain chunks too."""
+    """Yield the offset of each record of an intact file, in uncompressed chunks too."""
     at = len(MAGIC)
     while at + 9 <= len(data):
         yield at
@@ -163,7 +163,7 @@ def boundaries(data: bytes) -> Iterator[int]:
 
 @lru_cache(maxsize=1)
 def seeds() -> tuple[bytes, ...]:
-    """Return whole files of every form."""
+    """Return intact files of every form."""
     return tuple(
         build(Plan(compression=how, chunked=chunked, summary=summary))
         for how, chunked, summary in (
@@ -178,7 +178,7 @@ def seeds() -> tuple[bytes, ...]:
 
 @st.composite
 def _planned(draw: Any) -> bytes:
-    """Draw a file with one to three damaged fields, whole in all else."""
+    """Draw a file with at most three damaged fields."""
     nested = draw(st.booleans()) and draw(st.booleans())
     plan = Plan(
         chunks=draw(st.sampled_from([1, 2, 4])),

@@ -35,13 +35,13 @@ from .harness import BrokenRule, Target, check_line, refused_or_valid
 from .imu_target import any_message
 
 PATIENCE_S = 60.0
-"""How long a node may stay silent on a loaded machine before it counts as dead."""
+"""Time without diagnostics, on a loaded machine, after which a node counts as dead."""
 
 NODE_BYTES = 6 << 30
-"""Address space of a node: DDS maps a lot of it and uses little."""
+"""Address space of a node: DDS maps much of it and uses little."""
 
 GROWTH_BYTES = 300 << 20
-"""What a node may hold more than when it was fresh, after all that was thrown at it."""
+"""Largest growth of the memory of a node."""
 
 NODES = ('allan_monitor', 'allan_estimator')
 TEXT_TOPICS = ('/sums', '/allan_monitor/noise_model')
@@ -50,7 +50,7 @@ PARAMETERS += ('input.stale_after', 'segmenter.max_bridge', 'segmenter.motion_ra
 PARAMETERS += ('checkpoint.path', 'checkpoint.period', 'input.topics', 'no.such', 'relay.inflate')
 
 NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf)(?!\w)')
-"""What a diagnostic must never say."""
+"""Text that a diagnostic must not contain."""
 
 _values = (
     st.booleans()
@@ -63,7 +63,7 @@ _values = (
 
 
 class Graph:
-    """The nodes under fire, and a client."""
+    """The nodes that are tested, and a client."""
 
     def __init__(self) -> None:
         import rclpy
@@ -112,7 +112,7 @@ class Graph:
         return self.node.create_client(SetParameters, f'/{name}/set_parameters')
 
     def set_parameter(self, name: str, parameter: str, value: Any) -> bool:
-        """Ask a node to change a parameter; it must answer, whatever it says: return what."""
+        """Ask a node to change a parameter and return its answer, which must come."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
@@ -128,7 +128,7 @@ class Graph:
         return bool(answer.successful)
 
     def check_alive(self) -> None:
-        """Raise unless both nodes speak from now on, hold little memory, and wrote nothing."""
+        """Raise unless both nodes publish diagnostics, use little memory and wrote no file."""
         began = time.monotonic()
         for name in NODES:
             self._until(lambda n=name: self.heard.get(n, 0.0) > began, f'{name} is silent')
@@ -178,7 +178,7 @@ def graph() -> Graph:
 
 @st.composite
 def _attacks(draw: Any) -> tuple[str, Any]:
-    """Draw what is sent: a burst of messages, a text on a topic, or a parameter."""
+    """Draw what is sent: messages, a text on a topic, or a parameter."""
     sums, results = seeds()
     match draw(st.sampled_from(['imu', 'imu', 'text', 'text', 'parameter'])):
         case 'imu':
@@ -195,7 +195,7 @@ def _attacks(draw: Any) -> tuple[str, Any]:
 
 
 def check(attack: tuple[str, Any], folder: Path) -> bool:
-    """Send it, and see that the nodes live; return whether it is what the nodes take."""
+    """Send it and check the nodes; return whether the nodes accept it."""
     from std_msgs.msg import String
 
     del folder
@@ -221,7 +221,7 @@ def check(attack: tuple[str, Any], folder: Path) -> bool:
 
 
 def _read(kind: str, what: Any) -> None:
-    """Read messages and texts as the nodes do; raise `AllanError` where they are none of ours."""
+    """Read messages and texts as the nodes do; raise `AllanError` where they are invalid."""
     if kind == 'imu':
         try:
             decode_imus(what[0], 'cdr')

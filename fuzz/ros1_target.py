@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 1 bags (https://wiki.ros.org/Bags/Format/2.0) built record by record, damaged inside."""
+"""ROS 1 bags (https://wiki.ros.org/Bags/Format/2.0) with damage in chosen fields."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SECOND = 10**9
 
 @dataclass
 class Odd:
-    """Damage: (opcode, field) -> its bytes, None for left out; and whether there is an index."""
+    """Damage: (opcode, field) -> bytes, None to omit it; and whether there is an index."""
 
     fields: dict[tuple[int, str], bytes | None] = field(default_factory=dict)
     message: bytes | None = None
@@ -46,7 +46,7 @@ class Odd:
 
 
 def _record(odd: Odd, opcode: int, data: bytes, **fields: bytes) -> bytes:
-    """Return a record; ``op`` goes in front."""
+    """Return a record that begins with ``op``."""
     pairs = {'op': bytes([opcode]), **fields}
     pairs.update({name: v for (code, name), v in odd.fields.items() if code == opcode and v})
     gone = {name for (code, name), v in odd.fields.items() if code == opcode and v is None}
@@ -99,7 +99,7 @@ def _fields(**fields: bytes) -> bytes:
 
 
 def boundaries(data: bytes) -> Iterator[int]:
-    """Yield where each record of a whole bag begins, inside of plain chunks too."""
+    """Yield the offset of each record of an intact bag, in uncompressed chunks too."""
     at = len(MAGIC)
     while at + 8 <= len(data):
         yield at
@@ -112,7 +112,7 @@ def boundaries(data: bytes) -> Iterator[int]:
 
 @lru_cache(maxsize=1)
 def seeds() -> tuple[bytes, ...]:
-    """Return whole bags of every form."""
+    """Return intact bags of every form."""
     return (build(Odd()), build(Odd(index=False)), build(Odd(compression='bz2')))
 
 

@@ -78,7 +78,7 @@ def _make(path: Path, encoding: str, key: str, end: str, index: bool) -> sqlite3
 
 @lru_cache(maxsize=1)
 def seeds() -> tuple[bytes, ...]:
-    """Return whole files, with and without an index."""
+    """Return intact files, with and without an index."""
     found = []
     for index in (True, False):
         with tempfile.TemporaryDirectory() as folder:
@@ -90,10 +90,10 @@ def seeds() -> tuple[bytes, ...]:
 
 
 def boundaries(data: bytes) -> Iterator[int]:
-    """Yield where each page of a whole file begins, and each cell of those that hold rows.
+    """Yield the offset of each page of an intact file, and of each cell that contains a row.
 
-    The head of a b-tree page is at 0, after the head of the file on the first one; from byte 8 or,
-    on an inner page, 12 on stand the places of its cells (https://sqlite.org/fileformat2.html).
+    The header of a b-tree page is at 0, or after the file header on the first page. The offsets of
+    its cells begin at byte 8, or 12 on an inner page (https://sqlite.org/fileformat2.html).
     """
     (size,) = struct.unpack_from('>H', data, 16)
     for page in range(0, len(data), size):
@@ -113,7 +113,7 @@ CELLS |= st.binary(max_size=20) | any_bytes(payloads('cdr', 2))
 
 @st.composite
 def _edits(draw: Any) -> tuple[Any, ...]:
-    """Draw how the file is made, what cells are changed, and what is done to the tables."""
+    """Draw how the file is created, which cells change, and statements on the tables."""
     table = st.sampled_from(list(COLUMNS)).flatmap(
         lambda name: st.tuples(st.just(name), st.sampled_from(COLUMNS[name]), CELLS, signed)
     )

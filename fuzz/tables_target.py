@@ -53,7 +53,7 @@ def _table(folder: str) -> bytes:
 
 @st.composite
 def _csv(draw: Any) -> bytes:
-    """Draw a table of odd cells under an odd header."""
+    """Draw a table with odd cells and an odd header."""
     header = draw(st.sampled_from(HEADERS) | texts)
     mark = draw(st.sampled_from(',;\t '))
     width = draw(st.integers(1, 8))
@@ -66,14 +66,14 @@ def _csv(draw: Any) -> bytes:
 
 
 def _header(kind: str, fortran: str, shape: str) -> bytes:
-    """Return the head of an npy file, whatever it says."""
+    """Return the header of an npy file with any content."""
     text = f"{{'descr': {kind}, 'fortran_order': {fortran}, 'shape': {shape}, }}\n".encode()
     return b'\x93NUMPY\x01\x00' + len(text).to_bytes(2, 'little') + text
 
 
 @st.composite
 def _npy(draw: Any) -> bytes:
-    """Draw an npy file whose head says other than what it holds."""
+    """Draw an npy file whose header does not match its data."""
     kind = draw(st.sampled_from(KINDS).map(repr) | st.just("[('a', '<f8')]") | texts.map(repr))
     number = signed | st.integers(0, 8)
     shape = draw(

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All targets by name; a target's module is imported when it is run."""
+"""All targets by name; the module of a target is imported when it runs."""
 
 from __future__ import annotations
 
@@ -20,4 +20,4 @@ def _load(name: str) -> Target:
 
 
 TARGETS: dict[str, Callable[[], Target]] = {name: partial(_load, name) for name in NAMES}
-"""Name -> what makes it."""
+"""Name -> function that returns the target."""

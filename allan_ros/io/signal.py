@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw signal as a picture needs it: its lowest and highest value in each of many spans.
+"""The raw signal for plots: its lowest and highest value in each of up to 2048 bins.
 
-Drawn so, a day at 1 kHz shows every knock and takes the memory of a few thousand numbers.
+A day at 1 kHz drawn this way shows every knock and needs the memory of a few thousand numbers.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from ..core.imu import AXES, LARGEST, ImuBatch
 
 MAX_BINS = 2048
-"""More spans than a plot has pixels across; when they are full, neighbours are joined."""
+"""More bins than a plot has pixels across; when all are full, neighbours are joined."""
 
 
 class SignalEnvelope:
-    """Lowest and highest sample of every axis in spans of equal count, in constant memory.
+    """Lowest and highest sample of every axis in bins of equal sample count, in constant memory.
 
-    The spans are counted in samples, so chunking changes nothing. NaN is passed over; a span with
-    nothing else is NaN.
+    The result does not depend on the size of the batches. NaN is ignored; a bin with nothing else
+    is NaN.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class SignalEnvelope:
         self._start_ns = np.empty((MAX_BINS, 2), np.int64)
 
     def update(self, batch: ImuBatch) -> None:
-        """Take in the next samples."""
+        """Add the next samples."""
         while len(batch):
             room = MAX_BINS * self._step - self._samples
             if not room:
@@ -46,24 +46,24 @@ class SignalEnvelope:
 
     @property
     def bins(self) -> int:
-        """How many spans there are."""
+        """Number of bins."""
         return -(-self._samples // self._step)
 
     @property
     def low(self) -> NDArray[np.float64]:
-        """Lowest sample of each span, (bins, 6), SI."""
+        """Lowest sample of each bin, (bins, 6), SI."""
         return self._low[: self.bins]
 
     @property
     def high(self) -> NDArray[np.float64]:
-        """Highest sample of each span, (bins, 6), SI."""
+        """Highest sample of each bin, (bins, 6), SI."""
         return self._high[: self.bins]
 
     @property
     def start_ns(self) -> NDArray[np.int64]:
-        """Stamp of the first sample of each span, (bins,).
+        """Stamp of the first sample of each bin, (bins,).
 
-        By the header, or by the time of recording where the header's does not advance.
+        The header stamp, or the record time where header stamps do not advance.
         """
         header, record = self._start_ns[: self.bins].T
         stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
@@ -76,18 +76,18 @@ class SignalEnvelope:
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
     def _put(self, batch: ImuBatch) -> None:
-        """Add samples that fit into the spans there are."""
+        """Add samples that fit into the bins."""
         first = self._samples
-        spans = (first + np.arange(len(batch))) // self._step
-        starts = np.flatnonzero(np.diff(spans, prepend=-1))
+        bins = (first + np.arange(len(batch))) // self._step
+        starts = np.flatnonzero(np.diff(bins, prepend=-1))
         # no picture shows what no IMU measures, nor do the sums contain it
         samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
         low = np.fmin.reduceat(samples, starts)
         high = np.fmax.reduceat(samples, starts)
         record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
         start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
-        at = int(spans[0])
-        if first % self._step:  # the first span had begun before
+        at = int(bins[0])
+        if first % self._step:  # the first bin has samples already
             low[0] = np.fmin(low[0], self._low[at])
             high[0] = np.fmax(high[0], self._high[at])
             start_ns[0] = self._start_ns[at]
@@ -107,15 +107,15 @@ Item = TypeVar('Item')
 
 
 MOST_READINGS = 2048
-"""More than a plot has pixels across; when they are full, every second one goes."""
+"""More than a plot has pixels across; when reached, every second item is removed."""
 
 
 ABSOLUTE_ZERO = -273.15
-"""degC in K 0."""
+"""0 K in degC."""
 
 
 HOTTEST = 1000.0
-"""degC: no IMU lives to tell of more; such a reading, or one below 0 K, is none."""
+"""degC; readings above it, or below 0 K, are ignored."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class TemperatureTrace:
     source : str
         The topic or the column.
     header_ns, record_ns : (n,) int64 arrays
-        When it was measured, and when it was recorded; equal where only one is known.
+        Times of measurement and of recording; equal where only one is known.
     celsius : (n,) float64 array
     """
 
@@ -138,18 +138,18 @@ class TemperatureTrace:
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
-    """Return readings (header ns, record ns, degC) as a trace, or None where none is sound."""
-    sound = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # false for NaN too
-    if not sound:
+    """Return readings (header ns, record ns, degC) as a trace, or None if none is plausible."""
+    valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # false for NaN too
+    if not valid:
         return None
-    header, record, celsius = zip(*sound)
+    header, record, celsius = zip(*valid)
     return TemperatureTrace(
         source, np.array(header, np.int64), np.array(record, np.int64), np.array(celsius, float)
     )
 
 
 class Decimated(Generic[Item]):
-    """Every so many of a stream, evenly, in constant memory.
+    """Every n-th item of a stream, in constant memory; n doubles when the memory is full.
 
     Examples
     --------
@@ -163,18 +163,18 @@ class Decimated(Generic[Item]):
     def __init__(self, most: int = MOST_READINGS) -> None:
         self._most = most
         self._step = 1
-        self._seen = 0
+        self._added = 0
         self._items: list[Item] = []
 
     def add(self, item: Item) -> None:
-        """Take the next one."""
-        if self._seen % self._step == 0:
+        """Add the next item."""
+        if self._added % self._step == 0:
             if len(self._items) == self._most:
                 self._items = self._items[::2]
                 self._step *= 2
-            if self._seen % self._step == 0:
+            if self._added % self._step == 0:
                 self._items.append(item)
-        self._seen += 1
+        self._added += 1
 
     def __iter__(self) -> Iterator[Item]:
         return iter(self._items)

@@ -1,14 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Known noise: specifications to simulate from, and the truth kept beside a simulated recording.
+"""Known noise: specifications for simulations, and the truth file of a simulated recording.
 
-A specification is YAML or JSON: a map from axes to terms, each a number in the datasheets' unit or
-``{value, unit}``. ``gyro`` or ``accel`` stands for its three axes, a single axis goes before it:
+A specification is YAML or JSON: a map from axes to terms, each a number in the unit of datasheets
+or ``{value, unit}``. ``gyro`` or ``accel`` sets its three axes; a single axis takes precedence:
 
     gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
     gyro_z: {N: 0.4}
 
-The truth of a recording is such a specification, in SI, under the key ``noise``.
+A truth file has such a specification, in SI, under the key ``noise``.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ from .files import write_atomic
 SCHEMA = 'allan_ros/truth/1'
 
 SUFFIX = '.truth.json'
-"""Beside the recording: ``name.mcap`` has its truth in ``name.mcap.truth.json``."""
+"""The truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
 
 AxesNoise = dict[str, NoiseTerms]
 
 
 def truth_path(recording: str | os.PathLike[str]) -> Path:
-    """Return where the truth of a recording stands."""
+    """Return the path of the truth file of a recording."""
     path = Path(recording)
     return path.with_name(path.name + SUFFIX)
 
 
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
-    """Return axis -> true terms of a specification or of the truth of a recording, in SI.
+    """Return axis -> true terms of a specification or truth file, in SI.
 
     Axes that are not named have no noise.
 
     Raises
     ------
     AllanError
-        Naming the place in the file that is wrong.
+        When the file is invalid; the message names the place.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'noise' in fields:
@@ -61,7 +61,7 @@ def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
 
 
 def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
-    """Return the noise with what a specification states in its place, in SI.
+    """Return the noise with the terms of a specification replaced, in SI.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def write_truth(
     seed: int,
     faults: Faults,
 ) -> Path:
-    """Write the truth beside a recording, whole or not at all, and return its path."""
+    """Write the truth file of a recording, atomically, and return its path."""
     changed = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
     document: dict[str, Any] = {
         'schema': SCHEMA,
