@@ -252,7 +252,7 @@ class ImuEstimate:
             self._curves[s.axes] = recent.curve()
             for change in recent.changes():
                 known = self._changes.get(change.axis)
-                if known is None or change.evidence > known.evidence:
+                if known is None or change.likelihood_ratio > known.likelihood_ratio:
                     self._changes[change.axis] = change
 
     def _new_recent(self) -> RecentView:

@@ -213,9 +213,9 @@ def likelihood(
     white: Floats = np.asarray(whitening @ values)
     amplitudes = np.zeros(0)
     if effects is not None and effects.shape[1]:
-        seen = whitening @ effects
-        amplitudes = np.asarray(np.linalg.lstsq(seen, white, rcond=None)[0])
-        white -= seen @ amplitudes
+        whitened = whitening @ effects
+        amplitudes = np.asarray(np.linalg.lstsq(whitened, white, rcond=None)[0])
+        white -= whitened @ amplitudes
     value = -2.0 * float(np.log(np.diag(factor)).sum()) - float(white @ white)
     return Likelihood(value, variances, whitening, white, amplitudes)
 

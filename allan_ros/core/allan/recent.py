@@ -64,7 +64,7 @@ class Change:
         95 % interval of after / before.
     since_s : float
         How long ago the last step was, in s.
-    evidence : float
+    likelihood_ratio : float
         Twice the log likelihood ratio of two levels against one, at the first step.
     """
 
@@ -75,7 +75,7 @@ class Change:
     after: float
     ratio_ci95: tuple[float, float]
     since_s: float
-    evidence: float
+    likelihood_ratio: float
 
     def beyond(self, margin: float) -> bool:
         """Return whether the complete interval of the ratio is beyond 1 by this fraction."""
@@ -178,10 +178,10 @@ class RecentView:
         counts, squares = (np.stack(a) for a in zip(*map(self._padded, snapshots)))
         nu = counts * dof
         scale = 2.0 * m[:, None].astype(float) ** 2
-        evidence = _two_levels(nu, squares)
-        best = evidence.argmax(axis=0)
+        likelihood_ratio = _two_levels(nu, squares)
+        best = likelihood_ratio.argmax(axis=0)
         found = []
-        for f, a in np.argwhere(evidence.max(axis=0) > LIKELIHOOD_RATIO):
+        for f, a in np.argwhere(likelihood_ratio.max(axis=0) > LIKELIHOOD_RATIO):
             first = int(best[f, a])
             last = first + _last_step(nu[first:, f, a], squares[first:, f, a])
             degrees = nu[-1, f, a] - nu[last, f, a], nu[first, f, a]
@@ -198,7 +198,7 @@ class RecentView:
                     math.sqrt(after),
                     (float(low), float(high)),
                     self._latest.time_s - snapshots[last].time_s,
-                    float(evidence[first, f, a]),
+                    float(likelihood_ratio[first, f, a]),
                 )
             )
         return found
@@ -253,19 +253,19 @@ def _two_levels(degrees: Floats, energy: Floats) -> Floats:
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     power = energy, energy[-1] - energy, energy[-1]
     with np.errstate(invalid='ignore', divide='ignore'):
-        before, after, whole = (n * np.log(p / n) for n, p in zip(nu, power))
+        before, after, both = (n * np.log(p / n) for n, p in zip(nu, power))
     enough = (nu[0] >= MIN_EDF) & (nu[1] >= MIN_EDF) & (power[0] > 0.0) & (power[1] > 0.0)
-    return np.where(enough, whole - before - after, -np.inf)
+    return np.where(enough, both - before - after, -np.inf)
 
 
 def _last_step(degrees: Floats, energy: Floats) -> int:
     """Return the snapshot since which the level did not change again; 0 if it never did."""
     last = 0
     while True:
-        evidence = _two_levels(degrees[last:] - degrees[last], energy[last:] - energy[last])
-        if evidence.max() <= LIKELIHOOD_RATIO:
+        likelihood_ratio = _two_levels(degrees[last:] - degrees[last], energy[last:] - energy[last])
+        if likelihood_ratio.max() <= LIKELIHOOD_RATIO:
             return last
-        last += int(evidence.argmax())
+        last += int(likelihood_ratio.argmax())
 
 
 def _ratio_limits(

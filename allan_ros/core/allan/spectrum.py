@@ -124,11 +124,11 @@ class RunningSpectrum:
             if level + 1 == LEVELS:
                 return
             odd = np.concatenate([self._odd[level], rows], axis=1)
-            whole = odd.shape[1] // DECIMATION * DECIMATION
-            self._odd[level] = odd[:, whole:].copy()
-            if not whole:
+            complete = odd.shape[1] // DECIMATION * DECIMATION
+            self._odd[level] = odd[:, complete:].copy()
+            if not complete:
                 return
-            rows = odd[:, :whole].reshape(len(odd), -1, DECIMATION).mean(axis=2)
+            rows = odd[:, :complete].reshape(len(odd), -1, DECIMATION).mean(axis=2)
 
     def end_segment(self) -> None:
         """End the segment: no block spans the next sample and earlier ones."""

@@ -5,7 +5,7 @@
 All tests take the means of the cells of a recording (`history.Recording`), and compare the
 likelihood of two models of them (Neyman & Pearson, 1933). Without an effect the means are those of
 white noise, bias instability and random walk about a constant and a ramp; with it a mean or a
-variance component is added. The three variances are fitted anew under each model by maximum
+variance component is added. The three variances are fitted again under each model by maximum
 likelihood on the contrasts that are free of the constant and the ramp (Patterson & Thompson,
 Biometrika 58, 1971). Twice the log likelihood ratio is summed over the axes of a sensor, because
 temperature acts on all of them.
@@ -115,7 +115,7 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
     return tuple(found)
 
 
-THRESHOLDS = {'warm_up': (17.5, 22.0, 26.0), 'early_drift': (16.5, 18.0, 20.0)}
+THRESHOLDS = {'warm_up': (19.0, 23.5, 27.5), 'early_drift': (18.0, 19.5, 21.5)}
 """Twice the log likelihood ratio that is significant: of one axis, one sensor, and all axes."""
 
 
@@ -236,8 +236,8 @@ def _invisible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> fl
     if effect.kind == 'linear':
         return effect.parameter
     last = means.end[-1]
-    age, seen = 0.0, math.inf
-    while age < last / 2.0 and seen >= INVISIBLE:
+    age, rest_effect = 0.0, math.inf
+    while age < last / 2.0 and rest_effect >= INVISIBLE:
         age = max(age * 1.1, age + 1.0)
         rest = means.since(age)
         if len(rest.begin) < 5:
@@ -248,9 +248,9 @@ def _invisible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> fl
             at = likelihood(shape[:, 0], model.units, fit.variances)
         except np.linalg.LinAlgError:
             break
-        seen = float(fit.amplitudes[0] ** 2 * (at.residual @ at.residual))
-    if seen >= INVISIBLE:
-        age += effect.parameter / 2.0 * math.log(max(seen, 1.0) + 1.0)
+        rest_effect = float(fit.amplitudes[0] ** 2 * (at.residual @ at.residual))
+    if rest_effect >= INVISIBLE:
+        age += effect.parameter / 2.0 * math.log(max(rest_effect, 1.0) + 1.0)
     return age
 
 
@@ -288,7 +288,7 @@ MOST_STEPS = 8
 FIRST_SCORE, NEXT_SCORE = 10.0, 8.0
 """Score statistic from which the first step and a further one are tried."""
 
-STEP_PRICE, STEPS_THRESHOLD = 8.0, 17.0
+STEP_PRICE, STEPS_THRESHOLD = 8.0, 22.0
 """Twice the log likelihood ratio that each step costs, and what must be left for a finding."""
 
 STEP_CELLS, STEP_STRETCHES = 512, 256
@@ -298,7 +298,7 @@ STEP_CELLS, STEP_STRETCHES = 512, 256
 def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     """Return the axes on which steps of the bias are more likely than a random walk alone.
 
-    Steps are added one by one where the score is largest, and the variances are fitted anew.
+    Steps are added one by one where the score is largest, and the variances are fitted again.
 
     Parameters
     ----------
@@ -377,15 +377,15 @@ def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> B
 def _step_scores(
     values: Floats, model: VarianceModel, variances: Floats, every: Floats, chosen: list[int]
 ) -> Floats:
-    """Return the score statistic of each step beside the chosen ones."""
+    """Return the score statistic of each step in addition to the chosen ones."""
     known = every[:, chosen] if chosen else None
     at = likelihood(values, model.units, variances, known)
-    seen = at.whitening @ every
+    whitened = at.whitening @ every
     if known is not None:
         basis, _ = np.linalg.qr(at.whitening @ known)
-        seen = seen - basis @ (basis.T @ seen)
-    sizes = (seen**2).sum(axis=0)
-    return np.asarray((seen.T @ at.residual) ** 2 / np.maximum(sizes, 1e-9 * sizes.max()))
+        whitened = whitened - basis @ (basis.T @ whitened)
+    sizes = (whitened**2).sum(axis=0)
+    return np.asarray((whitened.T @ at.residual) ** 2 / np.maximum(sizes, 1e-9 * sizes.max()))
 
 
 # --- the level of white noise ---------------------------------------------------------------------
@@ -457,8 +457,8 @@ def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelC
     found = []
     for axis in range(sum_sq.shape[2]):
         with np.errstate(divide='ignore', invalid='ignore'):
-            whole = sum_sq[:, :, axis].sum(axis=0) / (scale * count.sum(axis=0))
-        i = _white_level(whole, count.min(axis=0))
+            pooled = sum_sq[:, :, axis].sum(axis=0) / (scale * count.sum(axis=0))
+        i = _white_level(pooled, count.min(axis=0))
         if i is None:
             continue
         variance = sum_sq[:, i, axis] / (scale[i] * np.maximum(count[:, i], 1))

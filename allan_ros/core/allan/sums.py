@@ -97,7 +97,7 @@ variance, which a fit takes, stay within the range of normal numbers."""
 
 @dataclass(frozen=True, eq=False)
 class SegmentRecord:
-    """What is kept of one segment beside its part of the sums: the data to estimate its ramp.
+    """Data of one segment from which its ramp is estimated, in addition to its part of the sums.
 
     Attributes
     ----------
