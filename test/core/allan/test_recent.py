@@ -65,7 +65,8 @@ def test_a_disturbance_that_passed_is_no_change_any_more():
     play(lambda t: 1.0, view, 2, seed=1, running=running, start=100)
     certain = {}
     for change in view.changes():
-        if change.axis not in certain or change.likelihood_ratio > certain[change.axis].likelihood_ratio:
+        known = certain.get(change.axis)
+        if known is None or change.likelihood_ratio > known.likelihood_ratio:
             certain[change.axis] = change
     assert set(certain) == set(AXES)
     for change in certain.values():
