@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write what was measured as the file a filter reads.
+"""Write the measured noise as the file of a filter or simulator.
 
 The input is a results.json of `allan analyze` or `allan merge`, or its folder. Without -o or
---merge-into the file goes to the standard output. What a number in it is not, is said beside it
-and on stderr.
+--merge-into the file goes to the standard output. Warnings about its numbers are in its header and
+on stderr.
 
   allan export --list
   allan export results --to openvins -o kalibr_imu_chain.yaml
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--to', metavar='TARGET', default='', help='filter or tool the file is for; see --list'
     )
-    parser.add_argument('--list', action='store_true', help='tell the targets, one a line')
+    parser.add_argument('--list', action='store_true', help='list the targets, one per line')
     parser.add_argument(
         '-o', '--output', metavar='FILE', help='file to write (default: standard output)'
     )
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the results, make the file and put it where it belongs."""
+    """Read the results, and write or print the file."""
     console = Console.of(args)
     if args.list and console.json:
         console.document({'targets': TARGETS})

@@ -39,7 +39,7 @@ VERBS = {
     'merge': 'add the sums of several runs of one IMU and fit them together',
     'compare': 'compare runs, or runs with a datasheet: which differences are significant',
     'sensors': 'datasheets of IMUs: list them, or show one with its sources',
-    'export': 'write what was measured as the file a filter reads',
+    'export': 'write the measured noise as the file of a filter or simulator',
     'fit': 'fit an Allan curve that was made elsewhere, and check values published with it',
     'inflate': 'what running motors add to the noise of a robot at rest',
     'simulate': 'write a recording of an IMU whose noise is known',

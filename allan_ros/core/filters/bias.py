@@ -82,7 +82,7 @@ class BiasFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all means: the sensor was switched off, or another one took its place."""
+        """Drop all means, because the sensor was switched off or replaced."""
         self.count = 0
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
@@ -165,7 +165,8 @@ class AxisBias:
 class BiasTracker:
     """Keeps the bias of all axes of an IMU from its means at rest.
 
-    A changed model starts from the kept means. Time that goes back, as after a reset, starts anew.
+    A changed model starts from the stored means. If time goes back, as after a reset, all means are
+    dropped.
 
     Parameters
     ----------

@@ -152,8 +152,8 @@ class FilterParameter:
         As the node declares it.
     sensor : 'gyro' or 'accel'
     expression : Expression
-        In the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants. Beside
-        K, N and K are those of the reduction of the selected model.
+        In the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants. In an
+        expression with K, N and K are those of the reduction of the selected model.
     rule : str
         One of `RULES`; 'each' makes an array of three.
     limits : (low, high)
@@ -252,11 +252,11 @@ def propose(
         raise AllanError(f'{parameter.name}: the noise model has no {parameter.sensor}')
     used = sorted(parameter.expression.names & set(TERMS))
     ends = [_axis_ends(name, axes[name], used, Horizons.up_to(horizon)) for name in names]
-    spoken = {term: _by_rule([one[term] for one in ends], parameter.rule) for term in used}
+    levels = {term: _by_rule([one[term] for one in ends], parameter.rule) for term in used}
     known = {RATE: rate, **constants}
     count = len(names) if parameter.rule == 'each' else 1
     triples = [
-        _evaluate(parameter, {term: ends[i] for term, ends in spoken.items()}, known)
+        _evaluate(parameter, {term: ends[i] for term, ends in levels.items()}, known)
         for i in range(count)
     ]
     low_limit, high_limit = parameter.limits

@@ -46,9 +46,9 @@ class LineForm:
         return f'{value}'
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Refuse: the file is loaded or imported beside those of the user."""
+        """Refuse: the file is loaded or imported in addition to those of the user."""
         raise AllanError(
-            'this file is loaded beside your own ones and needs no merging: leave out --merge-into'
+            'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
         )
 
 

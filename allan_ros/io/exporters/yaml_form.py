@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files: written anew, or merged into the user's own with every other byte left as it was.
+"""YAML files: written as a whole, or merged into the user's own file.
 
-Merging changes the text itself at the places the parser names, so comments, order, quotes and
-tags of others (``!!opencv-matrix``) stay. What comes out is read again and must hold what went
-in, or nothing is written.
+Merging changes the text at the positions that the parser reports, so comments, order, quotes and
+foreign tags (``!!opencv-matrix``) stay. The result is parsed again and must hold the new values and
+all others unchanged, or nothing is written.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _BY_HAND = 'copy the numbers by hand from the file that is written without --mer
 
 
 class _NotYamlError(AllanError):
-    """What is to be a YAML file of keys is none."""
+    """The text is not a YAML file of keys."""
 
 
 class _Row(list[float]):
-    """Numbers that stand in one line."""
+    """Numbers that are written in one line."""
 
 
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
-    """Lists of numbers in one line, and sequences indented as OpenCV wants them."""
+    """Writes lists of numbers in one line, and indents sequences as OpenCV needs it."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -55,26 +55,26 @@ _Dumper.add_representer(
 
 @dataclass(frozen=True)
 class YamlForm:
-    """A YAML file; ``opencv`` for cv::FileStorage, which wants a first line of its own."""
+    """A YAML file; ``opencv`` for cv::FileStorage, which needs the first line %YAML:1.0."""
 
     opencv: bool = False
 
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return a file of these entries, its header in comments."""
+        """Return a file with these entries and the header in comments."""
         first = f'{_OPENCV_MARK}\n' if self.opencv else ''
         return first + ''.join(f'# {line}\n' for line in header) + _dumped(_tree(entries))
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's text with these entries in it and all else as it was.
+        """Return the user's text with these entries in it and all else unchanged.
 
-        A key is looked for at its path, else wherever it stands once. What is missing is added
-        beside its siblings.
+        A key is searched at its path, else anywhere if it occurs once. Missing keys are added to
+        the mapping of their siblings.
 
         Raises
         ------
         AllanError
-            When the text is not YAML, a key stands in several places, or a merge cannot be proved
-            to change nothing else.
+            When the text is not YAML, a key occurs in several places, or the merge would change
+            other values.
         """
         text = _OLD_BLOCK.sub('', existing.replace('\r\n', '\n'))
         start = _START.match(text)
@@ -125,7 +125,7 @@ def _dumped(tree: object) -> str:
 
 
 def _inline(value: Value) -> str:
-    """Return the value as it can stand behind a key, in one line."""
+    """Return the value as text after a key, in one line."""
     dumped: str = yaml.dump(
         value, Dumper=_Dumper, default_flow_style=True, width=10**6, allow_unicode=True
     )
@@ -149,7 +149,7 @@ def _composed(body: str) -> yaml.Node | None:
 def _with_entry(
     body: str, entry: Entry, siblings: Sequence[Entry]
 ) -> tuple[str, tuple[str, ...] | None]:
-    """Return the text with one entry in it, and its path there; None where it was left alone."""
+    """Return the text with one entry in it, and its path; None for an entry that was kept."""
     root = _composed(body)
     home, path = _home(root, entry, siblings)
     if home is None:
@@ -165,7 +165,7 @@ def _with_entry(
         raise AllanError(f'{entry.key} of the file holds keys where a number belongs: {_BY_HAND}')
     start, end = value.start_mark.index, _end(value)
     if start == end or (isinstance(value, yaml.CollectionNode) and not value.flow_style):
-        # Nothing there, or a block below: the new value goes right behind the colon.
+        # no value, or a block: the new value goes directly behind the colon
         start = body.index(':', key.end_mark.index) + 1
         return f'{body[:start]} {_inline(entry.value)}{body[max(start, end) :]}', place
     return body[:start] + _inline(entry.value) + body[end:], place
@@ -174,7 +174,7 @@ def _with_entry(
 def _home(
     root: yaml.Node | None, entry: Entry, siblings: Sequence[Entry]
 ) -> tuple[yaml.MappingNode | None, tuple[str, ...]]:
-    """Return the mapping an entry belongs into, with its path; None where it is yet to be made."""
+    """Return the mapping that an entry belongs to, with its path; None if it does not exist."""
     places = dict(_mappings(root))
     parent = entry.path[:-1]
     if parent in places and (parent or _item(places[parent], entry.key)):
@@ -204,13 +204,13 @@ def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | Non
 
 
 def _holds(node: yaml.MappingNode, key: str) -> bool:
-    """Tell whether a mapping has a value, not keys, under that name."""
+    """Return whether a mapping has a value, not a mapping, under that key."""
     found = _item(node, key)
     return found is not None and not isinstance(found[1], yaml.MappingNode)
 
 
 def _end(node: yaml.Node) -> int:
-    """Return where the text of a node ends; of a block, where its last item does."""
+    """Return the index where the text of a node ends; for a block, of its last item."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
@@ -219,7 +219,7 @@ def _end(node: yaml.Node) -> int:
 
 
 def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
-    """Return the text with a line more at the end of a mapping."""
+    """Return the text with a line added at the end of a mapping."""
     if home.flow_style or not home.value:
         at = home.end_mark.index - 1
         return f'{body[:at]}{", " if home.value else ""}{line}{body[at:]}'
@@ -234,7 +234,7 @@ def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
 
 
 def _added(body: str, root: yaml.Node | None, entry: Entry) -> str:
-    """Return the text with the entry and the mappings it needs, below those that are there."""
+    """Return the text with the entry and the mappings it needs, after the existing ones."""
     places = dict(_mappings(root))
     depth = next((n for n in range(len(entry.path) - 1, -1, -1) if entry.path[:n] in places), None)
     if depth is None:
@@ -272,7 +272,7 @@ def _prove(
     after: dict[tuple[str, ...], str],
     wanted: dict[tuple[str, ...], Value],
 ) -> None:
-    """Refuse a text that does not hold the new values, or changed any other."""
+    """Check that the text holds the new values and all others unchanged."""
     expected = {
         place: text
         for place, text in before.items()

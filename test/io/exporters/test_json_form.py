@@ -52,9 +52,9 @@ def test_what_is_no_measurement_is_left_alone() -> None:
     ('mine', 'said'),
     [
         ('', 'not JSON'),
-        ('{"value0": NaN}', 'NaN is no JSON number'),
-        ('[1]', 'no JSON object'),
-        ('{"value0": 1}', 'value0 of the file to merge into is no JSON object'),
+        ('{"value0": NaN}', 'NaN is not a JSON number'),
+        ('[1]', 'not a JSON object'),
+        ('{"value0": 1}', 'value0 of the file to merge into is not a JSON object'),
         ('[' * 100_000, 'not JSON'),
     ],
 )
