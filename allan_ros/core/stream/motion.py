@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .health import Counts
-from .noise_floor import MAD_TO_SIGMA, NoiseFloor, RestLimits, Windows
+from .noise_floor import LEAST_WINDOW, NoiseFloor, RestLimits, Windows
+from .spikes import SPIKE_NEIGHBORS, without_spikes
 from .timing import Block
 
 Floats = NDArray[np.float64]
@@ -35,8 +36,8 @@ Flags = NDArray[np.bool_]
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short against a motion."""
 
-LEAST_WINDOW, MOST_WINDOW = 16, 1024
-"""Shortest and longest window in samples; fewer samples give no useful variance."""
+MOST_WINDOW = 1024
+"""Longest window in samples."""
 
 BLOCK_WINDOWS = 32
 """Windows that the floor is learned from, and after which it is updated."""
@@ -55,14 +56,6 @@ KNOCK_SIGMAS = 20.0
 
 STEP_SIGMAS = 8.0
 """Means of neighboring windows this many of their own deviations apart are a motion."""
-
-SPIKE_SIGMAS = 7.0
-"""A sample this many floor deviations from the mean of its window is a spike if it is isolated:
-1e-10 of the samples of white noise, whose variance changes by less than 1e-8."""
-
-SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""The samples next to a spike, and all but one of so many before and after it, must be closer to
-the mean than this fraction of its least height: a knock rings, a spike does not."""
 
 LOUDER_BLOCKS = 2
 """Blocks of noise in a row, about 30 s, before it counts as louder noise instead of motion."""
@@ -260,59 +253,12 @@ class MotionGate:
         return out
 
     def _without_spikes(self, block: Block, size: int, after: Floats) -> tuple[Block, Windows]:
-        """Replace isolated spikes by the mean of their neighbors; return also the windows.
-
-        Parameters
-        ----------
-        block : Block
-            Complete windows of ``size`` samples.
-        after : (axes, up to `SPIKE_NEIGHBORS`) array
-            The samples that follow.
-        """
-        floor, rows = self._floor, block.rows
-        assert floor is not None
-        windows = Windows.of(rows, size)
-        before = self._before
-        self._before = rows[:, -SPIKE_NEIGHBORS:].copy()
-        least = SPIKE_SIGMAS * np.sqrt(floor.scale)
-        flagged = (windows.peak > least[:, None]) & (least > 0.0)[:, None]
-        if not flagged.any() or size < LEAST_WINDOW:
-            return block, windows
-        axes, at = np.nonzero(flagged)
-        cube = rows.reshape(len(rows), -1, size)[axes, at]
-        level = np.median(cube, axis=1)
-        sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-        # where the noise itself became louder, by more than the estimate scatters
-        louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * least[axes]
-        height = np.where(louder, SPIKE_SIGMAS * sigma, least[axes])
-        far = np.abs(cube - level[:, None]) > height[:, None]
-        few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more are a motion
-        around = np.concatenate([before, rows, after], axis=1)
-        changed = np.zeros(windows.mean.shape[1], bool)
-        new = rows.copy()  # what the windows are judged by
-        filled = np.zeros(rows.shape, bool) if block.filled is None else block.filled.copy()
-        for n, k in zip(*np.nonzero(far & few[:, None])):
-            axis, i = axes[n], at[n] * size + k
-            x, j = around[axis], i + before.shape[1]
-            near = np.abs(x[max(0, j - SPIKE_NEIGHBORS) : j + SPIKE_NEIGHBORS + 1] - level[n])
-            beside = np.abs(x[max(0, j - 1) : j + 2] - level[n]) > NEIGHBOR_RATIO * height[n]
-            most = np.count_nonzero(near > NEIGHBOR_RATIO * height[n])
-            isolated = np.count_nonzero(beside) == 1 and most <= 2
-            if isolated and 0 < j < len(x) - 1:
-                new[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
-                changed[at[n]] = True
-                if not floor.heavy[axis]:
-                    filled[axis, i] = True
-                    self._counts.spikes += 1
-        if not changed.any():
-            return block, windows
-        again = Windows.of(new.reshape(len(new), -1, size)[:, changed].reshape(len(new), -1), size)
-        for now, then in ((windows.mean, again.mean), (windows.variance, again.variance)):
-            now[:, changed] = then
-        windows.peak[:, changed] = again.peak
-        if floor.heavy.any():
-            new[floor.heavy] = rows[floor.heavy]  # these values are noise: they stay
-        return Block(block.stamps, new, block.cut, filled), windows
+        """Replace the isolated spikes of complete windows; return also the windows."""
+        assert self._floor is not None
+        before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
+        block, windows, spikes = without_spikes(block, size, before, after, self._floor)
+        self._counts.spikes += spikes
+        return block, windows
 
     # --- still or moving --------------------------------------------------------------------------
 

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+LEAST_WINDOW = 16
+"""Shortest window in samples; fewer samples give no useful variance."""
+
 QUANTILE = 0.25
 """The floor is this quantile of the windows' variances: three quarters of them may be motion."""
 
