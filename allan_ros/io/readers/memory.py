@@ -14,7 +14,7 @@ from ...core.errors import AllanError
 from ...core.fields import MAX_INTEGER
 from ...core.findings import Finding
 from ...core.imu import AXES, SENSORS, ImuBatch, sensor_of
-from .recording import ACCEL_UNITS, BATCH, GYRO_UNITS, Recording, SourceInfo
+from .recording import ACCEL_UNITS, BATCH, GYRO_UNITS, ReadOptions, Recording, SourceInfo
 from .table_columns import axis_of_column, time_of_column
 
 NAME = 'array'
@@ -73,10 +73,16 @@ def recording_in_memory(
         stamps = np.rint(np.arange(n) * (NS / rate)).astype(np.int64)
     if stamps is None:
         raise AllanError('the samples have no times: give their rate in Hz, such as rate=200')
-    return _recording(ImuBatch(stamps, rows))
+    named = {sensor_of(axis): unit for axis, unit in units_of.items() if unit}
+    options = ReadOptions(
+        rate_hz=rate,
+        gyro_unit=named.get('gyro', gyro_unit),
+        accel_unit=named.get('accel', accel_unit),
+    )
+    return _recording(ImuBatch(stamps, rows), options)
 
 
-def _recording(batch: ImuBatch) -> Recording:
+def _recording(batch: ImuBatch, options: ReadOptions = ReadOptions()) -> Recording:
     def read(_report: object) -> Iterator[ImuBatch]:
         for first in range(0, len(batch), BATCH):
             yield batch[first : first + BATCH]
@@ -85,7 +91,8 @@ def _recording(batch: ImuBatch) -> Recording:
         raise AllanError('some times are beyond a hundred years from 1970: check their unit')
     if not len(batch):
         raise AllanError('there are no samples: give an array with at least some thousand rows')
-    return Recording(SourceInfo(NAME, '', 'array', 'memory'), len(batch), read)
+    info = SourceInfo(NAME, '', 'array', 'memory')
+    return Recording(info, len(batch), read, options=options)
 
 
 def without_absent(findings: Sequence[Finding]) -> tuple[Finding, ...]:
