@@ -203,7 +203,10 @@ def run_target(
                 raise BrokenRule(watch.seen[0])
             tally.inputs += 1
             tally.valid += valid
-            tally.slowest_s = max(tally.slowest_s, clock() - began)
+            took_s = clock() - began
+            tally.slowest_s = max(tally.slowest_s, took_s)
+            if took_s > INPUT_SECONDS and not target.forks:
+                raise BrokenRule('takes too long')  # where the alarm was caught on its way
 
     warm: int | None = None
     while warm is None or time.monotonic() < ends:

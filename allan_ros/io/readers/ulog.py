@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ TOPICS = ('sensor_combined', 'vehicle_imu')
 
 MAX_BYTES = 4 * 2**30
 """Largest log that is read: the parser keeps the data of the topics in memory."""
+
+MAX_SEEKS = 50_000
+"""Damaged bytes after which the rest of a log is not read, which take about a second."""
 
 INVALID = 0x7FFFFFFF
 """accelerometer_timestamp_relative of a sample without an accelerometer."""
@@ -100,9 +103,31 @@ def _parsed(path: Path) -> Any:
         if os.fstat(file.fileno()).st_size > MAX_BYTES:
             raise AllanError(f'{path}: is larger than {MAX_BYTES} bytes: split the log')
         try:
-            return core.ULog(file, list(TOPICS))
+            return core.ULog(_Limited(file), list(TOPICS))
         except Exception as error:  # the parser raises whatever the damage leads to
             raise damaged(path, error, REMEDY) from error
+
+
+class _Limited:
+    """A file that ends after `MAX_SEEKS`.
+
+    In a damaged part of a log the parser goes back and continues one byte further on, each time.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._seeks = 0
+        self.tell = file.tell
+        self.close = file.close
+
+    def read(self, size: int = -1) -> bytes:
+        """Return the next bytes; none after too many seeks."""
+        return self._file.read(size) if self._seeks <= MAX_SEEKS else b''
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Seek, and count."""
+        self._seeks += 1
+        return self._file.seek(offset, whence)
 
 
 def _label(data: Any, log: Any) -> str:

@@ -117,6 +117,17 @@ def test_damaged_logs_are_refused_or_read(tmp_path: Path, outcome: Any) -> None:
         assert '\n' not in said
 
 
+def test_a_long_damaged_part_ends_reading(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'a.ulg'
+    good = log([(COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(30)])])
+    with path.open('wb') as file:
+        file.write(good)
+        file.truncate(1 << 30)
+    back = read(path)
+    assert len(back.stamps_ns) == 30
+    assert [finding.id for finding in back.findings] == ['log_damaged']
+
+
 @pytest.mark.parametrize(
     'name, samples, rate', [('sample', 17070, 250.0), ('sample_log_small', 1298, 204.6)]
 )
