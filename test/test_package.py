@@ -82,9 +82,9 @@ def test_every_console_script_is_there() -> None:
     setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
     scripts = re.findall(r"f'(allan\w*) = \{PACKAGE\}\.([\w.]+):(\w+)'", setup)
     assert 'allan' in [name for name, _, _ in scripts]
-    for _, module, function in scripts:
+    for _, module, name in scripts:
         source = ROOT / 'allan_ros' / (module.replace('.', '/') + '.py')
-        assert f'def {function}(' in source.read_text(encoding='utf-8')
+        assert re.search(rf'^(def|class) {name}\(', source.read_text(encoding='utf-8'), re.M)
 
 
 def test_every_licence_that_is_named_is_there_and_every_configuration_is_installed() -> None:

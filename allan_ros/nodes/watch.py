@@ -239,9 +239,7 @@ class Display(Protocol):
         """Show the rows, or the hint where there are none."""
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Show the final state, and stop serving the page."""
-        if self._page is not None:
-            self._page.close()
+        """Show the final state."""
 
 
 class Watch(Node):
@@ -275,8 +273,10 @@ class Watch(Node):
         return max(EXIT_LEVEL[row.level] for row in rows) if self._options.check else 0
 
     def close(self) -> None:
-        """Show the final state."""
+        """Show the final state, and stop serving the page."""
         self._display.end(self._rows(), self._hint())
+        if self._page is not None:
+            self._page.close()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
