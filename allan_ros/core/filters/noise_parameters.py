@@ -13,7 +13,7 @@ the filter multiplies  write           by
 =====================  ==============  =======================================================
 N by sqrt(f) itself    N, K            nothing: it takes continuous densities
 a std by 1/f           N sqrt(f)       `white_std`
-a bias std by 1/f      K sqrt(f)       `walk_rate_std`
+a bias std by 1/f      K sqrt(f)       `white_std` of K
 a variance by 1/f^2    N^2 f, K^2 f    the squares of these
 =====================  ==============  =======================================================
 
@@ -288,8 +288,15 @@ def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> 
 def white_std(density: float, rate: float) -> float:
     """Return N sqrt(f), the standard deviation of one sample of white noise of density N.
 
-    ``density`` is in unit/sqrt(Hz), ``rate`` in Hz, the result in the unit. A step of 1/f with it
-    adds (N sqrt(f) / f)^2 = N^2/f to the variance of the integral.
+    A step of 1/f with it adds (N sqrt(f) / f)^2 = N^2/f to the variance of the integral. The same
+    holds for K and the rate of the bias.
+
+    Parameters
+    ----------
+    density : float
+        N or K.
+    rate : float
+        f in Hz.
     """
     return density * math.sqrt(rate)
 
@@ -301,15 +308,6 @@ def midpoint_white_std(density: float, rate: float) -> float:
     needs s = N sqrt(2 f).
     """
     return density * math.sqrt(2.0 * rate)
-
-
-def walk_rate_std(density: float, rate: float) -> float:
-    """Return K sqrt(f), the standard deviation of a bias rate that is held for 1/f seconds.
-
-    ``density`` is in unit/s/sqrt(Hz), ``rate`` in Hz, the result in unit/s. A step of 1/f with it
-    adds (K sqrt(f) / f)^2 = K^2/f to the variance of the bias.
-    """
-    return density * math.sqrt(rate)
 
 
 def madgwick_gain(model: ProcessModel, horizon: float) -> float:

@@ -16,8 +16,10 @@ from ...core.filters.noise_parameters import (
     Level,
     SensorLevel,
     axis_level,
+    midpoint_white_std,
     reduce_axis,
     sensor_level,
+    white_std,
 )
 from ...core.filters.reductions import Horizons, States, closest_process, common_correlation_time
 from ...core.findings import Finding, finding
@@ -52,9 +54,8 @@ class Quantity(NamedTuple):
 
 QUANTITIES = {
     'density': Quantity('', '{density}', lambda value, rate: value),
-    'std': Quantity('{term} sqrt(f)', '{std}', lambda value, rate: value * math.sqrt(rate)),
-    # a midpoint rule halves two samples and counts them as independent
-    'midpoint': Quantity('N sqrt(2 f)', '{std}', lambda v, rate: v * math.sqrt(2.0 * rate)),
+    'std': Quantity('{term} sqrt(f)', '{std}', white_std),
+    'midpoint': Quantity('N sqrt(2 f)', '{std}', midpoint_white_std),
     'variance': Quantity('{term}^2 f', '({std})^2', lambda value, rate: value**2 * rate),
     'step_variance': Quantity('{term}^2 / f', '({bias})^2', lambda value, rate: value**2 / rate),
     'covariance': Quantity('{term}^2', '({density})^2', lambda value, rate: value**2),

@@ -24,7 +24,6 @@ from allan_ros.core.filters.noise_parameters import (
     reduce_axis,
     reduced_ends,
     sensor_level,
-    walk_rate_std,
     white_std,
     white_variances,
 )
@@ -51,7 +50,7 @@ def test_steps_of_white_noise_add_up_to_n_squared_t(n: float, rate: float) -> No
 @given(k=levels, rate=rates)
 def test_steps_of_a_walk_add_up_to_k_squared_t(k: float, rate: float) -> None:
     steps, dt = SECONDS * rate, 1.0 / rate
-    assert steps * (dt * walk_rate_std(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
+    assert steps * (dt * white_std(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
 
 
 def test_a_simulated_sample_has_the_std_that_is_written() -> None:
@@ -64,7 +63,7 @@ def test_a_simulated_sample_has_the_std_that_is_written() -> None:
 def test_a_simulated_walk_has_the_rate_that_is_written() -> None:
     rate, k = 200.0, 1e-3
     bias = simulate_axis(400_000, 1.0 / rate, NoiseTerms(K=k), np.random.default_rng(4))
-    assert (np.diff(bias) * rate).std() == pytest.approx(walk_rate_std(k, rate), rel=0.005)
+    assert (np.diff(bias) * rate).std() == pytest.approx(white_std(k, rate), rel=0.005)
 
 
 def test_madgwicks_gain_is_the_allan_deviation_at_the_horizon() -> None:
