@@ -8,16 +8,15 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import rcParams
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ..core.errors import AllanError
 from ..core.settings import check, parameter
+
+if TYPE_CHECKING:  # takes 0.3 s to import, and most commands draw nothing
+    from matplotlib.axes import Axes
 
 FORMATS = ('png', 'svg', 'pdf')
 """What a picture may be written as."""
@@ -162,6 +161,10 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
     The fine grid is drawn as one piece: ticks of it would cost more time than all the rest of the
     picture.
     """
+    from matplotlib import rcParams
+    from matplotlib.collections import LineCollection
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     panel.set_xscale('log')
     panel.set_yscale('log', nonpositive='mask')
     panel.set_xlim(*across)
