@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME',
-        help='a datasheet besides, as sensor:NAME; `allan sensors` lists them',
+        help='also a datasheet, as sensor:NAME; `allan sensors` lists them',
     )
     parser.add_argument(
         '--margin',
@@ -175,10 +175,10 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
             f'so in at most {comparison.family_error:.0%} of comparisons',
             columns,
         )
-    for label, beside in comparison.beside:
+    for label, checked in comparison.beside:
         yield ''
         yield f'{label}'
-        yield from datasheet_lines(beside, units, columns)
+        yield from datasheet_lines(checked, units, columns)
 
 
 def _labels(comparison: RunComparison, sensor: str, units: str) -> list[str]:

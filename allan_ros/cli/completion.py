@@ -13,7 +13,7 @@ from typing import Any
 from ..core.errors import AllanError
 
 RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy')
-"""Suffixes of what `analyze` reads, besides folders."""
+"""Suffixes of the files that `analyze` reads."""
 
 DOCUMENTS = ('.json',)
 """Suffix of what `merge` and `export` read."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How every verb speaks: its result to stdout, all else to stderr, and as much as was asked for."""
+"""Output of all verbs: results to stdout, everything else to stderr, as much as asked for."""
 
 from __future__ import annotations
 
@@ -132,26 +132,26 @@ def add_console_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         '--json',
         action='store_true',
-        help='one JSON document on stdout and nothing else; all that is said goes to stderr',
+        help='one JSON document on stdout and nothing else; messages go to stderr',
     )
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
         '-q',
         '--quiet',
         action='store_true',
-        help='say nothing but errors; the result is printed only where it goes to no file',
+        help='print errors only; the result is printed only if it is not written to files',
     )
     loudness.add_argument(
         '-v',
         '--verbose',
         action='store_true',
-        help='tell the settings used, what was read and how long each step took, on stderr',
+        help='print every finding with its remedy, and on stderr settings, inputs and times',
     )
 
 
 @dataclass(frozen=True)
 class Console:
-    """What a verb says and where, by the options of `add_console_options`."""
+    """What a verb prints and where, by the options of `add_console_options`."""
 
     verb: str = ''
     json: bool = False
@@ -168,7 +168,7 @@ class Console:
         print(json.dumps(document, indent=1, allow_nan=False))
 
     def say(self, text: str) -> None:
-        """Tell something beside the result."""
+        """Print a message to stderr."""
         if not self.quiet:
             print(one_line(f'allan {self.verb}: {text}'), file=sys.stderr)
 
@@ -178,7 +178,7 @@ class Console:
             self.say(text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
-        """Tell findings beside a result that does not show them itself."""
+        """Print findings to stderr, for a result that does not show them itself."""
         for finding in () if self.quiet else grouped(findings):
             print(*finding_lines(finding, width(), coloured(sys.stderr)), sep='\n', file=sys.stderr)
 
@@ -200,7 +200,7 @@ def width() -> int:
 
 
 def coloured(stream: TextIO) -> bool:
-    """Tell whether to write colours: on a terminal, unless the environment says otherwise.
+    """Return whether to write colours: on a terminal, unless the environment says otherwise.
 
     ``NO_COLOR`` forbids and ``FORCE_COLOR`` demands them where they are not empty, as
     no-color.org and force-color.org have it.

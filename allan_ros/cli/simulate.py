@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write a recording of an IMU whose noise is known, and its truth beside it.
+"""Write a recording of an IMU with known noise, and a file of the true values next to it.
 
 The five noises are exact in level. Say them by a preset, a datasheet or a file, and change single
 ones with --gyro, --accel, --gyro-x ..., in datasheet units:

@@ -136,7 +136,7 @@ def duration_text(seconds: float) -> str:
 
 
 def region_text(region: Region) -> str:
-    """Return which noise rules where, and the slope of the curve there."""
+    """Return which noise dominates in which range, and the slope of the curve there."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}-{high} s {region.term} (slope {region.slope:+.2f})'
 

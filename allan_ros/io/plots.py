@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture to trust the numbers by: Allan deviation, fit and its parts beside the signal."""
+"""Figures of a sensor: Allan deviation, selected model and its parts, with the raw signal."""
 
 from __future__ import annotations
 
@@ -59,37 +59,37 @@ CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
 
 
 ABOVE_SIGNAL = 1.15
-"""Room about the evidence, over its largest value; a knock that was left out may leave it."""
+"""Room around the used samples, over the largest; a knock that was left out may exceed it."""
 
 
 STEPS = (1, 2, 5, 10)
 """Of ticks: numbers that are easy to count in."""
 
 
-def clock(outline: SignalSummary) -> tuple[float, str]:
+def clock(summary: SignalSummary) -> tuple[float, str]:
     """Return the seconds in the unit of time that suits a recording, and its name."""
-    length = float(outline.time_s[-1])
+    length = float(summary.time_s[-1])
     return next((scale, name) for least, scale, name in CLOCKS if length >= least)
 
 
-def draw_signal(panel: Axes, axis: str, outline: SignalSummary, units: str) -> None:
-    """Draw the outline of the signal about its middle, and mark what is no evidence."""
+def draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> None:
+    """Draw the signal about its middle, and mark the samples that are not used."""
     unit, column = shown_signal_unit(axis, units), AXES.index(axis)
-    middle = outline.middle[column]
-    low, high = ((a[:, column] - middle) * unit.factor for a in (outline.low, outline.high))
-    scale, _ = clock(outline)
+    middle = summary.middle[column]
+    low, high = ((a[:, column] - middle) * unit.factor for a in (summary.low, summary.high))
+    scale, _ = clock(summary)
     panel.fill_between(
-        *(outline.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
+        *(summary.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
     )
-    for start, end in outline.gaps:
+    for start, end in summary.gaps:
         panel.axvspan(start / scale, end / scale, fc=rcParams['grid.color'], lw=0)
-    for start, end, why in outline.left_out:
+    for start, end, why in summary.left_out:
         span, hatch = (start / scale, end / scale), HATCHES[why == 'motion']
         panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=VEIL, lw=0)
         panel.axvspan(*span, fc='none', ec=rcParams['text.color'], hatch=2 * hatch, lw=0)
-    for start in outline.starts[1:]:
+    for start in summary.starts[1:]:
         panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
-    reach = ABOVE_SIGNAL * unit.factor * float(outline.reach[column])
+    reach = ABOVE_SIGNAL * unit.factor * float(summary.reach[column])
     panel.set_ylim(-reach, reach)
     panel.set_title(
         f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
@@ -131,7 +131,7 @@ PNG_DPI = 200
 def sensor_figure(
     results: Results,
     sensor: str,
-    outline: SignalSummary | None = None,
+    summary: SignalSummary | None = None,
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
@@ -141,7 +141,7 @@ def sensor_figure(
     ----------
     results : Results
     sensor : 'gyro' or 'accel'
-    outline : SignalSummary or None
+    summary : SignalSummary or None
         The raw signal; without it, or on a narrow picture, the curves stand alone.
     units : 'datasheet' or 'si'
     style : mapping
@@ -156,13 +156,13 @@ def sensor_figure(
         height = HEAD_IN + FOOT_IN + row * len(axes)
         figure = Figure(figsize=(width, height))
         wide = width >= NARROW_IN
-        panels = _panels(figure, len(axes), wide, wide and outline is not None)
+        panels = _panels(figure, len(axes), wide, wide and summary is not None)
         for of_axis, axis in zip(panels, axes):
             _draw_curve(of_axis[0], axis, results.axes[axis], units, wide)
-            if len(of_axis) > 1 and outline is not None:
-                draw_signal(of_axis[1], axis, outline, units)
+            if len(of_axis) > 1 and summary is not None:
+                draw_signal(of_axis[1], axis, summary, units)
         panels[-1][0].set_xlabel('averaging time τ [s]')
-        drawn = outline if panels.shape[1] > 1 else None
+        drawn = summary if panels.shape[1] > 1 else None
         if drawn is not None:
             panels[-1][1].set_xlabel(f'time [{clock(drawn)[1]}]')
         _head(figure, results, sensor, wide, drawn)
@@ -248,7 +248,7 @@ def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray
 
 
 def _head(
-    figure: Figure, results: Results, sensor: str, wide: bool, outline: SignalSummary | None
+    figure: Figure, results: Results, sensor: str, wide: bool, summary: SignalSummary | None
 ) -> None:
     """Write what is shown, and the legend that all panels share."""
     width, height = figure.get_size_inches()
@@ -257,8 +257,8 @@ def _head(
         f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
         f'{results.duration_s / 3600.0:.3g} h'
     )
-    if outline is not None and outline.left_out:
-        moved = {out.why == 'motion' for out in outline.left_out}
+    if summary is not None and summary.left_out:
+        moved = {out.why == 'motion' for out in summary.left_out}
         said = {True: f'{HATCHES[True]} it moved', False: f'{HATCHES[False]} left out otherwise'}
         facts += f'; hatched: {", ".join(said[why] for why in (True, False) if why in moved)}'
     left, top = LEFT_IN / width, 1.0 - 0.09 / height

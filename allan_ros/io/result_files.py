@@ -89,12 +89,12 @@ def write_result_files(
     style = load_style(pictures.plot_style)
     filters, results = _filter_files(results, targets)
     known = results.provenance
-    outline = summarize_signal(
+    summary = summarize_signal(
         recorded.signals, known.spans, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:
-        figure = sensor_figure(results, sensor, outline, units, style)
+        figure = sensor_figure(results, sensor, summary, units, style)
         if figure is None:
             continue
         for form in pictures.plot_format:
@@ -107,7 +107,7 @@ def write_result_files(
     )
     others = [*filters, *contents, RESULTS, SUMS]
     context = ReportContext(
-        outline,
+        summary,
         [density for density in densities if density is not None],
         former or {},
         margin,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw signal of all recordings on one axis of time, which of it is no evidence, and why."""
+"""The raw signal of all recordings on one axis of time, which samples are not used, and why."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ REASONS = ('motion', 'stuck')
 
 
 class LeftOut(NamedTuple):
-    """Samples that are no evidence, from ``start`` to ``end`` in s.
+    """Samples that are not used, from ``start`` to ``end`` in s.
 
     ``why`` is 'motion', 'stuck', or '' (warm-up, another rate, or several reasons).
     """
@@ -51,7 +51,7 @@ class SignalTemperature:
     source : str
         Topic or column; several, where recordings differ.
     time_s, celsius : (n,) float64 arrays
-        Times as in the outline; NaN parts recordings.
+        Times as in the summary; NaN separates recordings.
     """
 
     source: str
@@ -69,7 +69,7 @@ class SignalSummary:
         Start of each span since the first sample of the first recording, recordings joined.
     low, high : (bins, 6) float64 arrays
         Lowest and highest sample, SI; NaN where a recording begins, and where a sensor is absent.
-    evidence : (bins,) bool array
+    used : (bins,) bool array
         The span holds nothing that is left out.
     middle : (6,) float64 array
         Median of the signal.
@@ -78,28 +78,28 @@ class SignalSummary:
         In s: times without samples.
     starts : tuple of float
         Where each recording begins, in s.
-    warmth : Warmth or None
+    temperature : Warmth or None
         Temperature, where a recording holds it.
     """
 
     time_s: Floats
     low: Floats
     high: Floats
-    evidence: NDArray[np.bool_]
+    used: NDArray[np.bool_]
     middle: Floats
     left_out: tuple[LeftOut, ...]
     gaps: tuple[tuple[float, float], ...]
     starts: tuple[float, ...]
-    warmth: SignalTemperature | None = None
+    temperature: SignalTemperature | None = None
 
     @property
     def reach(self) -> Floats:
-        """Largest distance of the evidence from its middle, (6,), SI; 1 where nothing is there.
+        """Largest distance of used samples from their middle, (6,), SI; 1 where there are none.
 
         A knock that was left out does not count: it may leave the picture.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
-        for rows in (sizes[self.evidence], sizes):
+        for rows in (sizes[self.used], sizes):
             largest = np.fmax.reduce(rows, axis=0, initial=0.0)
             if largest.any():
                 return np.where(largest > 0.0, largest, 1.0)
@@ -113,18 +113,18 @@ def summarize_signal(
     cuts: Mapping[str, int] | None = None,
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the outline of the signals, or None when none has two spans.
+    """Return the summary of the signals, or None if none has two bins.
 
     Parameters
     ----------
     signals : sequence of SignalEnvelope
         One a recording.
     spans : sequence of Span
-        The segments that count as evidence.
+        The segments of static data.
     bins : int
         About how many spans are wanted of all.
     cuts : mapping of str to int
-        How often the evidence was cut for what: it tells what ended the last segment.
+        How often a segment ended for which reason: it tells what ended the last one.
     temperatures : sequence of TemperatureTrace or None
         One a signal; empty for none.
     """
@@ -135,7 +135,7 @@ def summarize_signal(
     times: list[Floats] = []
     lows: list[Floats] = []
     highs: list[Floats] = []
-    evidence: list[NDArray[np.bool_]] = []
+    used: list[NDArray[np.bool_]] = []
     left_out: list[LeftOut] = []
     gaps: list[tuple[float, float]] = []
     starts: list[float] = []
@@ -155,9 +155,9 @@ def summarize_signal(
             for out in outside
             if out.why or out.end - out.start > least
         ]
-        evidence.append(_untouched(time, length, outside))
+        used.append(_untouched(time, length, outside))
         if trace is not None:
-            warm += _warmth(trace, int(signal.start_ns[0]), length, offset)
+            warm += _temperatures(trace, int(signal.start_ns[0]), length, offset)
         starts.append(offset)
         if times:
             low[0] = high[0] = np.nan  # no line from the recording before
@@ -173,7 +173,7 @@ def summarize_signal(
         np.concatenate(times),
         low,
         high,
-        np.concatenate(evidence),
+        np.concatenate(used),
         middle,
         tuple(left_out),
         tuple(gaps),
@@ -209,10 +209,10 @@ def _untouched(time: Floats, length: float, outside: Sequence[LeftOut]) -> NDArr
     return untouched
 
 
-def _warmth(
+def _temperatures(
     trace: TemperatureTrace, first_ns: int, length: float, offset: float
 ) -> Iterator[SignalTemperature]:
-    """Yield the readings taken during one recording, by whichever of their times says so."""
+    """Yield the readings taken during one recording, by the first of its clocks that fits."""
     for stamps in (trace.header_ns, trace.record_ns):
         time = np.asarray((stamps - first_ns) * 1e-9, float)
         inside = (time >= 0.0) & (time <= length)

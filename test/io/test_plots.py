@@ -25,7 +25,7 @@ from allan_ros.io.signal_summary import SignalSummary, summarize_signal
 DEG_PER_HOUR = math.pi / 180.0 / 3600.0
 
 
-def an_outline(recordings: int = 1) -> SignalSummary | None:
+def a_summary(recordings: int = 1) -> SignalSummary | None:
     envelope = SignalEnvelope()
     samples = np.random.default_rng(1).normal(size=(500, 6))
     envelope.update(ImuBatch(np.arange(500, dtype=np.int64) * 20_000_000, samples))
@@ -33,7 +33,7 @@ def an_outline(recordings: int = 1) -> SignalSummary | None:
 
 
 def test_a_row_an_axis_and_the_signal_beside_it(small_results: Results) -> None:
-    figure = sensor_figure(small_results, 'gyro', an_outline(2))
+    figure = sensor_figure(small_results, 'gyro', a_summary(2))
     assert len(figure.axes) == 6
     assert to_png(figure).startswith(b'\x89PNG')
     assert len(sensor_figure(small_results, 'accel').axes) == 3
@@ -69,7 +69,7 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
     axis = small_results.axes['gyro_x']
     zero = np.zeros(len(axis.curve.m))
     flat = replace(axis, curve=replace(axis.curve, adev=zero, ci_low=zero, ci_high=zero))
-    figure = sensor_figure(replace(small_results, axes={'gyro_x': flat}), 'gyro', an_outline())
+    figure = sensor_figure(replace(small_results, axes={'gyro_x': flat}), 'gyro', a_summary())
     assert to_png(figure)
 
 
@@ -79,7 +79,7 @@ def test_plots_do_without_pyplot() -> None:
 
 
 def test_every_form_is_written_and_a_pdf_has_its_fonts_whole(small_results: Results) -> None:
-    figure = sensor_figure(small_results, 'accel', an_outline())
+    figure = sensor_figure(small_results, 'accel', a_summary())
     assert to_form(figure, 'svg').startswith(b'<?xml')
     pdf = to_form(figure, 'pdf')
     assert pdf.startswith(b'%PDF')
@@ -88,7 +88,7 @@ def test_every_form_is_written_and_a_pdf_has_its_fonts_whole(small_results: Resu
 
 
 def test_a_column_is_as_wide_as_a_column_and_shows_the_curves_alone(small_results: Results) -> None:
-    figure = sensor_figure(small_results, 'gyro', an_outline(), style=load_style('column'))
+    figure = sensor_figure(small_results, 'gyro', a_summary(), style=load_style('column'))
     assert figure.get_size_inches()[0] == 3.5
     assert len(figure.axes) == 3
 

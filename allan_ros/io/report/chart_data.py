@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the page draws, as plain values: SI throughout, beside the factors of the units shown."""
+"""What the page draws, as plain values in SI, with the factors of the units shown."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def sensor_charts(
     references: Sequence[Reference],
     former: Mapping[str, Results],
     spectra: Sequence[Spectrum],
-    outline: SignalSummary | None,
+    summary: SignalSummary | None,
 ) -> dict[str, Any]:
     """Return what is drawn of one sensor.
 
@@ -199,7 +199,7 @@ def sensor_charts(
     former : mapping of name to Results
         Earlier runs: their curves are drawn.
     spectra : sequence of Spectrum
-    outline : SignalSummary or None
+    summary : SignalSummary or None
     """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
@@ -214,7 +214,7 @@ def sensor_charts(
             *_former_curves(axes, former, tau),
         ],
         'spectrum': _spectrum(axes, spectra),
-        'signal': None if outline is None else _signal(axes, outline),
+        'signal': None if summary is None else _signal(axes, summary),
         'copy': {units: copies(results, list(axes), units) for units in SYSTEMS},
     }
 
@@ -333,38 +333,38 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
     return None
 
 
-def _signal(axes: Mapping[str, AxisResult], outline: SignalSummary) -> dict[str, Any]:
-    """Return the outline of each axis about its middle."""
+def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
+    """Return the raw signal of each axis about its middle."""
     shown = []
     for name in axes:
         i = AXES.index(name)
-        middle = float(outline.middle[i])
-        low, high = outline.low[:, i] - middle, outline.high[:, i] - middle
+        middle = float(summary.middle[i])
+        low, high = summary.low[:, i] - middle, summary.high[:, i] - middle
         shown.append(
             {
                 'name': name,
                 'middle': _rounded([middle])[0],
-                'reach': _rounded([outline.reach[i]])[0],
+                'reach': _rounded([summary.reach[i]])[0],
                 'low': _short(low),
                 'high': _short(high),
             }
         )
     return {
-        'time': _rounded(outline.time_s),
+        'time': _rounded(summary.time_s),
         'axes': shown,
-        'leftOut': [[*_rounded([out.start, out.end]), out.why] for out in outline.left_out],
-        'gaps': [_rounded(span) for span in outline.gaps],
-        'starts': _rounded(outline.starts),
+        'leftOut': [[*_rounded([out.start, out.end]), out.why] for out in summary.left_out],
+        'gaps': [_rounded(span) for span in summary.gaps],
+        'starts': _rounded(summary.starts),
     }
 
 
-def temperature_chart(outline: SignalSummary | None) -> dict[str, Any] | None:
+def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
     """Return the temperature over the time of the signals, or None where none was recorded."""
-    if outline is None or outline.warmth is None:
+    if summary is None or summary.temperature is None:
         return None
-    warmth = outline.warmth
-    time, celsius = (_rounded(values) for values in (warmth.time_s, warmth.celsius))
-    return {'source': warmth.source, 'time': time, 'celsius': celsius}
+    temperature = summary.temperature
+    time, celsius = (_rounded(values) for values in (temperature.time_s, temperature.celsius))
+    return {'source': temperature.source, 'time': time, 'celsius': celsius}
 
 
 def _rounded(values: ArrayLike) -> list[float | None]:

@@ -130,7 +130,7 @@ SCRIPTS = (
     'other_charts.js',
     'page.js',
 )
-"""Files beside this one, in the order in which they stand in the page."""
+"""Files of this folder, in their order in the page."""
 
 
 ICONS = {
@@ -211,7 +211,7 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
     links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
     body += [
         '<section id="recording"><h2>Recording and method</h2>',
-        f'<p class="files">Files beside this page: {links}</p>' if links else '',
+        f'<p class="files">Files in the same folder: {links}</p>' if links else '',
         *background(results, {**context.method, 'fit': f'method {results.method}'}),
         '</section></main>',
         f'<footer>allan_ros {__version__}</footer>',
@@ -285,7 +285,7 @@ def _header(
 def _verdict_section(
     results: Results, verdict: Verdict, sensors: Mapping[str, Mapping[str, AxisResult]]
 ) -> Iterator[str]:
-    """Yield the verdict, and beside it the numbers that most readers came for."""
+    """Yield the verdict with N, B and K of every axis."""
     listed = {finding_text(f, results) for f in grouped(results.findings)}
     reasons = ''.join(
         f'<li>{escape(reason)}</li>' for reason in verdict.reasons if reason not in listed

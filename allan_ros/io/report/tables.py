@@ -26,7 +26,7 @@ from ..results import AxisResult, Results
 from .chart_data import TERM_NAMES, in_units
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
-"""Verdict -> a sign beside its word and colour."""
+"""Verdict -> a sign that says the same as its word and colour."""
 
 
 def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
@@ -65,7 +65,7 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
 
 
 def headline_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
-    """Yield the small table of N, B and K beside the verdict."""
+    """Yield the small table of N, B and K of the verdict section."""
     caption = f'<caption>{SENSOR_NAMES[sensor]}</caption>'
     yield f'<table class="coefficients">{caption}<thead><tr><td></td>'
     yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'

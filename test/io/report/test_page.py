@@ -196,16 +196,16 @@ def test_what_is_left_out_and_missing_is_told_from_the_evidence() -> None:
     signal = SignalEnvelope()
     signal.update(ImuBatch(stamps, np.random.default_rng(3).normal(size=(n, 6))))
     spans = [Segment(10**18 + 20 * 10**9, 4000, 80.0), Segment(10**18 + 150 * 10**9, 5000, 100.0)]
-    outline = summarize_signal([signal, signal], spans, 100_000)
-    assert outline is not None
+    summary = summarize_signal([signal, signal], spans, 100_000)
+    assert summary is not None
     # the second recording has the same stamps: the spans are found in it again
-    (first, second) = outline.left_out
+    (first, second) = summary.left_out
     assert first == (0.0, pytest.approx(20.0), '')
     assert second.end - second.start == pytest.approx(20.0)
-    (gap, _) = outline.gaps
+    (gap, _) = summary.gaps
     assert gap == (pytest.approx(100.0, abs=0.2), pytest.approx(150.0, abs=0.2))
-    assert outline.starts == (0.0, pytest.approx(250.0, abs=0.5))
-    assert np.isnan(outline.low).any(axis=1).sum() == 1
+    assert summary.starts == (0.0, pytest.approx(250.0, abs=0.5))
+    assert np.isnan(summary.low).any(axis=1).sum() == 1
 
 
 def test_the_outline_says_why_and_knows_the_evidence() -> None:
@@ -219,14 +219,14 @@ def test_the_outline_says_why_and_knows_the_evidence() -> None:
     trace = TemperatureTrace(
         '/t', stamps[::50] - second, stamps[::50], np.linspace(20.0, 30.0, 200)
     )
-    outline = summarize_signal([signal], spans, 100, {'motion': 2}, [trace])
-    assert outline is not None
-    assert [out.why for out in outline.left_out] == ['', 'motion', 'motion']
-    assert [out.end for out in outline.left_out] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
-    assert (outline.reach < 10.0).all() and np.nanmax(outline.high) > 90.0
-    assert not outline.evidence[outline.time_s < 19.0].any()
-    assert outline.warmth is not None and outline.warmth.source == '/t'
-    assert outline.warmth.time_s[0] == 0.0 and outline.warmth.celsius[-1] == 30.0
+    summary = summarize_signal([signal], spans, 100, {'motion': 2}, [trace])
+    assert summary is not None
+    assert [out.why for out in summary.left_out] == ['', 'motion', 'motion']
+    assert [out.end for out in summary.left_out] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
+    assert (summary.reach < 10.0).all() and np.nanmax(summary.high) > 90.0
+    assert not summary.used[summary.time_s < 19.0].any()
+    assert summary.temperature is not None and summary.temperature.source == '/t'
+    assert summary.temperature.time_s[0] == 0.0 and summary.temperature.celsius[-1] == 30.0
 
 
 def test_temperatures_of_several_recordings_are_joined_with_a_break() -> None:
@@ -235,8 +235,8 @@ def test_temperatures_of_several_recordings_are_joined_with_a_break() -> None:
     late = start + 5 * 10**9 + np.arange(3, dtype=np.int64) * 10**9
     # the stamps of the message are from another clock: those of the recorder are taken
     trace = TemperatureTrace('/t', late - 10**17, late, np.array([20.0, 21.0, 22.0]))
-    outline = summarize_signal([signal, signal, signal], (), 100, {}, [trace, None, trace])
-    assert outline is not None and outline.warmth is not None
-    assert np.isnan(outline.warmth.celsius).tolist() == [False] * 3 + [True] + [False] * 3
-    assert outline.warmth.time_s[0] == pytest.approx(5.0)
-    assert outline.warmth.time_s[-1] == pytest.approx(outline.starts[2] + 7.0)
+    summary = summarize_signal([signal, signal, signal], (), 100, {}, [trace, None, trace])
+    assert summary is not None and summary.temperature is not None
+    assert np.isnan(summary.temperature.celsius).tolist() == [False] * 3 + [True] + [False] * 3
+    assert summary.temperature.time_s[0] == pytest.approx(5.0)
+    assert summary.temperature.time_s[-1] == pytest.approx(summary.starts[2] + 7.0)

@@ -45,11 +45,13 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     assert spectrum is not None
     results = replace(small_results, identity=ImuIdentity(HOSTILE, ''))
     results = results.against_datasheet(load_sensor('adis16475-3'), 0.1)
-    warmth = TemperatureTrace('/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400))
+    temperature = TemperatureTrace(
+        '/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400)
+    )
     spans = [Segment(int(stamps[5000]), 15_000, 300.0, 'motion')]
-    outline = summarize_signal([envelope], spans, 1000, {}, [warmth])
+    summary = summarize_signal([envelope], spans, 1000, {}, [temperature])
     context = ReportContext(
-        outline, [spectrum], {'May': small_results}, 0.1, {'command': 'x'}, ['results.json']
+        summary, [spectrum], {'May': small_results}, 0.1, {'command': 'x'}, ['results.json']
     )
     path = tmp_path_factory.mktemp('page') / 'report.html'
     path.write_text(render_report(results, context, 'datasheet'), encoding='utf-8')
