@@ -98,6 +98,8 @@ setup(
         'test': [
             'allantools==2024.6',
             'hypothesis>=6.100',
+            'ipykernel>=6',
+            'nbclient>=0.6',
             'pytest>=7',
             'pytest-xdist>=3',
             DASK,

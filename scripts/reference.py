@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, docs/cli.md and the words quoted in docs/troubleshooting.md.
+"""Write docs/parameters.md, cli.md, api.md and the words quoted in docs/troubleshooting.md.
 
 usage: reference.py
 
@@ -12,12 +12,14 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import inspect
 import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import allan_ros
 from allan_ros.cli.console import add_console_options
 from allan_ros.cli.parser import EXITS, VERBS
 from allan_ros.core.findings import CATALOGUE
@@ -51,6 +53,21 @@ CLI_HEAD = """# Options of `allan`
 
 Every option with its default. `allan VERB --help` says the same. Inside a ROS workspace put
 `ros2 run allan_ros` before each command.
+"""
+
+API_HEAD = """# Python API
+
+Importing `allan_ros` takes no time: each name is loaded when it is first used. All errors are
+`AllanError`. [notebook.ipynb](notebook.ipynb) shows the same from a recording to a filter file.
+
+```python
+import allan_ros as ar
+
+results = ar.analyze('my_bag')  # a recording, or an array with rate=200
+results['gyro_z'].N.to('deg/sqrt(h)')
+results.plot('gyro')
+results.export('kalibr', 'imu.yaml')
+```
 """
 
 EVERY_VERB = """## Of every verb
@@ -175,6 +192,80 @@ def _option_row(action: argparse.Action) -> str:
     return f'| {names}{shown} | {words} |'
 
 
+def api_page() -> str:
+    """Return the page of the public Python API, from the docstrings."""
+    return '\n'.join([WRITTEN_BY, API_HEAD, *map(_object_section, allan_ros.__all__)])
+
+
+def _object_section(name: str) -> str:
+    thing = getattr(allan_ros, name)
+    is_class = inspect.isclass(thing)
+    signature = name if is_class else f'{name}{_signature(thing)}'
+    parts = [f'## `{name}`', f'```python\nallan_ros.{signature}\n```', _as_markdown(thing)]
+    if is_class and not issubclass(thing, Exception):
+        members = list(_members(thing))
+        if members:
+            parts.append('| member | |\n|---|---|\n' + '\n'.join(members))
+    return '\n\n'.join(parts) + '\n'
+
+
+def _signature(thing: Any) -> str:
+    """Return the parameters and their defaults, one a line, without types."""
+    words, starred = [], False
+    for parameter in inspect.signature(thing).parameters.values():
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            starred = True
+        if parameter.kind is parameter.KEYWORD_ONLY and not starred:
+            words.append('*')
+            starred = True
+        mark = {parameter.VAR_POSITIONAL: '*', parameter.VAR_KEYWORD: '**'}.get(parameter.kind, '')
+        default = parameter.default
+        shown = '' if default is parameter.empty else f'={default!r}'
+        words.append(f'{mark}{parameter.name}{shown}')
+    return f'({", ".join(words)})'
+
+
+def _as_markdown(thing: Any) -> str:
+    """Return a docstring with its sections as lists, and its examples as code."""
+    text = inspect.cleandoc(thing.__doc__ or '')
+    head, *sections = re.split(r'^(\w+)\n-{3,}\n', text, flags=re.MULTILINE)
+    parts = [_code(head.strip())]
+    for title, body in zip(sections[::2], sections[1::2]):
+        if title == 'Examples':
+            parts.append(f'```python\n{body.strip()}\n```')
+            continue
+        parts.append(f'**{title}**\n\n' + '\n'.join(_items(body.strip())))
+    return '\n\n'.join(parts)
+
+
+def _items(body: str) -> Iterator[str]:
+    """Yield the entries of a numpy section as a list."""
+    for name, text in re.findall(r'^(\S.*)\n?((?:(?:[ ].*)?\n?)*?)(?=^\S|\Z)', body, re.MULTILINE):
+        term, _, kind = name.partition(' : ')
+        words = _code(' '.join(text.split()))
+        yield f'- `{term}`{f" ({kind})" if kind else ""}{f": {words}" if words else ""}'
+
+
+def _code(text: str) -> str:
+    """Return reStructuredText literals as Markdown has them."""
+    return text.replace('``', '`').replace('<', '&lt;')
+
+
+def _members(thing: type) -> Iterator[str]:
+    for name, member in vars(thing).items():
+        if name.startswith('_') or not getattr(member, '__doc__', None):
+            continue
+        if isinstance(member, property) or inspect.isfunction(member):
+            call = (
+                ''
+                if isinstance(member, property)
+                else _signature(member).replace('(self, ', '(').replace('(self)', '()')
+            )
+            shown = name if isinstance(member, property) else f'{name}{call}'
+            what = inspect.cleandoc(member.__doc__).split('\n\n')[0]
+            yield f'| `{shown}` | {_code(" ".join(what.split()))} |'
+
+
 def troubleshooting_page(text: str) -> str:
     """Return the page with the words of every finding below its heading, as the code has them.
 
@@ -211,6 +302,7 @@ def pages() -> dict[str, str]:
     return {
         'parameters.md': parameters_page(),
         'cli.md': cli_page(),
+        'api.md': api_page(),
         findings.name: troubleshooting_page(findings.read_text(encoding='utf-8')),
     }
 

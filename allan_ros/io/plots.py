@@ -128,6 +128,13 @@ PNG_DPI = 200
 """Dots per inch of the PNG: sharp on a page of print and on a screen."""
 
 
+class _ShownFigure(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return to_form(self, 'png')
+
+
 def sensor_figure(
     results: Results,
     sensor: str,
@@ -154,7 +161,7 @@ def sensor_figure(
         width, height = rcParams['figure.figsize']
         row = (height - HEAD_IN - FOOT_IN) / len(AXES[SENSORS[sensor]])
         height = HEAD_IN + FOOT_IN + row * len(axes)
-        figure = Figure(figsize=(width, height))
+        figure = _ShownFigure(figsize=(width, height))
         wide = width >= NARROW_IN
         panels = _panels(figure, len(axes), wide, wide and summary is not None)
         for of_axis, axis in zip(panels, axes):
