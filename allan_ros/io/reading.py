@@ -40,6 +40,9 @@ class Silent:
 
     def advance(self, samples: int) -> None: ...
 
+    def __repr__(self) -> str:
+        return 'Silent()'
+
 
 def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
     """Read the recordings one after the other, in this process."""
