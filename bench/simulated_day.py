@@ -40,6 +40,9 @@ BIAS_PER_KELVIN = 2e-5
 
 SWING_K, DAY_S = 10.0, 86400.0
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
+PATIENCE_S = 15.0
+"""Time without progress after which messages are taken for lost."""
+
 FIT_S = 60.0
 """Longest wait for the model of the sums at the end of an hour."""
 
@@ -60,7 +63,7 @@ def drives(hours: int) -> Iterator[tuple[float, float]]:
 
 
 def day(hours: int, rate: float) -> tuple[ImuBatch, np.ndarray]:
-    """Return the samples of the day, and which of them are at rest."""
+    """Return the samples of the day, and whether each is at rest."""
     batches = list(simulate_imu(hours * 3600.0, rate, [GYRO] * 3, [ACCEL] * 3, start_ns=START_NS))
     stamps = np.concatenate([b.stamps_ns for b in batches])
     samples = np.concatenate([b.samples for b in batches])
@@ -122,7 +125,14 @@ class Robot:
                 except rclpy_implementation.RCLError:  # its queue is full
                     continue
         self.received += len(batch)
-        while self.client.value('data input', 'received') != str(self.received):
+        before, since = '', time.monotonic()
+        while (now := self.client.value('data input', 'received')) != str(self.received):
+            if now != before:
+                before, since = now, time.monotonic()
+            if time.monotonic() - since > PATIENCE_S:
+                print(f'{self.received} sent, {now} received')  # discovery took too long
+                self.received = int(now)
+                return
             self.client.spin(0.2)
 
     def settle(self) -> None:
