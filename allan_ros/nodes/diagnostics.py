@@ -173,13 +173,17 @@ RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
 """Averaging times at which the recent deviation is compared with the former one."""
 
 
+NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes')
+"""Findings of the fit that the status of an axis shows."""
+
+
 @dataclass(frozen=True)
 class AxisView:
     """What the status of one axis shows.
 
     ``sums`` is None before there are any, ``result`` before the first fit; ``problems`` are a
     failed fit and a withdrawn model; ``change`` is None unless the noise changed by more than the
-    margin.
+    margin; ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -192,6 +196,7 @@ class AxisView:
     margin: float
     recent: RecentCurve | None
     change: Change | None
+    noted: tuple[Finding, ...] = ()
 
 
 def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus:
@@ -223,7 +228,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
     pairs += _recent_pairs(view)
-    pairs += [(f'finding: {f.id}', f) for f in findings]
+    pairs += [(f'finding: {f.id}', f) for f in (*findings, *view.noted)]
     return DiagnosticStatus(
         level=worst_level(findings),
         name=name,

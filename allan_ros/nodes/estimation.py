@@ -30,7 +30,15 @@ from ..io.results import Results, analyse_sums
 from ..io.text import read_json
 from .allan_plot import AllanPlot
 from .bias import BiasPublisher
-from .diagnostics import AxisView, axis_status, key_values, message_of, status_name, worst_level
+from .diagnostics import (
+    NOTED,
+    AxisView,
+    axis_status,
+    key_values,
+    message_of,
+    status_name,
+    worst_level,
+)
 from .node import AllanNode
 from .parameters import ParameterGroup
 from .qos import LATCHED
@@ -185,6 +193,7 @@ class ImuEstimate:
             margin=margin,
             recent=self._curves.get(sums.axes) if sums is not None else None,
             change=change if change and change.beyond(margin) else None,
+            noted=self._noted(axis),
         )
         name = status_name(self._node, self._label, frame_id, axis.replace('_', ' '))
         status = axis_status(name, one_line(hardware_id or frame_id), view)
@@ -193,6 +202,11 @@ class ImuEstimate:
         return status
 
     # --- fitting ----------------------------------------------------------------------------------
+
+    def _noted(self, axis: str) -> tuple[Finding, ...]:
+        """Return what the fit found about the stationarity of an axis."""
+        findings = self._results.findings if self._results else ()
+        return tuple(f for f in findings if f.id in NOTED and axis in f.axes)
 
     def _fit_if_due(self) -> None:
         """Start a fit if the sums have changed enough and the last fit was long enough ago."""
