@@ -197,11 +197,12 @@ class AxisResult:
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def limit_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of each unresolved term at its 95 % upper limit, SI."""
+        """Return the deviation of the terms outside the model at their 95 % upper limits, SI."""
+        model = self.fit.selected.terms
         limits = {
             term: c.upper95
             for term, c in self.fit.noise.items()
-            if c.status != 'estimated' and c.upper95 is not None and math.isfinite(c.upper95)
+            if c.upper95 is not None and math.isfinite(c.upper95) and not getattr(model, term)
         }
         parts = ProcessModel(NoiseTerms(**limits)).parts(m * self.tau0, self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}

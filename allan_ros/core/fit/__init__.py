@@ -65,7 +65,7 @@ def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseModel:
 
 
 def clear_cache() -> None:
-    """Forget what the fits remember of each other: for processes that fit seldom and live long."""
-    evidence = sys.modules.get(f'{__name__}.table')
-    if evidence is not None:  # else no method has been used that remembers
-        evidence.clear_cache()
+    """Clear the tables that fits share: for processes that fit seldom and live long."""
+    table = sys.modules.get(f'{__name__}.table')
+    if table is not None:  # else no method with a cache has been used
+        table.clear_cache()

@@ -208,7 +208,7 @@ def pair_sums(samples: int) -> PairSums:
 
 
 def clear_pair_sums() -> None:
-    """Forget what `pair_sums` remembers, and the table it is made from."""
+    """Clear the cache of `pair_sums` and of the table it is computed from."""
     _lag_table.cache_clear()
     pair_sums.cache_clear()
 

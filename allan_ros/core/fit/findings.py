@@ -141,7 +141,7 @@ def _shape_findings(
     if fit.m_min > 1:
         hint = ''
         if selected.hint is not None:
-            # A slow filter bends the shortest averages as a line does: then it may be either.
+            # A slow filter and a fast sinusoid change the shortest averages alike.
             either = ', or a low-pass filter' if selected.filtered else ''
             hint = f': vibration near {selected.hint / tau0:.3g} Hz{either}'
         elif selected.filtered:

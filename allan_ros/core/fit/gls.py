@@ -37,16 +37,16 @@ from .solve import K, Misfit, N, PointFit, Q, solve
 from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
-"""With no more averaging factors than terms a table says nothing of the terms."""
+"""With no more averaging factors than terms, a table cannot determine the terms."""
 
 AT_AN_END = 1e-9
-"""A value this close to an end of its interval, relative, stands on it: the rest is rounding."""
+"""Relative distance from an end of its interval at which a value counts as that end."""
 
 
 def fit_gls(sums: AllanSums) -> NoiseModel:
     """Return the five terms of every axis with 95 % intervals and verdicts.
 
-    Never fails for want of data: a term of which the sums say nothing has neither value nor limit.
+    Too few data are no error: a term that the sums do not determine has neither value nor limit.
     """
     pooled = PooledTable(sums)
     tau0 = sums.tau0 or 1.0
@@ -153,7 +153,7 @@ def _unseen(value: float | None, upper: float, sign: int = 0) -> Coefficient:
 
 
 def _nothing() -> AxisFit:
-    """Return the fit of an axis that says nothing."""
+    """Return the fit of an axis without coefficients."""
     return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
 
 

@@ -19,7 +19,7 @@ Z_FAIL = 3.0
 """A table of the model's own noise is further off than this once in several hundred."""
 
 Z_HOPELESS = 50.0
-"""A table so far off is not looked at twice."""
+"""A table this far off is not tested again with another walk."""
 
 DEFICIT_FALSE_ALARM = 1e-3
 """Probability that the long averages of the model's own noise are called too low."""

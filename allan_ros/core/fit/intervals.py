@@ -64,7 +64,7 @@ LITTLE_SKEW = 1e-3
 
 @dataclass(frozen=True)
 class CoefficientInterval:
-    """What the table says of one power: z at zero, and its two ends or its upper limit."""
+    """The interval of one variance coefficient: z at zero, and both ends or the upper limit."""
 
     z_zero: float
     low: float

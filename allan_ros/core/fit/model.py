@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fit says: five terms per axis, each with its interval and verdict."""
+"""The result of a fit: five terms per axis with intervals and verdicts, and processes."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class Sinusoid:
 
 @dataclass(frozen=True)
 class Processes:
-    """Processes beside the five terms, where the five terms do not describe the curve.
+    """Processes in addition to the five terms, where these do not describe the curve.
 
     Attributes
     ----------
@@ -213,20 +213,32 @@ class AxisFit:
 
     @property
     def selected(self) -> ProcessModel:
-        """The selected model: the resolved terms and the processes, for drawing and prediction.
+        """The selected model: likely terms and the processes, for drawing and prediction.
 
-        The five terms if they describe the curve, else what is left of them beside the processes.
+        The five terms if they describe the curve, else the terms in addition to the processes. A
+        term that is not resolved counts if it is more than one standard deviation above zero:
+        leaving out a likely drift predicts too little of it.
         """
         values = {
             term: c.value * (c.sign or 1)
             for term, c in self.noise.items()
-            if c.status == 'estimated' and c.value is not None and math.isfinite(c.value)
+            if c.value is not None and math.isfinite(c.value) and _is_likely(term, c)
         }
         return ProcessModel(
             NoiseTerms(**values),
             tuple((p.sigma, p.correlation_time) for p in self.processes.gauss_markov),
             tuple((p.amplitude, p.frequency) for p in self.processes.sinusoid),
         )
+
+
+def _is_likely(term: str, c: Coefficient) -> bool:
+    """Return whether a term is resolved or its square is over one standard deviation from zero."""
+    if c.status == 'estimated':
+        return True
+    if term not in 'BK' or c.value is None or c.upper95 is None:
+        return False
+    # The limit of the square is 1.645 standard deviations above its estimate.
+    return 1.645 * c.value**2 > c.upper95**2 - c.value**2
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@
 Cong, Wang, Yan, Industry and Mine Automation 45(10), 2019: sigma^2(tau) = sum A_p tau^p, p = -2..2,
 fitted without weights up to 1300 s, and each coefficient from its A_p. It is here to compare with:
 long averaging times, which scatter most, weigh most, so that Q, K and R often come out negative.
-Beside it stands the same fit on overlapping groups, which the paper names as future work.
+The same fit on overlapping groups is reported as well, which the paper names as future work.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Polynomial(NamedTuple):
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Return the coefficients as the paper computed them; no intervals.
 
-    A term whose A_p is negative has no value, and a finding says so. Another finding carries the
-    fit on overlapping groups and by how much its standard errors are smaller.
+    A term whose A_p is negative has no value and is reported as a finding. Another finding carries
+    the fit on overlapping groups and by how much its standard errors are smaller.
     """
     groups, overlapped = fit_polynomials(sums)
     findings: list[Finding] = []

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Covariance of an Allan table under Gauss-Markov processes, beside the terms of `covariance`.
+"""Covariance of an Allan table for Gauss-Markov processes, in addition to `covariance`.
 
 The covariance of two Allan variances is a sum of squared covariances of differences over all lags
 (module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum, g
@@ -49,7 +49,7 @@ _EVEN = (1.0 + _GAUSS) / 2.0
 _EVEN_WEIGHTS = _GAUSS_WEIGHTS / 2.0
 _DENSITY = _EVEN**2 + (1.0 - _EVEN) ** 2
 _GRADED = _EVEN**2 / _DENSITY
-"""Quadrature points on 0..1 that are denser at both ends, where C bends within a correlation
+"""Quadrature points on 0..1 that are denser at both ends, where C changes within a correlation
 time."""
 _GRADED_WEIGHTS = _EVEN_WEIGHTS * 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
 
@@ -233,7 +233,7 @@ class _Lags:
         return u, weight
 
     def _end_weights(self) -> Floats:
-        """Return what the sum has beyond the integral where the number of pairs bends.
+        """Return what the sum has beyond the integral where the slope of the counts changes.
 
         The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
         """

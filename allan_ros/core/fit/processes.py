@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gauss-Markov processes and sinusoids as columns of an Allan table.
 
-Both are linear in their variance and have a shape besides it: a correlation time or a frequency.
+Both are linear in their variance and have one more parameter, their shape: a correlation time or a
+frequency.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class RampGeometry:
     points, step : int
         Of its coarse phase record.
     m : (factors,) int64 array
-    bends : (4, points - 2) float64 array
+    second_differences : (4, points - 2) float64 array
         Covariance at lag 0, 1, .. of the second differences of the coarse phase, per unit power.
     cross : (4, factors, points) float64 array
         Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit power.
@@ -51,30 +51,30 @@ class RampGeometry:
     points: int
     step: int
     m: NDArray[np.int64]
-    bends: Floats
+    second_differences: Floats
     cross: Floats
 
     def best_weights(self, power: Floats) -> Floats | None:
         """Return the weights on the phase of the best estimate of r; None under three points."""
         z = self.points - 2
-        row = np.maximum(power, 0.0) @ self.bends
+        row = np.maximum(power, 0.0) @ self.second_differences
         if z < 1 or not row[0] > 0.0:
             return None
         lag = np.abs(np.arange(z)[:, None] - np.arange(z))
         solution = np.linalg.solve(row[lag] / row[0], np.ones(z))
         return self._on_phase(solution / solution.sum())
 
-    def _on_phase(self, on_bends: Floats) -> Floats:
+    def _on_phase(self, on_second: Floats) -> Floats:
         """Return weights on the phase from weights on its second differences."""
-        return np.asarray(np.convolve(on_bends, DIFFERENCE) / float(self.step) ** 2)
+        return np.asarray(np.convolve(on_second, DIFFERENCE) / float(self.step) ** 2)
 
     def effect(self, weights: Floats) -> RampEffect:
         """Return what removing the ramp of these weights does to the table."""
-        on_bends = _bends_of(weights)
+        on_second = _on_second_differences(weights)
         # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
-        lags = np.correlate(on_bends, on_bends, 'full')[len(on_bends) - 1 :]
+        lags = np.correlate(on_second, on_second, 'full')[len(on_second) - 1 :]
         lags[1:] *= 2.0
-        return RampEffect(self.cross @ weights, self.bends @ lags)
+        return RampEffect(self.cross @ weights, self.second_differences @ lags)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def ramp_shift(m: NDArray[np.int64], effect: RampEffect) -> Floats:
     return np.asarray((np.outer(effect.variance, m * m / 2.0) - np.sqrt(2.0) * m * effect.cross).T)
 
 
-def _bends_of(weights: Floats) -> Floats:
+def _on_second_differences(weights: Floats) -> Floats:
     """Return weights w on second differences with ``weights`` = their weights on the phase."""
     return np.asarray(np.cumsum(np.cumsum(weights))[:-2])
 
@@ -117,11 +117,11 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     points = samples // step + 1
     m, stride = grid_for(samples)
     lags = np.arange(-2, max(points, 3), dtype=np.float64) * step
-    bends = np.stack(
+    second_differences = np.stack(
         [np.convolve(g, _FOURTH_DIFFERENCE, mode='valid') for g in phase_covariance(lags)]
     )
     cross = _cross(m, stride, counts(samples, m, stride), np.arange(points) * step)
-    return RampGeometry(points, step, m, bends[:, : points - 2], cross)
+    return RampGeometry(points, step, m, second_differences[:, : points - 2], cross)
 
 
 def _cross(

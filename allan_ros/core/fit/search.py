@@ -135,7 +135,7 @@ class ProcessSearch:
         return self._to_white @ columns_of(self.table, extras)
 
     def fitted(self, extras: Sequence[Extra]) -> Found:
-        """Return the fit of some processes beside the four terms."""
+        """Return the fit of some processes together with the four terms."""
         design = np.column_stack([self._terms, self._white(extras)])
         power = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
         rest = self._target - design @ power

@@ -156,15 +156,15 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
     sure = [fit for fit in good if _z(fit) < Z_LOOK]
     whole = [fit for fit in good if fit.options.m_min == 1]
     if good:
-        chosen = (whole or sure or good)[0]
+        best_fit = (whole or sure or good)[0]
     else:
-        chosen = min(tried, key=lambda fit: (_replaces_white(fit), _z(fit)))
-    chosen = _bounded(pooled, axis, chosen)
+        best_fit = min(tried, key=lambda fit: (_replaces_white(fit), _z(fit)))
+    best_fit = _bounded(pooled, axis, best_fit)
     lines = [e.shape for e in best.options.extras if isinstance(e, SinusoidTerm)]
-    hidden = [f for f in lines if 1.0 / f < 2.0 * chosen.options.m_min]
-    hint = hidden[0] if hidden and chosen.options.m_min > 1 else None
-    selected = replace(selected, fit=chosen, filtered=filtered, hint=hint)
-    if good and _z(chosen) < Z_FAIL + Z_SLACK:
+    hidden = [f for f in lines if 1.0 / f < 2.0 * best_fit.options.m_min]
+    hint = hidden[0] if hidden and best_fit.options.m_min > 1 else None
+    selected = replace(selected, fit=best_fit, filtered=filtered, hint=hint)
+    if good and _z(best_fit) < Z_FAIL + Z_SLACK:
         return selected
     return _with_misfit(pooled, axis, selected)
 

@@ -122,7 +122,7 @@ ROUNDS = 12
 
 
 SWING = 0.25
-"""A power that turns back by more than this part of its last step is swinging."""
+"""A step back by more than this part of the last step counts as oscillation."""
 
 
 NOISE_FLOOR = 1e-6
@@ -158,8 +158,8 @@ def first_guess(table: Table) -> Floats:
 class Whitening:
     """The factor L of a covariance D L L' D, D its deviations: 1/D and 1/L make unit covariance.
 
-    Numpy does not know that L is triangular, which costs 0.1 ms; to load scipy.linalg for it would
-    cost 0.2 s and, in a node that lives for months, 15 MB.
+    numpy has no triangular solver, which costs 0.1 ms; loading scipy.linalg would cost 0.2 s and
+    15 MB in a long-lived node.
     """
 
     lower: Floats
@@ -180,11 +180,11 @@ class Whitening:
             lower = _factor(correlation)
         except np.linalg.LinAlgError:
             lower = np.full_like(correlation, np.nan)
-        # What holds NaN is factored into NaN by some builds of LAPACK, refused by others.
+        # Some builds of LAPACK factor NaN into NaN, others raise.
         if not np.isfinite(lower).all():
             raise AllanError(
                 'these sums follow no noise that can be computed: their numbers span too much, or '
-                'are damaged; accumulate anew'
+                'are damaged; accumulate them again'
             )
         return cls(lower, deviation)
 
@@ -263,7 +263,7 @@ def solve(
         step = new - now
         if np.all(np.abs(step) <= TOLERANCE * np.abs(now)):
             break
-        # Two terms can take turns at explaining the same curve: meet such a swing half-way.
+        # Two similar terms can alternate between rounds: halve the step then.
         swings = np.any(step * last < -SWING * last**2)
         last = step / 2.0 if swings else step
         now = now + last
@@ -317,7 +317,7 @@ class FitOptions:
     misfit : Misfit
         Fractional error of the model.
     extras : tuple of Extra
-        Processes beside the five terms.
+        Processes in addition to the five terms.
     walk : bool
         Whether k may be other than 0.
     """

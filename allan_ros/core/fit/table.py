@@ -329,7 +329,7 @@ class PooledTable:
 
 
 def clear_cache() -> None:
-    """Forget what fits remember of the lengths of records: some 20 MB, made anew in 0.2 s."""
+    """Clear the tables kept by record length: some 20 MB, computed again in 0.2 s."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
 

@@ -106,5 +106,5 @@ def test_a_term_held_further_off_is_further_off(fit):
 
 @pytest.mark.parametrize('wrong', [np.nan, np.inf, 1e30])
 def test_what_is_no_covariance_is_refused(wrong):
-    with np.errstate(all='ignore'), pytest.raises(AllanError, match='accumulate anew'):
+    with np.errstate(all='ignore'), pytest.raises(AllanError, match='accumulate them again'):
         Whitening.of(np.array([[1.0, wrong, 0.0], [wrong, 1.0, 0.0], [0.0, 0.0, 1.0]]))
