@@ -25,11 +25,11 @@ from ... import __version__
 from ...core.allan.spectrum import Spectrum
 from ...core.findings import Finding, grouped
 from ...core.imu import AXES, SENSORS
-from ..format import SENSOR_NAMES, duration_text, significant
+from ..format import SENSOR_NAMES, duration_text, significant, text_in_units
 from ..results import AxisResult, Results
 from ..signal_summary import SignalSummary
 from ..verdict import WORDS, Verdict, comparisons_of, finding_text, verdict_of
-from .chart_data import sensor_charts, temperature_chart, to_script
+from .chart_data import in_units, sensor_charts, temperature_chart, to_script
 from .tables import baseline_table, coefficient_table, datasheet_table, headline_table
 
 EARLIEST_S = 978_307_200
@@ -322,10 +322,11 @@ def _findings_section(results: Results) -> Iterator[str]:
 
 def _block(finding: Finding, results: Results) -> str:
     where = finding_text(finding, results)[: -len(finding.message)]
+    message = in_units(lambda units: escape(text_in_units(finding.message, units)))
     return (
         f'<div class="finding {finding.severity}">'
         f'<span class="severity">{finding.severity}</span>'
-        f'<div><p><b>{escape(where)}</b>{escape(finding.message)}</p>'
+        f'<div><p><b>{escape(where)}</b>{message}</p>'
         f'<p class="remedy">{escape(finding.remedy)}</p></div></div>'
     )
 
