@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import adev, analyze, compare, inflate, load, merge, simulate
+    from .api import adev, analyze, compare, fit, inflate, load, merge, simulate
     from .core.errors import AllanError
     from .io.results import AxisCurve, AxisResult, Quantity, Results
 
@@ -30,6 +30,7 @@ __all__ = [
     'adev',
     'analyze',
     'compare',
+    'fit',
     'inflate',
     'load',
     'merge',

@@ -24,7 +24,8 @@ from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.faults import Faults
 from .core.fit import METHODS
-from .core.imu import ImuBatch, joined
+from .core.fit.curve_fit import fit_curve
+from .core.imu import AXES, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import simulate_imu
 from .io.comparison import RunComparison, Subject, compare_runs, labels_of
@@ -36,7 +37,7 @@ from .io.readers.memory import recording_in_memory, without_absent
 from .io.readers.recording import SI, ReadOptions
 from .io.reading import Observer, Silent, add_recordings, read_in_processes, read_in_turn
 from .io.recorded import ReadJob, RecordingSums, read_recording
-from .io.results import AxisCurve, Results, analyse_recorded
+from .io.results import AxisCurve, AxisResult, Results, analyse_recorded
 from .io.text import read_json
 from .io.truth import stated_noise
 
@@ -318,6 +319,56 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     columns = (curve.adev, curve.ci_low, curve.ci_high)
     deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in columns)
     return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
+
+
+def fit(
+    curve: AxisCurve | tuple[ArrayLike, ArrayLike],
+    axis: str = 'gyro_x',
+    record: float | None = None,
+) -> AxisResult:
+    """Return the coefficients of an Allan curve that was computed elsewhere.
+
+    `analyze` gives better intervals, because it knows the covariance of the points.
+
+    Parameters
+    ----------
+    curve : AxisCurve or (tau, adev)
+        Averaging times in s and Allan deviations in SI.
+    axis : str
+        The axis, which decides the units.
+    record : float, optional
+        Length of the recording in s; by default nine times the longest averaging time.
+
+    Raises
+    ------
+    AllanError
+        When the axis is unknown, or the curve has too few points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> tau = np.geomspace(0.1, 1000.0, 60)
+    >>> axis = ar.fit((tau, 1e-3 / np.sqrt(tau)), axis='accel_x')
+    >>> round(axis.N.value, 6), axis.N.unit
+    (0.001, 'm/s^2/sqrt(Hz)')
+    """
+    if axis not in AXES:
+        raise AllanError(f'axis {axis!r} is unknown: choose one of {", ".join(AXES)}')
+    if not isinstance(curve, AxisCurve):
+        tau, deviation = (np.asarray(values, float) for values in curve)
+        if tau.ndim != 1 or tau.shape != deviation.shape or not len(tau) or not (tau > 0.0).all():
+            raise AllanError(
+                f'tau of shape {tau.shape} and adev of shape {deviation.shape}: give two lists of '
+                'equal length, with positive tau'
+            )
+        unknown = np.full(len(tau), np.nan)
+        m = np.rint(tau / tau[0]).astype(np.int64)
+        curve = AxisCurve(m, tau, np.zeros(len(tau), np.int64), deviation, unknown, unknown)
+    elif curve.adev.ndim != 1:
+        raise AllanError('the curve has several columns: fit each one alone')
+    tau0 = float(curve.tau[0] / curve.m[0])
+    return AxisResult(tau0, fit_curve(curve.tau, curve.adev, record), curve, name=axis)
 
 
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:

@@ -214,6 +214,25 @@ def test_files(results: ar.Results, tmp_path: Path) -> None:
             fails()
 
 
+def test_a_curve_made_elsewhere_is_fitted(noise: np.ndarray) -> None:
+    curve = ar.adev(np.random.default_rng(5).normal(scale=1e-3, size=60_000), rate=RATE)
+    for given in (curve, (curve.tau, curve.adev)):
+        axis = ar.fit(given, axis='accel_y', record=600.0)
+        assert axis.N.value == pytest.approx(1e-4, rel=0.05)
+        assert axis.N.to('m/s/sqrt(h)').unit == 'm/s/sqrt(h)'
+    for wrong in (
+        ([1.0, 2.0], [1.0]),
+        ([0.0, 1.0], [1.0, 1.0]),
+        ([], []),
+        ([1.0, 2.0], [1.0, 0.7]),
+        ar.adev(noise),
+    ):
+        with pytest.raises(ar.AllanError):
+            ar.fit(wrong)
+    with pytest.raises(ar.AllanError, match='unknown'):
+        ar.fit(curve, axis='yaw')
+
+
 def test_merge_is_the_analysis_of_all() -> None:
     parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
     merged = ar.merge(*(ar.analyze(part) for part in parts))
