@@ -335,7 +335,8 @@ def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
         When the ids do not increase from page to page: a damaged tree contains pages twice.
     """
     last = np.cumsum(counts) - 1
-    first_ids, last_ids = _ids_of(heads[last - counts + 1]), _ids_of(heads[last])
+    ends = np.concatenate([last - counts + 1, last])
+    first_ids, last_ids = _ids_of(heads[ends]).reshape(2, -1)
     if (last_ids - first_ids < counts - 1).any() or (first_ids[1:] <= last_ids[:-1]).any():
         raise Unusual('ids that do not increase')
     return int(first_ids[0]), int(last_ids[-1])
@@ -346,7 +347,8 @@ def _ids_of(heads: Bytes) -> NDArray[np.int64]:
     ids = np.zeros(len(heads), np.int64)
     varint = np.zeros(len(heads), np.int64)
     for byte in heads[:, : 2 * WORD].T:
-        second = varint == 1
-        ids[second] = ids[second] << 7 | byte[second] & 0x7F
+        ids = np.where(varint == 1, ids << 7 | byte & 0x7F, ids)
         varint += byte < 0x80
+        if varint.min() > 1:
+            break
     return ids
