@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two runs held against each other: which of their differences are more than chance.
+"""Which differences between two recordings are significant.
 
 Coefficients are compared by the logarithm of their ratio, whose limits come from the two intervals
-as they are, each with its own width above and below (the method of variance estimates recovery:
+each with its own width above and below (the method of variance estimates recovery:
 Zou & Donner, Statistics in Medicine 27, 2008, eq. 9, on logarithms). A coefficient that only one
-run shows is compared with the other's upper limit: the limits of both, at equal confidence, are
-moved until they meet. Deviations at equal averaging times are compared by the F distribution of
+run resolves is compared with the upper limit of the other: the confidence level of both limits is
+raised until they meet. Deviations at equal averaging times are compared by the F distribution of
 two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
@@ -29,22 +29,22 @@ from .allan.curve import CI_LEVEL
 from .fit.model import TERMS, Coefficient
 
 MARGIN = 0.2
-"""A unit is blamed from 20 % above a limit: typical figures are those of the middle unit, not
-of the worst, and noise rises some percent with temperature."""
+"""Tolerance above a limit: typical figures of a datasheet are those of the median unit, and noise
+rises some percent with temperature."""
 
 
 Verdict = Literal['within', 'beyond', 'open']
-"""Surely not above the limit; surely above it; the interval holds the limit, so wait."""
+"""The whole interval is below the limit; above it; the interval contains the limit."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What an IMU should be.
+    """Upper limits for the noise of an IMU.
 
     Attributes
     ----------
     name : str
-        Of the datasheet or the former run.
+        Of the datasheet or the earlier run.
     limits : mapping of axis name to term to float
         Upper limits in SI, for the terms that are known.
     """
@@ -88,7 +88,7 @@ def compare(
 
 
 def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
-    """Return how a coefficient stands to an upper limit."""
+    """Return whether a coefficient is within an upper limit, beyond it, or neither."""
     highest = limit * (1.0 + margin)
     low, high = coefficient.ci95 or (None, coefficient.upper95)
     if coefficient.status == 'estimated' and low is not None and low > highest:
@@ -99,7 +99,7 @@ def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
 
 
 def reference_of_run(name: str, noise: Mapping[str, Mapping[str, Coefficient]]) -> Reference:
-    """Return a former run as a reference: no term may lie above what it could have been then.
+    """Return an earlier run as a reference: its limits are the upper ends of its intervals.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def reference_of_run(name: str, noise: Mapping[str, Mapping[str, Coefficient]]) 
 
 
 def _highest(coefficient: Coefficient) -> float | None:
-    """Return the upper end of what is known of a coefficient."""
+    """Return the upper end of the interval, or the upper limit, of a coefficient."""
     if coefficient.ci95 is not None:
         return coefficient.ci95[1]
     return coefficient.value if coefficient.upper95 is None else coefficient.upper95
@@ -125,7 +125,7 @@ Floats = NDArray[np.float64]
 
 
 Change = Literal['higher', 'lower', 'alike', 'open']
-"""The second run lies above the first, below it, not beyond chance, or it cannot be told."""
+"""The second run is significantly higher, lower, not significantly different, or undecided."""
 
 
 FAMILY_ERROR = 0.05
@@ -137,7 +137,7 @@ Z_TWO_SIDED, Z_ONE_SIDED = 1.96, 1.645
 
 
 TAU_RATIO = 4.0
-"""Averaging times compared lie this factor apart: nearer ones share most of their samples."""
+"""Ratio of neighboring averaging times: closer ones share most of their samples."""
 
 
 MIN_EDF = 3.0
@@ -149,7 +149,7 @@ EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
 
 
 MEETING_STEPS = 60
-"""Halvings until two limits meet: to the last digit."""
+"""Bisections until two limits meet to the last digit."""
 
 
 LARGEST_EXPONENT = 709.0
@@ -157,7 +157,7 @@ LARGEST_EXPONENT = 709.0
 
 
 FARTHEST_Z = 40.0
-"""Where limits that have not met are given up: the probability underflows."""
+"""Largest z that is tried: beyond, the probability underflows."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class DeviationCurve:
-    """What is compared of a curve: averaging times in s, deviations, and their 68.3 % limits."""
+    """An Allan curve: averaging times in s, deviations, and their 68.3 % limits."""
 
     tau: Floats
     adev: Floats
@@ -255,7 +255,7 @@ def _verdict(difference: Difference, beyond: bool) -> Change:
 def _compare(
     first: Coefficient, second: Coefficient
 ) -> tuple[float | None, tuple[float, float] | None, float | None]:
-    """Return ratio, its interval and the probability of chance, each None where unknown."""
+    """Return the ratio, its interval and the p value, each None where unknown."""
     a, b = _estimate(first), _estimate(second)
     if a is not None and b is not None:
         return _of_estimates(a, b)
@@ -310,7 +310,7 @@ def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
 
 
 def _of_limit(a: tuple[float, float, float], limit: float) -> float:
-    """Return the probability of chance where one run shows an estimate and one only a limit.
+    """Return the p value where one run has an estimate and the other only a limit.
 
     z is where the lower limit of the estimate, exp(-z s) times it, meets the upper limit of the
     other, sqrt(z/1.645) times its 95 % one: powers, not deviations, have a normal error, and an
@@ -332,7 +332,7 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
 
 
 class _Interpolated:
-    """Deviation and degrees of freedom of a curve at any averaging time, straight in logarithms."""
+    """Deviation and degrees of freedom of a curve, interpolated linearly in logarithms."""
 
     def __init__(self, curve: DeviationCurve) -> None:
         with np.errstate(invalid='ignore', divide='ignore'):

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Fields`: read a JSON object strictly, and say where what is wrong stands.
+"""`Fields`: read a JSON object strictly, with errors that name the field.
 
-A document may come from a stranger: nothing is read beyond its bounds, and no length is trusted.
+Documents are not trusted: every value and every length has a bound.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from .errors import AllanError
 
 MAX_INTEGER = 2**62
-"""Counts and stamps stay below this, either way, so that sums of two fit 64 bits."""
+"""Bound of the magnitude of counts and stamps: the sum of two fits 64 bits."""
 
 MAX_FLOAT = 1e150
-"""No number of ours is beyond this, either way: its square is a finite float64."""
+"""Bound of the magnitude of numbers: the square is a finite float64."""
 
 MAX_TEXT = 100_000
 """No text of ours is longer; a name is bounded by who reads it."""

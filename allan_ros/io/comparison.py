@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs side by side: against the first of them, and against datasheets."""
+"""Compare runs with the first of them, and with datasheets."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Pair:
 
     @property
     def beyond(self) -> tuple[Difference, ...]:
-        """Those that are more than chance."""
+        """The significant differences."""
         return tuple(d for d in self.differences if d.verdict in ('higher', 'lower'))
 
     def of(self, axis: str, quantity: str) -> Difference | None:
@@ -69,7 +69,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Several runs, what tells them apart, and how they stand to datasheets.
+    """Several runs, their differences, and their comparisons with datasheets.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class RunComparison:
 
     @property
     def differs(self) -> bool:
-        """Whether anything differs by more than chance, or is beyond a datasheet."""
+        """Whether any difference is significant, or a limit of a datasheet is exceeded."""
         return any(pair.beyond for pair in self.pairs) or any(
             comparison.verdict == 'beyond' for _, comparison in self.beside
         )
@@ -102,7 +102,7 @@ class RunComparison:
 def compare_runs(
     runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
 ) -> RunComparison:
-    """Return each run against the first, and each beside each datasheet.
+    """Compare each run with the first, and with each datasheet.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def _of_pair(pair: Pair, family_error: float) -> str:
 
 
 def _surely(difference: Difference) -> float:
-    """Return by how much it surely differs: the end of the interval nearest to 1, as a log."""
+    """Return the logarithm of the end of the interval that is nearest to 1."""
     low, high = difference.ci95 or (1.0, 1.0)
     return math.log(low) if difference.verdict == 'higher' else -math.log(high)
 

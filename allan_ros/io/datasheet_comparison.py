@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured, held against what a datasheet states."""
+"""Compare measured coefficients with the limits of a datasheet."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VERDICT_TEXT: dict[Verdict, str] = {
 
 @dataclass(frozen=True)
 class LimitCheck:
-    """One coefficient of one axis, and the limit it was held against."""
+    """One coefficient of one axis, and the limit it was compared with."""
 
     axis: str
     term: str
@@ -40,7 +40,7 @@ class LimitCheck:
 
 @dataclass(frozen=True)
 class DatasheetComparison:
-    """All coefficients that a datasheet states something of.
+    """All coefficients that a datasheet has a limit for.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class DatasheetComparison:
 
     @property
     def verdict(self) -> Verdict | None:
-        """The worst verdict of all; None where nothing could be held."""
+        """The worst verdict; None where nothing could be compared."""
         verdicts = {held.verdict for held in self.held}
         return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
 
@@ -68,7 +68,7 @@ class DatasheetComparison:
         return tuple(Comparison(name, h.axis, h.term, h.limit.value, h.verdict) for h in self.held)
 
     def of(self, axis: str, term: str) -> LimitCheck | None:
-        """Return what a coefficient was held against, if it was."""
+        """Return the limit that a coefficient was compared with, if any."""
         return next((h for h in self.held if (h.axis, h.term) == (axis, term)), None)
 
 

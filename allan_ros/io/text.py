@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""JSON as text and back: strict both ways, and bounded where it comes from a stranger."""
+"""JSON and YAML text: strict in both directions, and bounded when read."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ..core.errors import AllanError
 from .files import read_bounded
 
 MAX_BYTES = 16 * 2**20
-"""No document of ours comes near this; a longer one is not read."""
+"""Longest document that is read; real ones are far smaller."""
 
 
 MAX_DIGITS = 20
-"""A whole number of ours has at most as many; one of a million digits takes minutes to read."""
+"""Most digits of an integer: one of a million digits takes minutes to read."""
 
 
 def to_json(document: Mapping[str, Any]) -> str:
@@ -80,7 +80,7 @@ def _integer(digits: str) -> int:
 
 
 MOST_BRACKETS = 50
-"""No file we read nests deeper; what a scanner takes grows with the square of the depth."""
+"""Deepest nesting that is read: the time of the scanner grows with the square of the depth."""
 
 
 MERGE = 'tag:yaml.org,2002:merge'
