@@ -100,7 +100,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
 def read_jobs(
     paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
 ) -> list[ReadJob]:
-    """Return what is to be read, by the options of `add_reading_arguments`."""
+    """Return the recordings to read, as the options of `add_reading_arguments` say."""
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
@@ -126,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_result_arguments(args: argparse.Namespace) -> None:
-    """Refuse what cannot be shown or written, before hours of recordings are read.
+    """Check the output options before hours of recordings are read.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
 
 
 def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
-    """Return whether the results are so bad that ``--fail-on`` asks for its exit code."""
+    """Return whether a finding is as severe as ``--fail-on`` says."""
     if severity is None:
         return False
     enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
@@ -208,7 +208,7 @@ def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
 def _spread(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
-    """Read the recordings where the arguments say."""
+    """Read the recordings in this process, in several, or on a cluster, as the arguments say."""
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     if args.scheduler:

@@ -41,7 +41,7 @@ SPLIT = re.compile(r'^(.*)_\d+$')
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one recording: its results, or why there are none."""
+    """The results of one recording, or the reason why there are none."""
 
     path: str
     results: Results | None = None
@@ -154,7 +154,7 @@ def folder_name(path: str) -> str:
 
 
 SUMMARY = ('summary.csv', 'summary.md', 'summary.html')
-"""Files of the summary, beside the folders of the recordings."""
+"""Files of the summary, next to the folders of the recordings."""
 
 COLUMNS = (
     'recording', 'verdict', 'hours', 'axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit',

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Judge one IMU in one line and an exit code: for production lines and continuous integration.
+"""Check one IMU: one line and an exit code, for production lines and continuous integration.
 
 The input is a recording, a results.json or the folder of an analysis. It is compared with the
 datasheet of --sensor, with the accepted earlier run of --baseline, or with both. The exit code is 0

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings spread over an existing Dask cluster: a worker that dies costs its part at most."""
+"""Read recordings on an existing Dask cluster; jobs of a worker that dies are repeated."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ CONNECT_S = 10.0
 """Seconds to wait for a scheduler."""
 
 ASK_S = 30.0
-"""Seconds between two looks whether anybody is there to work; what was made arrives in less."""
+"""Seconds between two checks that the cluster has workers."""
 
 ALONE_S = 120.0
-"""Seconds without a single worker after which none is waited for: a cluster that starts dead ones
-anew takes some seconds, on a busy machine a minute."""
+"""Seconds without any worker after which the job fails: a cluster restarts dead workers within
+seconds, on a busy machine within a minute."""
 
 
 def on_cluster(
@@ -31,14 +31,14 @@ def on_cluster(
 ) -> Iterator[RecordingSums | Finding]:
     """Do the jobs on a cluster whose workers have this package and see the same paths.
 
-    What a dead worker had begun is done by another. A job at which workers die again and again
-    (``distributed.scheduler.allowed-failures``) is lost, and a finding comes in its place.
+    Jobs of a worker that dies are repeated by another. A job that kills several workers
+    (``distributed.scheduler.allowed-failures``) is given up and replaced by a finding.
 
     Raises
     ------
     AllanError
-        When Dask is not installed, nobody answers at the address or works there, or a job raised
-        it.
+        When Dask is not installed, no scheduler answers at the address, it has no workers, or a job
+        raised the error.
     """
     try:
         from distributed import Client, KilledWorker
@@ -75,7 +75,7 @@ def on_cluster(
 
 
 def _made(client: Any, future: Any) -> RecordingSums:
-    """Return what became of a job, however long it takes, as long as there are workers."""
+    """Wait for a job as long as there are workers, and return its result."""
     from distributed import TimeoutError as Unfinished
 
     alone = 0.0

@@ -34,7 +34,7 @@ EXIT_DIFFERENT = 3
 EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or a limit exceeded'}
 
 NOT_THERE = ''
-"""Stands where a run has no such axis."""
+"""Text of a cell where a run does not have the axis."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_report(folder: str, runs: Sequence[Subject], margin: float, units: str) -> Path:
-    """Write the report of the first run, with the curves of the others over its own."""
+    """Write the report of the first run, with the curves of the other runs as overlays."""
     from ..io.files import write_atomic
     from ..io.report import ReportContext, render_report
 
@@ -155,7 +155,7 @@ def _write_report(folder: str, runs: Sequence[Subject], margin: float, units: st
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield the verdict, a table for each sensor, then how the runs stand to datasheets."""
+    """Yield the lines of the verdict, of a table per sensor, and of the datasheet comparisons."""
     from ..core.imu import AXES, SENSORS
     from ..io.comparison import comparison_headline
     from .tables import datasheet_lines, table_lines

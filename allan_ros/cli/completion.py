@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Completion in the shell, by argcomplete: loaded only while a shell asks."""
+"""Shell completion with argcomplete, imported only for a completion request."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def registration(shell: str) -> str:
 
 
 def complete() -> None:
-    """Answer the shell and leave, as argcomplete does; return where it is not installed."""
+    """Answer a completion request and exit; return if argcomplete is not installed."""
     try:
         import argcomplete
     except ImportError:
@@ -58,7 +58,7 @@ def complete() -> None:
 
 
 def _attach(parser: argparse.ArgumentParser) -> None:
-    """Say for every argument what completes it, where its choices do not."""
+    """Attach a completer to every argument without choices."""
     from argcomplete.completers import FilesCompleter
 
     completers: dict[str, Any] = {
@@ -80,7 +80,7 @@ def _attach(parser: argparse.ArgumentParser) -> None:
 
 
 def _quiet(words: Callable[..., Iterable[str]]) -> Callable[..., list[str]]:
-    """Return a completer that knows nothing where the words cannot be had."""
+    """Return a completer that offers nothing when the words cannot be determined."""
 
     def completer(**asked: Any) -> list[str]:
         try:

@@ -19,7 +19,7 @@ from typing import Any
 from ..core.errors import AllanError
 
 FILE, PROJECT = 'allan.toml', 'pyproject.toml'
-"""Files of the current folder, the first of which that has settings is used."""
+"""Config files in the current folder; the first one with settings is used."""
 
 NOT_CONFIGURED = ('help', 'version', 'completion')
 

@@ -25,7 +25,7 @@ WIDTH = 100
 
 
 REDRAW_S = 0.1
-"""Seconds between two drawings: smooth to the eye, nothing to the processor."""
+"""Seconds between two updates of the bar."""
 
 
 BAR = 24
@@ -40,7 +40,7 @@ class Progress:
     label : str
         What is being done.
     total : int or None
-        How many units the work has; None when only doing it can tell.
+        How many units the work has; None when it is not known in advance.
     stream : file, optional
         Where to draw (default: stderr).
     shown : bool
@@ -71,7 +71,7 @@ class Progress:
             self._stream.flush()
 
     def advance(self, units: int) -> None:
-        """Say that so many more units are done."""
+        """Count further completed units."""
         self._done += units
         now = time.monotonic()
         if self._draws and now - self._drawn >= REDRAW_S:
@@ -85,10 +85,9 @@ class Progress:
 def progress_line(
     label: str, done: int, total: int | None, elapsed_s: float, columns: int = WIDTH
 ) -> str:
-    """Return the line for so many units done in so many seconds, as wide as ``columns`` allow.
+    """Return the line of the progress bar, at most ``columns`` wide.
 
-    Where there is no room for all, the speed goes first, then the beginning of the label: the
-    share and the time left stay.
+    In a narrow terminal the speed is omitted first, then the beginning of the label.
     """
     speed = done / elapsed_s if elapsed_s > 0 else 0.0
     counted = f'{done:,} samples, {speed:,.0f}/s'
@@ -103,13 +102,13 @@ def progress_line(
 
 
 def _fitted(label: str, rest: str, columns: int) -> str:
-    """Return both, the label without its beginning if it is too long."""
+    """Return both in one line; a label that is too long loses its beginning."""
     room = max(columns - len(rest), 8)
     return (label if len(label) <= room else f'...{label[3 - room :]}') + rest
 
 
 def time_left(seconds: float) -> str:
-    """Return a time to wait in the words people use: 40 s, 3 min 05 s, 2 h 10 min."""
+    """Format a remaining time: 40 s, 3 min 05 s, 2 h 10 min."""
     seconds = round(seconds)
     if seconds < 60:
         return f'{seconds} s'
@@ -123,7 +122,7 @@ NARROWEST = 40
 
 
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colours (ECMA-48): cyan, yellow, red. The word itself says the same without them."""
+"""ANSI colours (ECMA-48): cyan, yellow, red. They only repeat what the word says."""
 
 
 def add_console_options(parser: argparse.ArgumentParser) -> None:
@@ -151,7 +150,7 @@ def add_console_options(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Console:
-    """What a verb prints and where, by the options of `add_console_options`."""
+    """Output of a verb, controlled by the options of `add_console_options`."""
 
     verb: str = ''
     json: bool = False
@@ -164,7 +163,7 @@ class Console:
         return cls(args.verb, args.json, args.quiet, args.verbose)
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Print the one document of ``--json``, in ASCII: every terminal and pipe takes it."""
+        """Print the document of ``--json``, in ASCII for any terminal or pipe."""
         print(json.dumps(document, indent=1, allow_nan=False))
 
     def say(self, text: str) -> None:
@@ -173,7 +172,7 @@ class Console:
             print(one_line(f'allan {self.verb}: {text}'), file=sys.stderr)
 
     def detail(self, text: str) -> None:
-        """Tell something for those who look closely."""
+        """Print a detail to stderr if ``--verbose`` is given."""
         if self.verbose:
             self.say(text)
 
@@ -188,14 +187,14 @@ class Console:
 
     @contextmanager
     def timed(self, what: str) -> Iterator[None]:
-        """Tell how long a step took, once it is done."""
+        """Report the duration of a step when it has ended."""
         began = time.monotonic()
         yield
         self.detail(f'{what}: {time.monotonic() - began:.2f} s')
 
 
 def width() -> int:
-    """Return the columns to fill: of the terminal, of ``COLUMNS``, or a page's."""
+    """Return the width of the output: of the terminal, else ``COLUMNS``, else the default."""
     return max(shutil.get_terminal_size((WIDTH, 24)).columns, NARROWEST)
 
 

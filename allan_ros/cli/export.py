@@ -87,12 +87,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _text(path: str) -> str:
-    """Return what a file of the user says, line ends as they are.
+    """Return the text of a user's file, line ends unchanged.
 
     Raises
     ------
     AllanError
-        When it cannot be read, or is no text.
+        When it cannot be read, or is not text.
     """
     try:
         return read_bounded(path, MAX_BYTES).decode('utf-8')

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit an Allan curve that was made elsewhere, and check the values published with it.
+"""Fit an Allan curve computed by another tool, and check the values published with it.
 
-CURVE is a text file with averaging times in s and Allan deviations, one column an axis: with a
+CURVE is a text file with averaging times in s and Allan deviations, one column per axis: with a
 header of names (tau, gyro_x, ...), or as allan_variance_ros writes it.
 
   allan fit allan_variance.csv --published imu.yaml
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit all curves of the file, and show coefficients, processes and doubts."""
+    """Fit all curves of the file, and show coefficients, processes and inconsistencies."""
     from ..core.fit.curve_fit import fit_curve
     from ..io.curves import doubts, read_curves, read_published
 
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _process_lines(axis: str, fit: AxisFit) -> list[str]:
-    """Return the processes of an axis and its largest deviation, a line each."""
+    """Return the processes of an axis and its largest deviation, one line each."""
     from ..core.imu import SI_UNITS, sensor_of
 
     unit = SI_UNITS[sensor_of(axis)]['B']

@@ -1,7 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON_ARGCOMPLETE_OK
-"""`allan`: the offline tool. One module a verb, imported only when its verb is called."""
+"""`allan`: the offline tool. Each verb is a module that is imported when it is called."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _run(words: Sequence[str]) -> int:
 
 
 def _fault_text(error: Exception) -> str:
-    """Return one line that names a fault of ours and the place, for whoever will mend it."""
+    """Return one line that names an internal error and its place, for a bug report."""
     ours = Path(__file__).parents[1]
     frames = traceback.extract_tb(error.__traceback__)
     inner = [frame for frame in frames if ours in Path(frame.filename).parents]
@@ -97,7 +97,7 @@ def _stopped(line: str, code: int) -> int:
 
 
 def console() -> None:
-    """Leave the process with the exit code of `main`: the entry point of ``allan``."""
+    """Exit with the code of `main`: the entry point of ``allan``."""
     for stream in (sys.stdout, sys.stderr):
         # a file name may hold what the terminal's encoding does not
         stream.reconfigure(errors='backslashreplace')  # type: ignore[union-attr]

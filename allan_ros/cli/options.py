@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings dataclasses as command-line options: their fields are the one home of every default."""
+"""Settings dataclasses as command-line options; their fields define all defaults."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def add_settings(
 
 
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
-    """Return the settings the arguments say; ``given`` fields are taken as they are.
+    """Return the settings of the parsed arguments; ``given`` fields take precedence.
 
     Raises
     ------

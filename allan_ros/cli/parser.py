@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of the command line: short usage, help with groups, and a guess at what was meant."""
+"""The parser of the command line: short usage, help with groups, and suggestions for misspelled
+words."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from .. import __version__
 from .console import add_console_options
 
 EXIT_USAGE = 2
-"""The words of the command line are wrong; argparse and shells have it so."""
+"""Exit code for a wrong command line, as in argparse and shells."""
 
 HELP_COLUMN = 26
 """Where the explanations of options begin."""
@@ -31,16 +32,16 @@ NUMBERS: dict[str | int | None, str] = {
 """``nargs`` of a positional argument -> how the usage shows it."""
 
 CLOSE = 0.6
-"""Similarity (difflib's ratio) above which a word is taken for a slip of another."""
+"""Similarity (difflib's ratio) above which a word counts as a misspelling of another."""
 
 VERBS = {
     'analyze': 'recordings in, coefficients, curves, plots and a report out',
-    'check': 'judge one IMU in one line and an exit code',
+    'check': 'check one IMU: one line of output and an exit code',
     'merge': 'add the sums of several runs of one IMU and fit them together',
     'compare': 'compare runs, or runs with a datasheet: which differences are significant',
     'sensors': 'datasheets of IMUs: list them, or show one with its sources',
     'export': 'write the measured noise as the file of a filter or simulator',
-    'fit': 'fit an Allan curve that was made elsewhere, and check values published with it',
+    'fit': 'fit an Allan curve of another tool, and check values published with it',
     'inflate': 'what running motors add to the noise of a robot at rest',
     'simulate': 'write a recording of an IMU whose noise is known',
 }
@@ -55,14 +56,14 @@ Measure the noise of an IMU by its Allan variance.
   allan export results --to openvins     its numbers as the file of a filter
   allan simulate my_bag --preset paper   no recording at hand? this writes one
 """
-"""What stands above the list of verbs."""
+"""Description above the list of verbs."""
 
 SHELLS = ('bash', 'zsh', 'fish')
 """Shells whose completion can be set up."""
 
 EXIT_ERROR, EXIT_FAULT, EXIT_INTERRUPTED, EXIT_NO_READER = 1, 70, 130, 141
-"""70 is EX_SOFTWARE of sysexits.h; the last two are 128 + SIGINT and 128 + SIGPIPE, as shells
-have it."""
+"""70 is EX_SOFTWARE of sysexits.h; the last two are 128 + SIGINT and 128 + SIGPIPE, as in
+shells."""
 
 EXITS = {
     0: 'done',
@@ -92,7 +93,7 @@ class AllanParser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Refuse here what is not known: the parser of a verb knows better than the one above."""
+        """Report unknown arguments here, with the usage of the verb instead of the main usage."""
         words: list[str] = []
         for word in sys.argv[1:] if args is None else args:
             if words and word.startswith('-,'):  # --columns -,t,gx: a value, not an option
@@ -105,7 +106,7 @@ class AllanParser(argparse.ArgumentParser):
         return known or argparse.Namespace(), unknown
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong and what may have been meant, and leave with exit code 2."""
+        """Print the error with a suggestion, and exit with code 2."""
         self.print_usage(sys.stderr)
         meant = self._meant(message)
         hint = f'; did you mean {meant}?' if meant else f'; see `{self.prog} --help`'
@@ -138,7 +139,7 @@ class HelpFormatter(argparse.HelpFormatter):
 def build_parser(verb: str = '') -> AllanParser:
     """Return the parser of the whole command line, with the options of one verb only.
 
-    The options of a verb need its settings, and these numpy: the others stay empty.
+    Other verbs get no options, because their settings would import numpy.
     """
     parser = AllanParser(
         prog='allan',
@@ -186,7 +187,7 @@ def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
 
 
 class _Completion(argparse.Action):
-    """Prints the code that sets completion up, and leaves, as --version does."""
+    """Prints the completion script and exits, as --version does."""
 
     def __call__(
         self,

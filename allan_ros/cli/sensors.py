@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tell which IMUs' datasheets are known, and what one of them states.
+"""List the IMU datasheets that are known, or show one of them.
 
-A name stands for a file that comes with the package, or for one of your own in
-~/.config/allan_ros/sensors; anything that ends in .yaml is the path of one.
+A name refers to a file of the package or to your own file in ~/.config/allan_ros/sensors; anything
+that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
@@ -60,9 +60,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield a line a sensor: upper limits of N and B, of its worst axis.
+    """Yield one line per sensor: upper limits of N and B, of its worst axis.
 
-    Columns that the width does not hold are left out, from the right.
+    Columns that do not fit the width are omitted, from the right.
     """
     rows = [HEADERS, *(_row(name, sheet) for name, sheet in sheets.items())]
     widths = [max(map(len, column)) + GAP for column in zip(*rows)]
@@ -82,7 +82,7 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 
 
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
-    """Yield what one datasheet states, what that means for N and B, and where it stands."""
+    """Yield the figures of one datasheet, the limits of N and B that follow, and the sources."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
         yield f'carries {sheet.carries}, whose figures these are'

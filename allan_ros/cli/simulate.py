@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a recording of an IMU with known noise, and a file of the true values next to it.
 
-The five noises are exact in level. Say them by a preset, a datasheet or a file, and change single
+The five noises are exact in level. Set them by a preset, a datasheet or a file, and change single
 ones with --gyro, --accel, --gyro-x ..., in datasheet units:
 
   gyro   Q urad   N deg/sqrt(h)   B deg/h   K deg/h^1.5   R deg/h^2

@@ -48,7 +48,8 @@ LIMIT_DIGITS = 3
 
 
 def datasheet_lines(comparison: DatasheetComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield a headline, and a line for each limit: what is stated, and how each axis stands."""
+    """Yield a headline, and a line for each limit: the stated value, and the verdict on each
+    axis."""
     sheet = comparison.datasheet
     headline = f'compared with the datasheet of {sheet.name}: {HEADLINES[comparison.verdict]}'
     yield from wrapped(headline, columns, '  ')
@@ -189,7 +190,7 @@ def _column(results: Results, axis: str, units: str) -> list[str]:
 def table_lines(
     labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
 ) -> Iterator[str]:
-    """Yield the columns beside each other, as many at a time as the width holds."""
+    """Yield the columns side by side, as many at a time as fit the width."""
     label = max(LABEL, *(len(text) + GAP for text in labels))
     cell = max(len(text) for column in columns for text in column) + GAP
     across = max(1, (width - label + GAP) // cell)

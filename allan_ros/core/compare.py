@@ -10,8 +10,8 @@ raised until they meet. Deviations at equal averaging times are compared by the 
 two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
-keeps the probability that any one of them is called a difference by chance below `FAMILY_ERROR`,
-however they depend on each other.
+keeps the probability of any false detection below `FAMILY_ERROR`, however they depend on each
+other.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Comparison:
 def compare(
     axis: str, noise: Mapping[str, Coefficient], reference: Reference, margin: float
 ) -> tuple[Comparison, ...]:
-    """Return a comparison for each term of an axis that the reference knows.
+    """Return a comparison for each term of an axis that the reference has a limit for.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ TAU_RATIO = 4.0
 
 
 MIN_EDF = 3.0
-"""Fewest degrees of freedom on either side: fewer show no ratio below 10."""
+"""Fewest degrees of freedom on either side: with fewer, no ratio below 10 is significant."""
 
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
@@ -172,13 +172,13 @@ class Difference:
     tau : float or None
         Averaging time in s, of a deviation.
     ratio : float or None
-        The second run's over the first's; None where one of them shows only a limit.
+        The second run's over the first's; None where one of them has only a limit.
     ci95 : (low, high) or None
         95 % interval of the ratio; a limit makes it open, with 0 or infinity at one end.
     p : float or None
-        Probability of such a difference between runs of equal noise; None where none can be told.
+        Probability of such a difference between runs of equal noise; None where it is not known.
     verdict : 'higher', 'lower', 'alike' or 'open'
-        After all comparisons of the family.
+        After correction for the number of comparisons.
     """
 
     axis: str
@@ -301,10 +301,10 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
-    """Return the logarithm of upper / lower, and no less than half the whole interval's.
+    """Return the logarithm of upper / lower, at least half of that of the whole interval.
 
-    An interval inverts a test in which the other terms are fitted anew, so an estimate may stand
-    at its very end; that end is not known the better for it.
+    An interval inverts a test in which the other terms are refitted, so an estimate may lie at one
+    of its ends; that does not make this end more precise.
     """
     return max(math.log(upper) - math.log(lower), (math.log(of[2]) - math.log(of[1])) / 2.0)
 
@@ -313,8 +313,8 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
     """Return the p value where one run has an estimate and the other only a limit.
 
     z is where the lower limit of the estimate, exp(-z s) times it, meets the upper limit of the
-    other, sqrt(z/1.645) times its 95 % one: powers, not deviations, have a normal error, and an
-    estimate of 0 leaves the most room. If neither limit fails at z the two differ; each fails with
+    other, sqrt(z/1.645) times its 95 % one: variances, not deviations, have normal errors, and an
+    estimate of 0 has the largest limit. If neither limit fails at z the two differ; each fails with
     probability Phi(-z), and either run could have been the one with the estimate: 4 Phi(-z).
     """
     value, low, _ = a

@@ -7,10 +7,10 @@ SHOWN_START, SHOWN_END = 1500, 500
 
 
 def one_line(text: str) -> str:
-    """Return the text as a terminal can show it: one line of bearable length, nothing obeyed.
+    """Return the text as one line of limited length that is safe to print.
 
-    Names in it come from files and messages of strangers. What is no printable character is
-    spelled as its escape, such as ``\\x1b``.
+    Names in it come from files and messages that are not trusted. A character that is not printable
+    is written as its escape, such as ``\\x1b``.
     """
     if not text.isprintable():
         text = ''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)

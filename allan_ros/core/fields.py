@@ -23,10 +23,10 @@ MAX_FLOAT = 1e150
 """Bound of the magnitude of numbers: the square is a finite float64."""
 
 MAX_TEXT = 100_000
-"""No text of ours is longer; a name is bounded by who reads it."""
+"""Longest text; the reader of a name sets a lower bound."""
 
 MAX_ITEMS = 1_000_000
-"""No list of ours is longer; a list of known length is bounded by who reads it."""
+"""Longest list; the reader of a list of known length sets a lower bound."""
 
 _REQUIRED = object()
 
@@ -47,7 +47,7 @@ class Fields:
         return key in self._document
 
     def schema(self, expected: str) -> None:
-        """Refuse a document of another kind or version."""
+        """Reject a document of another kind or version."""
         found = self._document.get('schema')
         if found != expected:
             raise AllanError(

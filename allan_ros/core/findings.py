@@ -355,7 +355,8 @@ CATALOGUE = {
     ),
     'relay_malformed': Wording(
         'warning',
-        '{count} messages are no Imu messages and are passed on unchanged; the last: {reason}.',
+        '{count} messages are not valid Imu messages and are passed on unchanged; the last: '
+        '{reason}.',
         'Check the publisher of {topic}.',
     ),
     'relay_unpublished': Wording(

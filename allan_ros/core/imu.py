@@ -218,7 +218,7 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 class ImuIdentity(NamedTuple):
-    """The IMU that samples are of.
+    """Identity of the IMU that measured the samples.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a user may set of the way from samples to sums, with its default, unit and range."""
+"""Settings of the processing from samples to sums, with defaults, units and ranges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .errors import AllanError
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """What a person needs to know of one setting."""
+    """Description of one setting."""
 
     doc: str
     unit: str = ''
@@ -40,7 +40,7 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 def check(settings: Any) -> None:
-    """Refuse a setting outside its range; call it from ``__post_init__``.
+    """Check that the settings are within their ranges; call it from ``__post_init__``.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class CheckedSettings:
 
 @dataclass(frozen=True)
 class SegmenterSettings(CheckedSettings):
-    """How a stream is cut into segments that count as evidence."""
+    """How a stream is split into segments of data at rest."""
 
     stamps: str = parameter(
         'header',

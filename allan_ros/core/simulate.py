@@ -250,7 +250,7 @@ def disturb_samples(
         angle = 2.0 * np.pi * faults.vibration_frequency * times[:, None]
         samples += amplitude('vibration') * np.sin(angle + phases)
     if faults.bumps:
-        _add_bumps(samples, tau0, faults, amplitude('bump'), fault_rngs['bumps'])
+        _add_knocks(samples, tau0, faults, amplitude('bump'), fault_rngs['bumps'])
     if faults.motion:
         phases = fault_rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), axes))
         moving = in_spans(times, faults.motion)
@@ -278,7 +278,7 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -pole], inputs, axis=0))
 
 
-def _add_bumps(
+def _add_knocks(
     samples: Floats, tau0: float, faults: Faults, amplitude: float, rng: np.random.Generator
 ) -> None:
     """Add decaying oscillations at random times, in random directions, in place."""
@@ -302,7 +302,7 @@ def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
 
 
 def in_spans(times: Floats, spans: Periods) -> NDArray[np.bool_]:
-    """Return which of the times, in s, lie in one of the spans (start, length)."""
+    """Return which of the times, in s, lie in one of the intervals (start, length)."""
     inside = np.zeros(len(times), bool)
     for start, length in spans:
         inside |= (times >= start) & (times < start + length)

@@ -52,7 +52,7 @@ class Checkpoint:
         While the file is of another IMU or of other axes, these sums are returned alone.
         """
         if self.refused is not None and not os.path.lexists(self.path):
-            self._forget()
+            self._clear()
         if not self._readable:
             return sums
         try:
@@ -103,7 +103,7 @@ class Checkpoint:
         previous = self.path.with_name(f'{self.path.name}.previous')
         if self.path.exists():
             self._rename(previous)
-        self._forget()
+        self._clear()
         return previous
 
     def resume(self) -> None:
@@ -133,8 +133,8 @@ class Checkpoint:
         except (AllanError, UnicodeDecodeError) as error:
             self._set_corrupt_aside(str(error))
 
-    def _forget(self) -> None:
-        """Start from nothing: the file is gone, or about to be."""
+    def _clear(self) -> None:
+        """Start with empty sums, because the file is removed."""
         self.sums, self.provenance = self._holds = (), Provenance()
         self.refused, self._readable = None, True
 

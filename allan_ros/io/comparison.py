@@ -78,9 +78,9 @@ class RunComparison:
     pairs : tuple of Pair
         One for each other run.
     beside : tuple of (label, DatasheetComparison)
-        Every run beside every datasheet.
+        The comparison of every run with every datasheet.
     family_error : float
-        Probability that any of all differences is called one by chance.
+        Probability of any false detection among all differences.
     """
 
     runs: tuple[Subject, ...]
@@ -130,7 +130,7 @@ def compare_runs(
 
 
 def labels_of(paths: Sequence[str]) -> list[str]:
-    """Return a short name for each path: its folder or stem where that tells them apart."""
+    """Return a short name for each path: its folder or stem if these differ."""
     short = [
         Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
         for path in paths
@@ -204,7 +204,7 @@ VERDICT_TEXT = {
     'alike': 'alike',
     'open': 'cannot be told',
 }
-"""Verdict on the second run -> how tables say it."""
+"""Verdict on the second run -> its text in tables."""
 
 
 RATIO_DIGITS = 3
@@ -212,7 +212,7 @@ RATIO_DIGITS = 3
 
 
 def comparison_headline(comparison: RunComparison) -> Iterator[str]:
-    """Yield one sentence a pair and a datasheet: what differs most, or that nothing does."""
+    """Yield one sentence per pair and datasheet: the largest difference, or that there is none."""
     for pair in comparison.pairs:
         yield _of_pair(pair, comparison.family_error)
     for label, beside in comparison.beside:
@@ -220,7 +220,7 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
 
 
 def ratio_text(difference: Difference) -> str:
-    """Return the ratio with its 95 % interval, or the bound that is known of it; '' for neither."""
+    """Return the ratio with its 95 % interval, or its bound; '' if neither is known."""
     if difference.ci95 is None:
         return ''
     low, high = difference.ci95
@@ -233,12 +233,12 @@ def ratio_text(difference: Difference) -> str:
 
 
 def verdict_text(difference: Difference) -> str:
-    """Return the verdict as tables say it."""
+    """Return the text of the verdict for tables."""
     return VERDICT_TEXT[difference.verdict]
 
 
 def quantity_text(difference: Difference) -> str:
-    """Return which quantity of which axis it is of."""
+    """Return the name of the quantity and of its axis."""
     axis = difference.axis.replace('_', ' ')
     if difference.tau is None:
         return f'{axis} {difference.quantity}'
@@ -259,7 +259,7 @@ def _of_pair(pair: Pair, family_error: float) -> str:
     # Coefficients name what differs; deviations speak where no coefficient does.
     named = [d for d in beyond if d.tau is None] or list(beyond)
     # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
-    most = max(named, key=lambda d: (d.ratio is not None, _surely(d)))
+    most = max(named, key=lambda d: (d.ratio is not None, _least_difference(d)))
     said = f'{pair.second} is {_by(most)} {pair.first} in {quantity_text(most)} {_interval(most)}'
     others = len(beyond) - 1
     opposite = sum(d.verdict != most.verdict for d in beyond)
@@ -270,7 +270,7 @@ def _of_pair(pair: Pair, family_error: float) -> str:
     return said
 
 
-def _surely(difference: Difference) -> float:
+def _least_difference(difference: Difference) -> float:
     """Return the logarithm of the end of the interval that is nearest to 1."""
     low, high = difference.ci95 or (1.0, 1.0)
     return math.log(low) if difference.verdict == 'higher' else -math.log(high)

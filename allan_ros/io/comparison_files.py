@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The curves of several runs over each other, and their ratio to the first.
+"""Plots and tables of a comparison: curves of several runs, and their ratios to the first.
 
 Every run has a colour of Okabe and Ito ("Color universal design", 2008) and a marker of its own,
 so that the picture is as legible to the colour-blind and in grey.
@@ -64,7 +64,8 @@ RUN_STYLES = (
     ('#CC79A7', 'v', (0, (5, 1, 1, 1, 1, 1))),
     ('#E69F00', 'P', (0, (8, 2))),
 )
-"""Colour ('' for that of the text), marker and dashes of each run; a seventh begins anew."""
+"""Colour ('' for that of the text), marker and dashes of each run; they repeat from the seventh run
+on."""
 
 
 HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.52
@@ -76,7 +77,7 @@ LEGEND_COLUMNS = {True: 4, False: 2}
 
 
 MARK_EVERY = 6
-"""Points between two marks of a curve; those of the next run stand one further on."""
+"""Points between two marks of a curve; those of the next run are shifted by one."""
 
 
 BAND_OPACITY = 0.18
@@ -106,7 +107,7 @@ def comparison_figure(
     """Return the figure of one sensor, a row for each axis; None where no run has its curves.
 
     On the left the deviations with their 68.3 % limits; on the right, where the picture is wide,
-    their ratio to the first run with 95 % intervals, filled where it is more than chance.
+    their ratio to the first run with 95 % intervals, filled where it is significant.
 
     Parameters
     ----------
@@ -154,7 +155,7 @@ def comparison_figure(
 def _figure_head(
     figure: Figure, comparison: RunComparison, sensor: str, with_ratios: bool, columns: int
 ) -> None:
-    """Write what is shown, and the names of the runs."""
+    """Draw the title, and the legend of the runs."""
     width, height = figure.get_size_inches()
     left, top = LEFT_IN / width, 1.0 - 0.09 / height
     figure.text(left, top, SENSOR_NAMES[sensor], va='top', weight='bold', size='large')
@@ -276,7 +277,7 @@ CSV_COLUMNS = (
     *(f'{run}_{part}' for run in ('first', 'second') for part in ('value', 'low', 'high', 'upper')),
     *('ratio', 'ratio_low', 'ratio_high', 'p', 'verdict'),
 )
-"""One line a comparison, in SI; ``upper`` is the 95 % limit of what is not observable."""
+"""One line per comparison, in SI; ``upper`` is the 95 % limit of what is not observable."""
 
 
 def write_comparison(
@@ -314,7 +315,7 @@ def write_comparison(
 
 
 def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
-    """Return the comparison as Markdown: what is so, then a table for each pair and datasheet."""
+    """Return the comparison as Markdown: headlines, then a table for each pair and datasheet."""
     return '\n'.join(_markdown_lines(comparison, units)) + '\n'
 
 

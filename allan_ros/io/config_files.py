@@ -24,7 +24,7 @@ from .files import read_bounded
 from .text import parse_yaml
 
 MAX_BYTES = 100_000
-"""Such a file is a page; more is another file."""
+"""Largest size of such a file in bytes."""
 
 
 NEAREST = 3
@@ -36,7 +36,7 @@ LISTED = 8
 
 
 def read_yaml(path: Path) -> Any:
-    """Return what a small YAML (or JSON) file holds.
+    """Return the content of a small YAML (or JSON) file.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
     Raises
     ------
     AllanError
-        When there is none of that name; ``called`` is what such a file is to the user.
+        When there is none of that name; ``called`` names the kind of file in the message.
     """
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
@@ -80,9 +80,9 @@ def config_file(kind: str, name: str, called: str) -> Path:
 
 
 def config_folders(kind: str) -> list[Path]:
-    """Return the folders of a kind, the first of which holds a name counting.
+    """Return the search path of a kind of files; the first match wins.
 
-    The user's own, then ``config/<kind>`` of a checkout or of wherever the package is installed.
+    The user's own folder, then ``config/<kind>`` of the checkout or of the installed package.
     """
     here = Path(__file__).resolve()
     checkout = here.parents[2] / 'config' / kind
@@ -97,7 +97,7 @@ def user_folder(kind: str) -> Path:
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    """Return which names resemble the unknown one, else some of those there are."""
+    """Return the names that resemble the unknown one, else some of the known names."""
     near = difflib.get_close_matches(name, names, NEAREST)
     near = near or [known for known in names if name in known][:NEAREST]
     if near:
@@ -123,7 +123,7 @@ def load_filter(name: str) -> FilterMapping:
     Raises
     ------
     AllanError
-        When there is none of that name, or the file is not as it must be.
+        When there is none of that name, or the file is invalid.
     """
     path = config_file('filters', name, 'filter mapping')
     fields = Fields(read_yaml(path), str(path))

@@ -129,7 +129,7 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
 def doubts(
     curves: Curves, fits: Mapping[str, AxisFit], published: Mapping[tuple[str, str], float]
 ) -> list[str]:
-    """Return what speaks against the curves and the published values, a sentence each."""
+    """Return the inconsistencies of the curves and the published values, one sentence each."""
     out = []
     for axis, adev in curves.adev.items():
         least = int(np.argmin(adev))

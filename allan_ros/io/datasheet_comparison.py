@@ -25,7 +25,7 @@ VERDICT_TEXT: dict[Verdict, str] = {
     'open': 'not settled',
     'beyond': 'beyond',
 }
-"""Verdict -> how tables say it: 'open' is an interval that holds the limit."""
+"""Verdict -> its text in tables; 'open' means that the interval contains the limit."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class DatasheetComparison:
     datasheet : Datasheet
     margin : float
         Fraction by which a whole 95 % interval must lie above a limit to be beyond it.
-    held : tuple of Held
+    held : tuple of LimitCheck
         By axis, then term.
     """
 
@@ -63,7 +63,7 @@ class DatasheetComparison:
 
     @property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """The coefficients that the datasheet has a limit for, as those of an earlier run."""
+        """The coefficients with a limit, in the form of the comparison with an earlier run."""
         name = self.datasheet.name
         return tuple(Comparison(name, h.axis, h.term, h.limit.value, h.verdict) for h in self.held)
 

@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Datasheets of IMUs: YAML files that say what a sensor should be, read into SI limits.
+"""Datasheets of IMUs: YAML files with the figures of a sensor, read as limits in SI.
 
 Figures stand in a file as the datasheet states them, in its own unit; what they mean for N and B is
 computed here. A datasheet rarely says which of two customary meanings a number has. Its file says
 what is known (``sided``, ``stated_as``); where that is ``unknown`` the limit is the wider of the
-two meanings and carries a note, so that no good sensor is blamed for an ambiguous datasheet.
+two meanings and carries a note, so that an ambiguous datasheet causes no false alarm.
 
-``gyro`` or ``accel`` stands for its three axes, a single axis such as ``accel_z`` goes before it.
+``gyro`` or ``accel`` sets its three axes; a single axis such as ``accel_z`` takes precedence.
 A product that carries a known sensor names it (``carries``) and has no figures of its own.
 """
 
@@ -47,11 +47,11 @@ class Source:
     Attributes
     ----------
     title, revision, url : str
-        The document, its number and revision, and the maker's page; '' where not known.
+        The document, its number and revision, and the manufacturer's page; '' where not known.
     seen : 'datasheet', 'secondary' or ''
         Whether the document itself was read, or ``via``, which quotes it; '' where not said.
     via : str
-        What was read, where that is not the document at its maker's.
+        The document that was read instead, if not the original.
     """
 
     title: str
@@ -66,7 +66,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Limit:
-    """What a datasheet says of one term, in SI.
+    """The limit of one term by a datasheet, in SI.
 
     Attributes
     ----------
@@ -75,9 +75,9 @@ class Limit:
     stated : str
         The number and unit of the datasheet.
     note : str
-        How the one became the other, where that needs saying; else ''.
+        How the limit follows from the stated number; '' where that is obvious.
     condition : str
-        Under which the datasheet states it: typical, range, bandwidth; '' where it says none.
+        Condition of the number: typical, range, bandwidth; '' where none is stated.
     source : str
         Key of its source.
     """
@@ -91,7 +91,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Datasheet:
-    """One IMU as its maker describes it.
+    """The figures of one IMU by its manufacturer.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Datasheet:
     range, lsb : mapping of axis name to float
         Full scale and step of the values in rad/s and m/s^2, where stated.
     remark : str
-        What else a reader should know; '' for nothing.
+        Further remarks for the user, or ''.
     carries : str
         Name of the sensor in it, whose figures these are; '' for a sensor itself.
     """
@@ -118,7 +118,7 @@ class Datasheet:
     carries: str = ''
 
     def reference(self) -> Reference:
-        """Return it as what coefficients are held against."""
+        """Return the limits that coefficients are compared with."""
         return Reference(
             self.name,
             {

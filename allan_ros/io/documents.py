@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The JSON documents: `results.json` (``allan_ros/results/1``) and `sums.json`.
 
-What is not known is null beside its count, never NaN. Reading is strict: whatever is missing, of
-the wrong type or of another version is refused with the place where it stands.
+Unknown values are null, never NaN. Reading is strict: a missing field, a wrong type or another
+version is an error that names the place.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ RESULTS, SUMS = 'results.json', 'sums.json'
 """The documents in the folder of an analysis: its results, and the sums they are computed from."""
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
-"""Sample periods: stamps are in ns, and a sample in thirty years is none."""
+"""Sample periods: the stamps are in ns; the upper bound is thirty years."""
 
 MAX_SETTINGS = 100
-"""More settings, or entries of one, no tool of ours has."""
+"""Largest number of settings, and of the entries of one."""
 
 LISTED_SPANS = 1000
 """How many segments are listed, the longest; their number is always given."""
@@ -61,7 +61,7 @@ def results_to_document(
     curves : bool
         Whether curves and verdict are in it.
     verdict : Verdict, optional
-        Where it rests on more than the results (an earlier run).
+        Given if it depends on more than the results (an earlier run).
     """
     judged = {'verdict': (verdict or results.verdict).to_document()} if curves else {}
     return {
@@ -113,7 +113,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
 
 def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> dict[str, Any]:
-    """Return the sums with their provenance beside them."""
+    """Return the document of the sums and their provenance."""
     return {
         'schema': SUMS_SCHEMA,
         'tool': _tool(),
@@ -295,7 +295,7 @@ def _processes_to_document(processes: Processes) -> dict[str, Any]:
 
 
 def _processes_from_document(fields: Fields) -> Processes:
-    """Read all processes, or in a document of an earlier version the one of each kind."""
+    """Read all processes, or in a document of an earlier version, one of each kind."""
     if 'processes' not in fields:
         gauss_markov = _gauss_markov_from_document(fields.optional_fields('gauss_markov'))
         sinusoid = _sinusoid_from_document(fields.optional_fields('sinusoid'))

@@ -23,7 +23,7 @@ ABANDONED_S = 3600.0
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
     """Open a regular file for reading.
 
-    Links are followed. The call never waits, which opening a FIFO does otherwise.
+    Links are followed. The call does not block on a FIFO.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def _not_regular(path: str | os.PathLike[str]) -> AllanError:
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file so that neither a reader nor a crash ever sees half of it.
+    """Write a file atomically: neither a reader nor a crash leaves or sees a part of it.
 
     The content is written to a draft in the same folder, synced to the disk and renamed.
 

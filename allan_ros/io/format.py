@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers as a person reads them: in the asked units, with no digit that means nothing."""
+"""Format numbers for people: in the selected units, with significant digits only."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ PRETTY = (
     ('um/', 'µm/'),
     ('ug', 'µg'),
 )
-"""What units are written as in tables, files and on terminals, and as on a page or a picture."""
+"""Spelling of units in tables, files and terminals, and on pages and plots."""
 
 
 NOTHING_KNOWN = '-'
-"""Stands where there is neither a value nor a limit."""
+"""Text where there is neither a value nor a limit."""
 
 
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
@@ -127,7 +127,7 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """Return a length of time in the unit people would use."""
+    """Return a duration in a suitable unit."""
     if seconds < 120.0:
         return f'{significant(seconds, 3)} s'
     if seconds < 7200.0:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How pictures look: sizes of a paper's page and column, or a style sheet of the user's own."""
+"""Style of the plots: the width of a journal page or column, or a style sheet of the user."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # takes 0.3 s to import, and most commands draw nothing
     from matplotlib.axes import Axes
 
 FORMATS = ('png', 'svg', 'pdf')
-"""What a picture may be written as."""
+"""File formats of the plots."""
 
 
 PAGE_IN, COLUMN_IN = 7.16, 3.5
@@ -42,7 +42,7 @@ FOOT_IN, LEFT_IN, MARGIN_IN = 0.45, 0.62, 0.12
 
 
 SMALL = 7.0
-"""Points of the legend: the least that a journal prints."""
+"""Font size of the legend in points: the least that journals accept."""
 
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
@@ -75,12 +75,12 @@ RC: dict[str, Any] = {
     'svg.hashsalt': 'allan_ros',
     'axes.grid': False,
 }
-"""What all pictures start from; fonts are embedded whole in a PDF (type 42), as journals ask."""
+"""Settings of all plots; fonts are embedded whole in a PDF (type 42), as journals ask."""
 
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """What pictures are written, and how they look."""
+    """File formats and style of the plots."""
 
     plot_format: tuple[str, ...] = parameter(
         ('png',), 'Forms in which each picture is written: png, svg, pdf.'
@@ -106,7 +106,7 @@ def load_style(name: str) -> Mapping[str, Any]:
     Raises
     ------
     AllanError
-        When there is none of that name, or the sheet is not as matplotlib reads it.
+        When there is none of that name, or matplotlib cannot read the sheet.
     """
     if name in STYLES:
         return STYLES[name]
@@ -124,7 +124,7 @@ def load_style(name: str) -> Mapping[str, Any]:
 
 
 class _Complaints(logging.Handler):
-    """Collects what matplotlib only logs: that a line is no setting."""
+    """Collects the warnings about invalid lines, which matplotlib only logs."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)

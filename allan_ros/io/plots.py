@@ -257,7 +257,7 @@ def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray
 def _head(
     figure: Figure, results: Results, sensor: str, wide: bool, summary: SignalSummary | None
 ) -> None:
-    """Write what is shown, and the legend that all panels share."""
+    """Draw the title, and the legend that all panels share."""
     width, height = figure.get_size_inches()
     of = results.identity.label
     facts = (

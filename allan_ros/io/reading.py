@@ -20,7 +20,7 @@ from .recorded import ReadJob, RecordingSums, read_recording
 
 
 class Observer(Protocol):
-    """Is told how the reading of recordings proceeds."""
+    """Receives the progress of reading recordings."""
 
     def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
         """Return a context whose value has ``advance(samples)``."""

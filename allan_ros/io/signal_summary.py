@@ -19,16 +19,16 @@ Floats = NDArray[np.float64]
 
 
 GAP = 3.0
-"""A span that takes so many times the usual one holds a gap."""
+"""A bin that lasts this many times the usual duration contains a gap."""
 
 
 LEAST_SHARE = 1e-3
-"""What is missing, or left out for no reason of its own, for less than this share of the whole is
-not marked: it would be narrower than a line."""
+"""A part that is missing, or left out for several reasons, and shorter than this share of the whole
+is not marked: it would be narrower than a line."""
 
 
 REASONS = ('motion', 'stuck')
-"""Cuts that leave samples out; others only part what is before from what is after."""
+"""Cuts that leave samples out; other cuts only separate two segments."""
 
 
 class LeftOut(NamedTuple):
@@ -66,11 +66,11 @@ class SignalSummary:
     Attributes
     ----------
     time_s : (bins,) float64 array
-        Start of each span since the first sample of the first recording, recordings joined.
+        Start of each bin since the first sample of the first recording, recordings joined.
     low, high : (bins, 6) float64 arrays
         Lowest and highest sample, SI; NaN where a recording begins, and where a sensor is absent.
     used : (bins,) bool array
-        The span holds nothing that is left out.
+        Whether all samples of the bin are used.
     middle : (6,) float64 array
         Median of the signal.
     left_out : tuple of LeftOut
@@ -78,8 +78,8 @@ class SignalSummary:
         In s: times without samples.
     starts : tuple of float
         Where each recording begins, in s.
-    temperature : Warmth or None
-        Temperature, where a recording holds it.
+    temperature : SignalTemperature or None
+        None where no recording contains it.
     """
 
     time_s: Floats
@@ -96,7 +96,7 @@ class SignalSummary:
     def reach(self) -> Floats:
         """Largest distance of used samples from their middle, (6,), SI; 1 where there are none.
 
-        A knock that was left out does not count: it may leave the picture.
+        A knock that was left out does not count: it may exceed the plot.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):
@@ -119,10 +119,10 @@ def summarize_signal(
     ----------
     signals : sequence of SignalEnvelope
         One a recording.
-    spans : sequence of Span
+    spans : sequence of Segment
         The segments of static data.
     bins : int
-        About how many spans are wanted of all.
+        Approximate number of bins in the summary.
     cuts : mapping of str to int
         How often a segment ended for which reason: it tells what ended the last one.
     temperatures : sequence of TemperatureTrace or None
@@ -188,7 +188,7 @@ def _left_out(
     length: float,
     cuts: Mapping[str, int],
 ) -> Iterator[LeftOut]:
-    """Yield what lies between the segments of one recording and is no hole, with the reason."""
+    """Yield the parts between the segments of one recording that are not gaps, with the reason."""
     if not counted:
         return
     ends = {reason for reason in REASONS if cuts.get(reason)}
@@ -201,7 +201,7 @@ def _left_out(
 
 
 def _untouched(time: Floats, length: float, outside: Sequence[LeftOut]) -> NDArray[np.bool_]:
-    """Tell of each span whether nothing in it is left out."""
+    """Return for each bin whether all its samples are used."""
     ends = np.append(time[1:], length)
     untouched = np.ones(len(time), bool)
     for out in outside:
@@ -241,7 +241,7 @@ def _joined(parts: Sequence[SignalTemperature]) -> SignalTemperature | None:
 
 
 def _reduced(signal: SignalEnvelope, step: int) -> tuple[Floats, Floats, Floats]:
-    """Return start, lowest and highest of every so many spans."""
+    """Return start, lowest and highest value of groups of bins."""
     starts = np.arange(0, signal.bins, step)
     low = np.fmin.reduceat(signal.low, starts)
     high = np.fmax.reduceat(signal.high, starts)
@@ -249,7 +249,7 @@ def _reduced(signal: SignalEnvelope, step: int) -> tuple[Floats, Floats, Floats]
 
 
 def _holes(time: Floats) -> list[tuple[float, float]]:
-    """Return where spans of as many samples take far longer than the others."""
+    """Return the gaps: bins of equal sample count that last far longer than the others."""
     steps = np.diff(time)
     usual = float(np.median(steps))
     return [
@@ -272,7 +272,7 @@ def _counted(
 def _without(
     spans: Sequence[tuple[float, float]], others: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float]]:
-    """Return what is left of spans where the others are taken out."""
+    """Return the intervals without the parts that others cover."""
     left = list(spans)
     for low, high in others:
         left = [

@@ -30,13 +30,13 @@ def to_json(document: Mapping[str, Any]) -> str:
 
 
 def parse_json(text: str, where: str) -> object:
-    """Return what a JSON text holds.
+    """Return the value of a JSON text.
 
     Raises
     ------
     AllanError
         When it is too long, too deep or not JSON; NaN and infinity, half surrogates and numbers
-        beyond all bounds are no JSON of ours.
+        beyond the bounds are rejected.
     """
     if len(text) > MAX_BYTES:
         raise AllanError(f'{where}: has more than {MAX_BYTES} bytes: it is not a document of ours')
@@ -50,12 +50,12 @@ def parse_json(text: str, where: str) -> object:
 
 
 def read_json(path: str | os.PathLike[str]) -> object:
-    """Return what a JSON file holds.
+    """Return the value of a JSON file.
 
     Raises
     ------
     AllanError
-        When it is missing, or `parse_json` refuses it.
+        When it is missing, or `parse_json` rejects it.
     """
     path = Path(path)
     try:
@@ -84,7 +84,7 @@ MOST_BRACKETS = 50
 
 
 MERGE = 'tag:yaml.org,2002:merge'
-"""Tag of the key ``<<``: merges of merges copy, so that a page of them fills the memory."""
+"""Tag of the key ``<<``: nested merges are copied, so a short file of them can fill the memory."""
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -105,12 +105,12 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> Any:
-    """Return what a YAML (or JSON) text holds.
+    """Return the value of a YAML (or JSON) text.
 
     Raises
     ------
     yaml.YAMLError
-        When it is none, nests too deep, or has merge keys.
+        When it is invalid, nests too deep, or has merge keys.
     """
     loader = _Loader(text)
     try:

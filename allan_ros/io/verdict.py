@@ -24,7 +24,7 @@ WORDS: dict[Level, str] = {
     'unknown': 'Not judged',
     'failed': 'Failed',
 }
-"""Level -> the words beside its colour."""
+"""Level -> its text."""
 
 SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 """Findings that mean a broken sensor even though nothing could be measured."""
@@ -44,7 +44,7 @@ NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is to be known first.
+    """Summary of an analysis: level, reasons and next steps.
 
     Attributes
     ----------

@@ -121,7 +121,7 @@ class ImuWatch:
         return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
 
     def tick(self, now: float) -> None:
-        """Do what is due; called by the node's timer, as often as the queue must be drained."""
+        """Run the tasks that are due; called by the node's timer, which drains the queue."""
         self._input.drain()
         self._health.heard(now, self._input.received)
         if self._update_due.due(now):

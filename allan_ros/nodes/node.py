@@ -29,7 +29,7 @@ class Part(Protocol):
     """One part of a node, such as the input, the estimate or the relay of one IMU."""
 
     def tick(self, now: float) -> None:
-        """Do what is due; ``now`` is on a steady clock in s."""
+        """Run the tasks that are due; ``now`` is on a steady clock in s."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the diagnostic statuses of this part."""

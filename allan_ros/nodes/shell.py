@@ -59,7 +59,7 @@ class Worker:
         threading.Thread(target=self._work, daemon=True).start()
 
     def submit(self, task: Callable[[], T]) -> Future[T]:
-        """Queue a task; its result or exception is in the future."""
+        """Queue a task; the future receives its result or exception."""
         future: Future[T] = Future()
         self._tasks.put((future, task))
         return future

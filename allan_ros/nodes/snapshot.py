@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sums of one IMU as they pass from accumulation to estimation, as a value or as JSON."""
+"""Snapshot of the sums of one IMU, passed from accumulation to estimation as a value or JSON."""
 
 from __future__ import annotations
 

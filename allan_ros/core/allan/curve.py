@@ -216,7 +216,7 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 
     alpha = -1 - mu (NIST SP 1065 table 4). It needs no samples. A slope of -2 is classified
     as white phase, which in an IMU is quantization. Where the record holds under 16 averaging
-    times a slope means nothing, and the type of the factor before goes on.
+    times a slope is meaningless, and the type of the previous factor is used.
 
     Parameters
     ----------

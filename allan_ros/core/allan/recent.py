@@ -3,9 +3,8 @@
 """The recent view: Allan sums of a recent window, compared with those of all the time before.
 
 The difference of two snapshots of the running sums is the sums of the time between them. Two
-variances at the same averaging time are
-compared by their ratio, which has an F distribution (both are scaled chi-squared with their
-equivalent degrees of freedom, NIST SP 1065 section 5.3.1).
+variances at the same averaging time are compared by their ratio, which has an F distribution (both
+are scaled chi-squared with their equivalent degrees of freedom, NIST SP 1065 section 5.3.1).
 """
 
 from __future__ import annotations

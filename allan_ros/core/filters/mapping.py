@@ -92,7 +92,7 @@ class Expression:
         return float(result)
 
     def _check(self, node: ast.expr, names: set[str]) -> None:
-        """Refuse whatever is not arithmetic, and collect the names."""
+        """Reject anything but arithmetic, and collect the names."""
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
             return
         if isinstance(node, ast.Name):
@@ -269,7 +269,8 @@ def propose(
 def narrow_enough(
     proposals: Sequence[Proposal], ratio: float
 ) -> tuple[list[Proposal], dict[str, str]]:
-    """Return the proposals whose interval is narrower than the ratio, and why others wait."""
+    """Return the proposals whose interval is narrower than the ratio, and why others are
+    withheld."""
     ready = [p for p in proposals if p.ratio <= ratio]
     waiting = {
         p.name: f'between {p.low:.3g} and {p.high:.3g}: set once this is within a factor of '

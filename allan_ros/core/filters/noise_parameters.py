@@ -302,7 +302,7 @@ def white_std(density: float, rate: float) -> float:
 
 
 def midpoint_white_std(density: float, rate: float) -> float:
-    """Return N sqrt(2 f), for a step that halves two samples and takes them for independent.
+    """Return N sqrt(2 f), for a step that averages two samples and treats them as independent.
 
     Such a step adds 2 (s/2)^2 / f^2 = s^2 / (2 f^2) for samples of standard deviation s; N^2/f
     needs s = N sqrt(2 f).
@@ -347,8 +347,8 @@ def sample_variance(
 
     The mean square deviation within 2^k samples is the sum of avar(2^j)/2 over j < k, whatever the
     noise (Percival & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the
-    Haar wavelet shares the variance out over the scales); n/(n - 1) takes the bias of a mean of n
-    independent samples away.
+    Haar wavelet divides the variance among the scales); n/(n - 1) removes the bias of a mean of n
+    independent samples.
 
     Parameters
     ----------

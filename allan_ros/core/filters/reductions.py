@@ -101,7 +101,7 @@ class Reduction:
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
     def model(self) -> ProcessModel:
-        """Return what the filter believes, as a `ProcessModel`."""
+        """Return the noise that the filter assumes, as a `ProcessModel`."""
         return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
 
 

@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 FLICKER_PROCESSES = 4
 LONGEST_FLICKER_S = 1500.0
 SHORTEST_FLICKER_S = 1.5
-"""Correlation times of the first and last process that stand for bias instability. The first is
+"""Correlation times of the first and last process that represent bias instability. The first is
 shorter where bias instability exceeds white noise already at short times."""
 
 

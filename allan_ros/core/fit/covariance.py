@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the points of an Allan table of a finite record vary together under the noise model.
+"""Covariance of the points of an Allan table of a finite record under the noise model.
 
 For Gaussian noise the covariance of two Allan variances is a sum over lags (Isserlis 1918):
 
@@ -195,7 +195,7 @@ def _lag_table(octaves: int) -> _LagTable:
 
 @lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the pair sums of a record of that many samples; the last 80 are remembered."""
+    """Return the pair sums of a record of that many samples; the last 80 are cached."""
     octaves = max(1, samples.bit_length() - 3)
     m, stride = grid(octaves)
     keep = 2 * m <= samples
@@ -272,7 +272,7 @@ def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
 def _add_quantization(
     squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
 ) -> None:
-    """Add what q brings: white phase is correlated at the nine lags b m_j - a m_i only."""
+    """Add the contribution of q: white phase is correlated at the nine lags b m_j - a m_i only."""
     mi, mj = m[i], m[j]
     norm = 2.0 * mi.astype(float) * mj
     lags = [

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fit of an Allan curve that was made elsewhere: averaging times and deviations, no samples.
+"""Fit of an Allan curve that was computed elsewhere: averaging times and deviations, no samples.
 
-Without the samples the covariance of the curve is unknown. The points are thinned to four an octave
-and taken to be independent, each with the degrees of freedom of an overlapping estimate. Intervals
-are therefore approximate, and the ramp, which needs signed sums, is not estimated.
+Without the samples the covariance of the curve is unknown. The points are decimated to four per
+octave and treated as independent, each with the degrees of freedom of an overlapping estimate.
+Intervals are therefore approximate, and the ramp, which needs signed sums, is not estimated.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     >>> round(fit.noise['N'].value, 6), round(fit.noise['K'].value, 8)
     (0.001, 1e-06)
     """
-    tau, avar = _thinned(np.asarray(tau, float), np.asarray(adev, float) ** 2)
+    tau, avar = _decimated(np.asarray(tau, float), np.asarray(adev, float) ** 2)
     unit = float(tau[0]) / FINE
     m = np.round(tau / unit).astype(np.int64)
     seconds = record or DEFAULT_RECORD * float(tau[-1])
@@ -114,7 +114,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     return _axis_fit(table, found, whitening, z, model, relative, unit)
 
 
-def _thinned(tau: Floats, avar: Floats) -> tuple[Floats, Floats]:
+def _decimated(tau: Floats, avar: Floats) -> tuple[Floats, Floats]:
     """Return the valid points, `POINTS_PER_OCTAVE` at most, shortest first."""
     good = np.isfinite(tau) & np.isfinite(avar) & (tau > 0.0) & (avar > 0.0)
     order = np.argsort(tau[good])

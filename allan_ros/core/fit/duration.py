@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How long to record: the one rule behind every "record longer" of report, terminal and monitor."""
+"""The recommended recording time, as report, terminal and monitor show it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from ..noise import FLICKER_FLOOR
 from .model import AxisFit
 
 ADVISED_TERMS = ('N', 'B', 'K')
-"""The terms that filters take; nobody records for longer to see Q or R."""
+"""The terms that filters use; Q and R do not justify a longer record."""
 
 HORIZON_S = 100.0
-"""Seconds over which a filter integrates without help: noise that is small there is no matter."""
+"""Seconds over which a filter integrates without correction; noise that is small there is
+negligible."""
 
 NEGLIGIBLE = 0.25
-"""Share of the known Allan variance at `HORIZON_S` below which an unresolved term is left alone."""
+"""Share of the known Allan variance at `HORIZON_S` below which an unresolved term is negligible."""
 
 SECONDS_FOR_N = 60.0
 """Record that resolves N at any rate of an IMU."""
 
 B_RESOLVED = 8.5
-"""Least B over N/sqrt(T) that T seconds resolve, beside a K that is not resolved."""
+"""Least B over N/sqrt(T) that T seconds resolve where K is not resolved."""
 
 B_RESOLVED_BESIDE_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
 """K T/N, and least B over sqrt(N K) beside that K."""
@@ -51,7 +52,7 @@ def recommended_duration(
     A term is worth recording for if it is N, B or K, is not resolved, and its 95 % upper limit
     still allows it to matter: above its datasheet limit, or else above a quarter of the known
     Allan variance at 100 s. The time follows from N (and from B where it is resolved), not from
-    the uncertain estimate of the missing term, so it does not move while one records.
+    the uncertain estimate of the missing term, so it is stable during the recording.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def recommended_duration(
 def longest_recommended(
     advice: Iterable[tuple[float, tuple[str, ...]] | None],
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return the advice that serves all axes: the longest time, and every term that waits."""
+    """Return the longest recommended time of all axes, and all terms that need it."""
     known = [each for each in advice if each is not None]
     if not known:
         return None
@@ -100,7 +101,7 @@ def _known(term: str, fit: AxisFit) -> float:
 
 
 def _negligible(term: str, fit: AxisFit) -> float:
-    """Return the largest coefficient that makes little of the Allan variance at the horizon."""
+    """Return the largest coefficient that is negligible in the Allan variance at the horizon."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
     unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0

@@ -4,7 +4,7 @@
 
 Linear interpolation replaces samples by weighted means of the two next to a gap. A second
 difference is a weighted sum of independent samples, so its variance changes from the sum of the
-squared weights of all samples to that of the samples there were. At averaging factors m >= k it
+squared weights of all samples to that of the recorded samples. At averaging factors m >= k it
 grows, in the sum over all starts, by 2 (k + k^2/2) for each step of m.
 """
 

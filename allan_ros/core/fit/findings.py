@@ -40,7 +40,7 @@ def lattice_step(phase: Floats, deviation: float) -> float | None:
     phase : (points,) float64 array
         Coarse phase record of one axis.
     deviation : float
-        Standard deviation of the white noise per sample: far finer steps are of no account.
+        Standard deviation of the white noise per sample: far finer steps are negligible.
     """
     least = COARSEST_IGNORED * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -93,7 +93,7 @@ ALIAS_FROM = 0.02
 
 
 def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return the findings with those that read alike made one, for all their axes."""
+    """Merge findings with equal text into one for all their axes."""
     out: dict[tuple[str, str, str], Finding] = {}
     for f in findings:
         key = (f.id, f.message, f.remedy)
@@ -136,7 +136,7 @@ def explain(
 def _shape_findings(
     name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
-    """Return the findings on what of the curve is not the five terms."""
+    """Return the findings on parts of the curve that the five terms do not describe."""
     found = []
     if fit.m_min > 1:
         hint = ''
@@ -165,14 +165,14 @@ def _shape_findings(
 
 
 def _removed(selected: Selection) -> float:
-    """Return which part of the white noise per sample a low-pass filter has removed."""
+    """Return the fraction of the white noise per sample that a low-pass filter has removed."""
     fit = selected.fit
     white = float(fit.table.terms[0, N] * fit.power[N])
     return max(-float(fit.table.terms[0, Q] * fit.power[Q]) / white, 0.0) if white > 0.0 else 1.0
 
 
 def _precise_until(selected: Selection) -> float:
-    """Return the first averaging factor of few degrees of freedom."""
+    """Return the averaging factor from which on the curve has few degrees of freedom."""
     few = few_averages(selected.fit.table, selected.fit.power)
     return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
 
@@ -239,7 +239,7 @@ def _time_findings(
 
 
 def about(seconds: float) -> str:
-    """Return a time to two digits in the unit one would say it in."""
+    """Return a time with two digits in a suitable unit."""
     for unit, size, least in (('days', 86400.0, 2.0), ('h', 3600.0, 2.0), ('min', 60.0, 2.0)):
         if seconds >= least * size:
             return f'{float(f"{seconds / size:.2g}"):g} {unit}'

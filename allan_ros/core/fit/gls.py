@@ -80,7 +80,7 @@ def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, lis
         for t, name in enumerate(RANDOM_TERMS)
     }
     if selected.filtered or options.m_min > 1:
-        noise['Q'] = _unseen(None, np.inf)
+        noise['Q'] = _unresolved(None, np.inf)
     elif noise['Q'].status == 'not_observable':
         # A q that cannot be told from 0 nearly doubles the error of N; its interval keeps q.
         others = tuple(t for t in sizes if t != Q)
@@ -125,7 +125,7 @@ def _coefficient(
 ) -> Coefficient:
     """Return a random term in SI units."""
     if not (interval.observable and math.isfinite(interval.high)):
-        return _unseen(
+        return _unresolved(
             coefficient_to_si(name, power, tau0), coefficient_to_si(name, interval.upper, tau0)
         )
     ends = (min(interval.low, power), max(interval.high, power))
@@ -138,15 +138,15 @@ def _coefficient(
 def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
     """Return the ramp in SI units, its size and its sign."""
     if ramp is None:
-        return _unseen(None, np.inf)
+        return _unresolved(None, np.inf)
     sign = int(np.sign(ramp.value))
     near, far = sorted(end * (sign or 1) / tau0 for end in (ramp.low, ramp.high))
     if ramp.observable:
         return Coefficient(abs(ramp.value) / tau0, (max(near, 0.0), far), sign=sign)
-    return _unseen(abs(ramp.value) / tau0, max(-near, far), sign)
+    return _unresolved(abs(ramp.value) / tau0, max(-near, far), sign)
 
 
-def _unseen(value: float | None, upper: float, sign: int = 0) -> Coefficient:
+def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient:
     """Return a term that is not observable, with its limit if the sums set any."""
     limit = upper if np.isfinite(upper) else None
     return Coefficient(value or None, None, limit, 'not_observable', sign)
@@ -154,7 +154,7 @@ def _unseen(value: float | None, upper: float, sign: int = 0) -> Coefficient:
 
 def _nothing() -> AxisFit:
     """Return the fit of an axis without coefficients."""
-    return AxisFit({term: _unseen(None, np.inf) for term in TERMS})
+    return AxisFit({term: _unresolved(None, np.inf) for term in TERMS})
 
 
 def _processes(fit: PointFit, table: Table, tau0: float) -> Processes:

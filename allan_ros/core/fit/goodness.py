@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the terms describe the table, and by how much they fail to."""
+"""Goodness of fit, and the model error where the terms do not describe the table."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MISFIT_LIMIT = 10.0
 """Fractional error beyond which the terms describe nothing."""
 
 MISFIT_START = 0.1
-"""Where its search begins: what real sensors have."""
+"""Start of its search: a typical value of real sensors."""
 
 MISFIT_TOLERANCE = 0.04
 """Relative accuracy of chi^2, so 2 % of the misfit: it is a description, not a measurement."""
@@ -124,9 +124,9 @@ def few_averages(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> NDA
 def best_case_goodness(table: Table, power: Floats) -> Goodness:
     """Return the goodness at the fitted powers, or with the walk at its upper limit if better.
 
-    Where a walk rules the longest averages, k rests on few degrees of freedom, and a low draw makes
-    everything else look too large. A table is only rejected if no walk within the interval of k
-    accounts for it.
+    Where a walk dominates the longest averages, k rests on few degrees of freedom, and an estimate
+    of k that is too low by chance makes everything else look too large. A table is only rejected if
+    no walk within the interval of k accounts for it.
     """
     first = goodness(table, power)
     if not first.fails or first.z > Z_HOPELESS:

@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Intervals by inverting the score test: the values that the table does not contradict.
 
-To try a value c of one power, hold it, refit the others, and ask how far the free estimate lies
-from c in its standard deviations *at that fit*: z(c) = (p - c)/se(c). The 95 % interval is where
-|z| < 1.96 (Rao 1948). The usual estimate +- 1.96 se takes se at the estimate, which for K of a
-short record is too small whenever the estimate is: its intervals miss the truth in 9 to 13 % of
-records instead of 5.
+To test a value c of one variance coefficient, fix it, refit the others, and compute how many
+standard deviations *at that fit* the free estimate lies from c: z(c) = (p - c)/se(c). The 95 %
+interval is where |z| < 1.96 (Rao 1948). The usual estimate +- 1.96 se takes se at the estimate,
+which for K of a short record is too small whenever the estimate is: its intervals miss the truth in
+9 to 13 % of records instead of 5.
 
 An estimate that rests on a few long averages is skewed like a chi^2 of few degrees of freedom. The
-estimate is a sum l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are taken
-for gamma variables of the covariance C. With that skewness z is turned into a normal deviate
+estimate is a sum l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are
+treated as gamma variables of the covariance C. With that skewness z is turned into a normal deviate
 by the cube root of Wilson & Hilferty (PNAS 17, 1931).
 """
 
@@ -43,11 +43,11 @@ Z_TWO_SIDED = 1.96
 
 
 Z_ONE_SIDED = 1.645
-"""Normal quantile of 95 %: where the upper limit of an unseen term lies."""
+"""Normal quantile of 95 %: for the upper limit of a term that is not resolved."""
 
 
 Z_DETECT = 2.33
-"""Normal quantile of 99 %: a term that is 0 passes for one in 1 % of records."""
+"""Normal quantile of 99 %: a term that is 0 is resolved by mistake in 1 % of records."""
 
 
 ENOUGH = 0.01
@@ -78,7 +78,7 @@ class CoefficientInterval:
 
 
 class Score:
-    """z(c) of one power, its neighbours refitted."""
+    """Score test of one variance coefficient: z(c), with its neighbours refitted."""
 
     def __init__(self, table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT) -> None:
         self.table = table
@@ -91,8 +91,8 @@ class Score:
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
         """Return z(c) as a normal deviate.
 
-        `estimate` and `deviation` are those at that fit. An estimate below ``at_least`` counts as
-        that.
+        `estimate` and `deviation` are those of the fit at c. An estimate below ``at_least`` is
+        replaced by ``at_least``.
         """
         power = solve(
             self.table,
@@ -139,7 +139,7 @@ def normal_deviate(z: float, skewness: float) -> float:
 def coefficient_interval(
     table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT
 ) -> CoefficientInterval:
-    """Return the interval of one power about a fit of the table."""
+    """Return the interval of one variance coefficient about a fit of the table."""
     score = Score(table, term, power, misfit)
     z_zero = score(0.0)
     deviation = max(score.deviation, white_floor(table))
@@ -161,9 +161,9 @@ def cross(
 ) -> float:
     """Return where a falling z meets the target, beyond ``inner`` on the side of ``outer``.
 
-    It is the limit where z does not before. False position with halving (Illinois; Dowell &
-    Jarratt, BIT 11 (1971)) once the root is between two points; the outer one moves away until
-    it is.
+    The limit is returned if z does not meet it before. False position with halving (Illinois;
+    Dowell & Jarratt, BIT 11 (1971)) once the root is between two points; the outer one moves away
+    until it is.
     """
     side = 1.0 if limit > inner else -1.0
     a, fa = inner, side * (z(inner) - target)
@@ -256,7 +256,7 @@ class RampInterval:
 def ramp_interval(
     pooled: PooledTable, axis: int, fit: PointFit, walk: float
 ) -> RampInterval | None:
-    """Return the ramp of one axis, or None where no segment can show one.
+    """Return the ramp of one axis, or None where no segment determines it.
 
     Parameters
     ----------

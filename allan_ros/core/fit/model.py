@@ -23,7 +23,7 @@ RANDOM_TERMS = ('Q', 'N', 'B', 'K')
 
 
 WHITE = np.array([0.0, 1.0, 0.0, 0.0])
-"""Powers of nothing but white noise: what weights are made for before the noise is known."""
+"""Variance coefficients of white noise alone, for weights before the noise is known."""
 
 
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
@@ -40,7 +40,7 @@ def avar_terms(m: NDArray[np.int64]) -> Floats:
 
 
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return what belongs to k, (|t|^3 - |t|)/12, from the parts of -|t|/2 and |t|^3/12.
+    """Return the part of k, (|t|^3 - |t|)/12, from those of -|t|/2 and |t|^3/12.
 
     The sampled walk is the continuous one plus white noise of a sixth of its step.
     """

@@ -3,8 +3,8 @@
 """Method 'paper': plain least squares over groups that do not overlap.
 
 Cong, Wang, Yan, Industry and Mine Automation 45(10), 2019: sigma^2(tau) = sum A_p tau^p, p = -2..2,
-fitted without weights up to 1300 s, and each coefficient from its A_p. It is here to compare with:
-long averaging times, which scatter most, weigh most, so that Q, K and R often come out negative.
+fitted without weights up to 1300 s, and each coefficient from its A_p. It is kept for comparison:
+long averaging times, which scatter most, have the largest weight, so Q, K and R are often negative.
 The same fit on overlapping groups is reported as well, which the paper names as future work.
 """
 
@@ -81,9 +81,9 @@ def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
 def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
     """Return the fits on groups that do not overlap and on those that do, at the same factors.
 
-    A = P sigma^2 is linear, so its standard error follows from the variances of the points,
-    2 sigma^4/edf, with edf from the noise type and sigma^2 from the overlapped curve, which is
-    the better known; their correlation is left out. NaN with fewer than five points.
+    A = P sigma^2 is linear, so its standard error follows from the variances of the points, 2
+    sigma^4/edf, with edf from the noise type and sigma^2 from the overlapped curve, which is more
+    precise; their correlation is ignored. NaN with fewer than five points.
     """
     some = fitted_factors(sums)
     m, stride = sums.m[some], sums.stride[some]
@@ -126,7 +126,7 @@ def _coefficient(value: float | None, sign: int) -> Coefficient:
 
 
 def _gain(axis: str, groups: Polynomial, overlapped: Polynomial, i: int) -> Finding | None:
-    """Return what overlapping gives on one axis, or None where it gives nothing to compare."""
+    """Return the gain of overlapping groups on one axis; None without a comparison."""
     values, gains = [], []
     for k, (term, value) in enumerate(_coefficients(overlapped.value[:, i]).items()):
         if value is None:

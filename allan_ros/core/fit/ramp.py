@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ramp of a segment, estimated from its coarse phase record, and what removing it does.
+"""The ramp of a segment, estimated from its coarse phase record, and the effect of removing it.
 
 The second differences of the coarse phase over the square of its step are estimates of the ramp r
 (in sample units) with stationary noise. Their best linear unbiased combination (Aitken 1935) is
@@ -35,7 +35,7 @@ _FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)
 
 @dataclass(frozen=True)
 class RampGeometry:
-    """What the noise of the ramp of a segment of some length is made of.
+    """Covariances that determine the best ramp estimate of a segment of some length.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class RampGeometry:
         return np.asarray(np.convolve(on_second, DIFFERENCE) / float(self.step) ** 2)
 
     def effect(self, weights: Floats) -> RampEffect:
-        """Return what removing the ramp of these weights does to the table."""
+        """Return the effect on the table of removing the ramp estimated with these weights."""
         on_second = _on_second_differences(weights)
         # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
         lags = np.correlate(on_second, on_second, 'full')[len(on_second) - 1 :]
@@ -89,7 +89,7 @@ class RampEffect:
 
 
 def ramp_shift(m: NDArray[np.int64], effect: RampEffect) -> Floats:
-    """Return what taking the ramp out adds to the expected d^2/(2 m^2), (factors, 4).
+    """Return what removing the ramp adds to the expected d^2/(2 m^2), (factors, 4).
 
     -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit power.
     """
@@ -104,7 +104,7 @@ def _on_second_differences(weights: Floats) -> Floats:
 
 @lru_cache(maxsize=80)
 def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
-    """Return the geometry of a segment of that many samples; the last 80 are remembered.
+    """Return the geometry of a segment of that many samples; the last 80 are cached.
 
     Parameters
     ----------

@@ -19,8 +19,7 @@ Floats = NDArray[np.float64]
 
 
 MIN_WIDTH = 3.0
-"""tau_high/tau_low from which a part dominates a range alone: half a decade, the least on which an
-eye reads a slope."""
+"""tau_high/tau_low from which a part dominates a range alone: half a decade."""
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Method 'relative': nonnegative least squares on the curve's relative residuals.
 
-Every point of the overlapped curve up to a ninth of the record counts with the share by which the
-five terms miss it, so no term goes negative and no decade of tau rules the others. What the better
-open tools do; it gives no intervals, and N is looser than it need be because the short averaging
-times, which are known best, weigh no more than the rest.
+All points of the overlapped curve up to a ninth of the record have the same relative weight, so no
+decade of tau dominates, and no term is negative. Several open tools fit in this way. There are no
+intervals, and N is less precise than with method gls, because the short averaging times, which are
+known best, have no larger weight.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ chance, and its relative residual then outweighs all the others."""
 def fit_relative(sums: AllanSums) -> NoiseModel:
     """Return the coefficients by relative least squares over terms >= 0; no intervals.
 
-    A term that the fit leaves at zero has no value: the curve does not show it.
+    A term that the fit leaves at zero is not resolved and has no value.
     """
     findings: list[Finding] = []
     axes: dict[str, AxisFit] = {}

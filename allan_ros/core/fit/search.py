@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The search for the fewest Gauss-Markov processes and sinusoids that describe an Allan table.
 
-With the covariance of the table held, the best variances for any set of correlation times and
+With the covariance of the table fixed, the best variances for any set of correlation times and
 frequencies are a nonnegative least-squares problem, which is convex. The search adds the process
-that lowers chi^2 most, adjusts all shapes in turn, and stops where one more no longer pays.
+that lowers chi^2 most, adjusts all shapes in turn, and stops where one more is not significant.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ SHAPES_PER_OCTAVE = 6
 """Shapes tried in the first search."""
 
 SHORTEST_CORRELATION = 0.3
-"""Samples. White noise behind a first-order filter is such a process: found, it unmasks it."""
+"""Samples. White noise behind a first-order filter is such a process; fitting it reveals the
+filter."""
 
 SHORTEST_BEYOND_CUT = 4.0
 """The same in units of the smallest averaging factor, where shorter averages are left out."""
 
 LONGEST_CORRELATION = 8
-"""A correlation time over this part of the longest segment cannot be told from a random walk."""
+"""A correlation time over this part of the longest segment cannot be distinguished from a random
+walk."""
 
 FASTEST_LINE = 0.45
 """Of the sample rate."""
@@ -82,7 +84,7 @@ class Found:
 
 
 class ProcessSearch:
-    """Searches processes that describe a table, its covariance held.
+    """Searches the processes that describe a table, with its covariance fixed.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ class ProcessSearch:
         Parameters
         ----------
         start : sequence of Extra
-            Processes to begin with; those that no longer pay are left out.
+            Processes to begin with; those that are not significant any more are removed.
         """
         found = self._adjusted(self.fitted(start))
         while found.extras:  # leave out what does not pay

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The choice of the model of one axis: the five terms if they describe its table, else more."""
+"""Model selection of one axis: the five terms if they describe its table, else more."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ M_MIN = (2, 4, 8, 16, 64)
 """Smallest averaging factors that are tried where the shortest averages do not fit."""
 
 Z_LOW_PASS = -3.0
-"""A negative q that chance brings about in one of 700 records: the samples are filtered."""
+"""A more negative q occurs by chance in one of 700 records: the samples are filtered."""
 
 Z_LOOK = 1.0
 """A fit no worse than one in six is accepted without a search for processes."""
 
 Z_CUT = 6.0
 """The shortest averages, on which N rests, are left out only if the fit is worse than this or the
-samples are filtered. What spoils them does by hundreds."""
+samples are filtered. Real disturbances give values of hundreds."""
 
 ROUNDS = 3
 """Bound on the rounds of search and covariance; shapes settle in two."""
@@ -64,7 +64,7 @@ Z_SLACK = 1.0
 """A model of processes may be worse than one that passes by this much."""
 
 BOUNDED_MARGIN = 10.0
-"""Fall of the criterion for which a random walk gives way to a bounded drift."""
+"""Fall of the criterion for which a random walk is replaced by a bounded drift."""
 
 HOPELESS = 30.0
 """A search that fails by so much is not repeated with its own covariance."""
@@ -139,7 +139,7 @@ def select_model(pooled: PooledTable, axis: int) -> Selection:
 
 
 def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the fit with what makes it pass; else with what is best and a model error."""
+    """Return the fit with the processes that make it pass, else the best ones and a model error."""
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
     best = _searched(pooled, axis, plain)
     if _fits(best) and not _replaces_white(best):
@@ -172,8 +172,8 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
 def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     """Return the fit with a long Gauss-Markov process for its random walk, if that is likelier.
 
-    Both describe the precise part of the curve where they look alike. The long averages, though
-    few, tell whether the drift goes on.
+    Both describe the precise part of the curve equally well. The few long averages decide whether
+    the drift is bounded.
     """
     if not fit.power[K] > 0.0:
         return fit
@@ -211,7 +211,7 @@ def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selecti
 
 
 def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = np.inf) -> PointFit:
-    """Return the fit with the processes that its table asks for, if any.
+    """Return the fit with the processes that its table needs, if any.
 
     The first covariance is that of the five terms scaled to the measured curve: that of a fit that
     fails would be wrong where it fails. A search that fails by more than ``hopeless`` ends there.
@@ -261,7 +261,7 @@ def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
 
 
 def _replaces_white(fit: PointFit) -> bool:
-    """Return whether a short Gauss-Markov process stands for filtered white noise."""
+    """Return whether a short Gauss-Markov process represents filtered white noise."""
     longest = FILTER_LONGEST * fit.options.m_min
     powers = fit.power[len(RANDOM_TERMS) :]
     short = sum(
@@ -284,7 +284,7 @@ def _without_the_shortest(
 ) -> list[PointFit]:
     """Return fits from larger and larger smallest factors on, until one passes well.
 
-    A table that just passes may still be bent at its short end. None if ``tried`` has one that
+    A table that just passes may still deviate at its short end. None if ``tried`` has one that
     passes.
     """
     out: list[PointFit] = []

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Iterated generalised least squares on an Allan table: the powers that fit it best.
+"""Iterated generalised least squares on an Allan table: the best variance coefficients.
 
 The covariance of the table depends on the powers, so the fit alternates: weights from the powers,
 powers from the weights (Davidian & Carroll, JASA 82 (1987)). Minimising over the powers inside the
@@ -30,9 +30,9 @@ def nonnegative_least_squares(
 ) -> Floats:
     """Return x >= 0 that minimises |columns x - target|.
 
-    The active-set method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23), begun
-    with all columns, which mostly is the answer. Importing a general solver takes longer than all
-    fits of an IMU.
+    The active-set method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23), started
+    with all columns, which usually is the solution. Importing a general solver takes longer than
+    all fits of an IMU.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ NO_MISFIT = Misfit()
 
 
 def first_guess(table: Table) -> Floats:
-    """Return powers from relative weights, sqrt(n/m) / V: good enough to begin with."""
+    """Return the first variance coefficients, fitted with the relative weights sqrt(n/m) / V."""
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
     terms = table.terms[:, : len(RANDOM_TERMS)]
     return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
@@ -172,7 +172,7 @@ class Whitening:
         Raises
         ------
         AllanError
-            When it is no covariance at all.
+            When the matrix is not a covariance.
         """
         deviation = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(deviation, deviation)
@@ -234,7 +234,7 @@ def solve(
     power : (terms,) float64 array
         Where to begin.
     fixed : mapping of term index to power, optional
-        Terms that are held.
+        Terms that are fixed.
     columns : tuple of int, optional
         Terms that may be other than 0; all by default.
     signed : bool
@@ -368,7 +368,7 @@ class PointFit:
 def point_fit(
     pooled: PooledTable, axis: int, options: FitOptions = FitOptions(), power: Floats | None = None
 ) -> PointFit:
-    """Return the powers of one axis: ramps out, powers in, until both are steady.
+    """Return the variance coefficients of one axis, iterated with the ramps until both converge.
 
     Parameters
     ----------

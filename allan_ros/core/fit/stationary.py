@@ -139,7 +139,7 @@ def _without_early_part(
 
 
 def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
-    """Return the steps of each axis, from the recording that shows them best."""
+    """Return the bias steps of each axis, from the recording where they are most significant."""
     best: dict[int, BiasSteps] = {}
     for recording in sums.history.recordings[:TESTED_RECORDINGS]:
         for steps in bias_steps(recording, age):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Allan table of pooled segments, freed of their ramps, with its expectation and covariance.
+"""The Allan table of pooled segments without their ramps, with its expectation and covariance.
 
 Segments are independent, so their sums add, and so do the sums over pairs that make up the
 covariance: V = sum M_s V_s / sum M_s, C = sum (M_s/M)^2 C_s. Every segment has a ramp of its own;
@@ -36,7 +36,7 @@ Ints = NDArray[np.int64]
 
 
 ROUNDING = 1e-12
-"""Part of the variance that is rounding when all else of it is the ramp's."""
+"""Fraction of the variance below which the rest, without the ramp, is rounding."""
 
 
 EMPTY_ROW = 1e-6
@@ -162,7 +162,7 @@ class _Part:
         return cls(number, pairs, ramp_geometry(samples, step), at)
 
     def add(self, squares: Floats) -> None:
-        """Add its pair sums to the pooled ones, (10, pairs), its ramps left in."""
+        """Add its pair sums to the pooled ones, (10, pairs), before its ramps are removed."""
         squares[:, self.at] += self.number * self.pairs.squares
 
     def add_ramp(self, effect: RampEffect, terms: Floats, ramp_squares: Floats) -> None:
@@ -237,7 +237,7 @@ class PooledTable:
     def ramps(
         self, axis: int, power: Floats, known: Floats
     ) -> tuple[Floats, list[RampEffect | None]]:
-        """Return the ramp of each kept segment, and what estimating it does.
+        """Return the ramp of each kept segment, and the effect of its estimation.
 
         Parameters
         ----------
@@ -341,7 +341,7 @@ def variances(effects: Sequence[RampEffect | None]) -> Floats:
 
 
 def _informative(table: Table, whole: Floats, power: Floats) -> NDArray[np.bool_]:
-    """Return which factors still vary once the ramps are out."""
+    """Return which factors keep enough variance after the ramps are removed."""
     p = np.maximum(power, 0.0)
     keep = (table.count > 0) & (table.terms @ p > EMPTY_ROW * (whole @ p))
     diagonal = np.diag(table.covariance(power))
@@ -349,7 +349,7 @@ def _informative(table: Table, whole: Floats, power: Floats) -> NDArray[np.bool_
 
 
 def pooled_shift(classes: Sequence[LengthClass], m: Ints, stride: Ints, count: Ints) -> Floats:
-    """Return what taking the ramps out adds to the expected sums over the pooled differences.
+    """Return what removing the ramps adds to the expected sums over the pooled differences.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def pooled_shift(classes: Sequence[LengthClass], m: Ints, stride: Ints, count: I
 
 
 def fixed_effect(samples: int) -> RampEffect | None:
-    """Return what the least-squares ramp of a pooled segment does; None where it has none."""
+    """Return the effect of the least-squares ramp of a pooled segment; None where it has none."""
     geometry = ramp_geometry(samples)
     if geometry.points < 3:
         return None
@@ -388,7 +388,7 @@ def fixed_effect(samples: int) -> RampEffect | None:
 
 
 def _lengths(pool: LengthClass) -> tuple[float, float, float]:
-    """Return the mean of the lengths of a class, and between what they lie."""
+    """Return the mean length of the segments of a class, and the bounds of their lengths."""
     mean = pool.samples / pool.count
     if pool.count == 1:
         return mean, mean, mean
@@ -405,7 +405,7 @@ def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Float
 
 
 def _shift(samples: int) -> Floats:
-    """Return what taking the ramp out of a segment adds to each difference, (its factors, 4)."""
+    """Return what removing the ramp of a segment adds to each difference, (its factors, 4)."""
     m, effect = ramp_geometry(samples).m, fixed_effect(samples)
     if effect is None:
         return np.zeros((len(m), len(RANDOM_TERMS)))

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Removes what is no measurement: duplicates, backward stamps, repeated and zero-filled samples.
+"""Removes samples that are not measurements: duplicates, backward stamps, repeated and zero-filled
+samples.
 
 Drivers that put a slower accelerometer into every gyro message repeat its last sample, or fill the
 missing half with zeros. Both change the noise (a 250 Hz accelerometer repeated at 400 Hz shows N
@@ -130,7 +131,7 @@ class PassSplitter:
             self._latest, new_pass = None, True
 
     def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield the samples that wait: no more come."""
+        """Yield the buffered samples at the end of the input."""
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             yield False, waiting

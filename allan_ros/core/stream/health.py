@@ -20,7 +20,7 @@ class Counts:
 
     Where the sensors have different rates all but ``received`` and ``skipped`` are counted per
     sensor stream. received + bridged = used + skipped + not_finite + duplicate + backward +
-    untimed + moving + stuck + louder + those that still wait.
+    untimed + moving + stuck + louder + those still buffered.
 
     Attributes
     ----------

@@ -4,14 +4,14 @@
 
 The stream is judged in windows of about half a second. A window is moving when it differs from the
 noise floor of the sensor by its variance, its farthest sample, a step of its mean, or a mean rate
-away from that at rest. The thresholds are so far out that stationary noise is not trimmed (the
+away from that at rest. The thresholds are so high that stationary noise is not trimmed (the
 chance that a window of white noise is moving is below 1e-12, so N has no bias), and a sensor whose
 noise grew by half still passes. A motion ends at a lower threshold than it begins, and a margin
 before and after it is left out too.
 
 Isolated spikes are replaced by the mean of their neighbors before, unless the noise has heavy
-tails: then they stay, and are no motion either. Noise that becomes louder while
-the IMU stays at rest is told from motion, and counted apart.
+tails: then they stay, and are no motion either. Noise that becomes louder while the IMU stays at
+rest is distinguished from motion and counted separately.
 
 The floor is learned from the first windows that can be those of an IMU at rest, and follows the
 quiet quarter of each later block. All is counted in windows from the start of a stretch without
@@ -88,7 +88,7 @@ class _Judged(NamedTuple):
 
 
 class MotionGate:
-    """Passes on the samples at rest; at most the windows of the learning phase wait.
+    """Passes on the samples at rest; at most the windows of the learning phase are buffered.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class MotionGate:
         return self._floor is None and not self.moving
 
     def feed(self, blocks: list[Block]) -> list[Block]:
-        """Take blocks that came one after the other, return those at rest that are certain."""
+        """Add consecutive blocks, and return the data that are certainly at rest."""
         out: list[Block] = []
         for stretch in _stretches(blocks):
             if self._floor is None:
@@ -163,7 +163,7 @@ class MotionGate:
         return out
 
     def flush(self) -> list[Block]:
-        """Return what still waits: no more samples come."""
+        """Return the buffered data at the end of the input."""
         out: list[Block] = []
         while self._floor is None and self._learning:
             out += self._learn()
@@ -175,7 +175,8 @@ class MotionGate:
         return sum(len(block) for block in self._learning)
 
     def _learn(self) -> list[Block]:
-        """Learn the floor from the first windows, or drop them if an IMU at rest has none such."""
+        """Learn the floor from the first windows, or drop them if they cannot be those of an IMU at
+        rest."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
         stretches = [np.concatenate([b.rows for b in s], axis=1) for s in _stretches(first)]
         floor = NoiseFloor.learned(stretches, self.size, len(self._rate_limit))
@@ -211,7 +212,7 @@ class MotionGate:
         return out
 
     def _fill(self, more: Block) -> list[Block]:
-        """Judge the windows that are complete and can look ahead; the other samples wait."""
+        """Judge the windows that are complete and can look ahead; other samples stay buffered."""
         have = Block.joined([self._waiting, more]) if len(self._waiting) else more
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size
         out: list[Block] = []
@@ -360,7 +361,7 @@ class MotionGate:
         return []
 
     def _note_louder(self, block: list[_Judged], windows: Windows, still: Flags) -> None:
-        """Tell a block of louder noise from motion, and count it apart."""
+        """Distinguish a block of louder noise from motion, and count it separately."""
         ratio = None
         if not still.any() and not any(j.windows_class.stuck.any() for j in block):
             assert self._floor is not None
@@ -407,7 +408,7 @@ def _stretches(blocks: list[Block]) -> list[list[Block]]:
 
 
 def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]:
-    """Return the first samples of blocks that came one after the other, and the others."""
+    """Split consecutive blocks after a number of samples."""
     first: list[Block] = []
     for i, block in enumerate(blocks):
         if len(block) > samples:

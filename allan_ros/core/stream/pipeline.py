@@ -115,7 +115,7 @@ class ImuStream:
         self._present.update(batch)
 
     def end(self) -> None:
-        """Process all samples that wait and close the segment: no more come."""
+        """Process all buffered samples at the end of the input, and close the segment."""
         for frame in self._frames.values():
             frame.flush()
 
@@ -240,7 +240,7 @@ class FrameStream:
 
     @property
     def state(self) -> State:
-        """What the stream is doing."""
+        """State of the stream."""
         states = [sensor.state for sensor in self.sensors]
         if states:
             return 'louder' if 'louder' in states else states[0]
@@ -248,7 +248,7 @@ class FrameStream:
 
     @property
     def counts(self) -> Counts:
-        """What became of the samples, except how many came."""
+        """Counts of the samples, except the number received."""
         counts = Counts(skipped=self._skipped)
         for sensor in self.sensors:
             counts.add(sensor.counts)
@@ -290,7 +290,7 @@ class FrameStream:
                 )
 
     def flush(self) -> None:
-        """Process all samples that wait and close the segment: no more come."""
+        """Process all buffered samples at the end of the input, and close the segment."""
         if not self.sensors and self._learned:
             self._learn()
         for sensor in self.sensors:

@@ -126,7 +126,7 @@ class SensorStream:
     Attributes
     ----------
     counts : Counts
-        What became of the samples.
+        Counts of the samples.
     relearned : int
         How often the sums were discarded because the data had been taken in motion.
     """
@@ -150,7 +150,7 @@ class SensorStream:
         self._start(_nothing(len(plan.axes)))
 
     def _start(self, waiting: Samples) -> None:
-        """Start to learn a rate, with the samples that wait."""
+        """Start to learn a rate, with the buffered samples."""
         self._learning = waiting
         self._clock: SampleClock | None = None
         self._gate: MotionGate | None = None
@@ -168,7 +168,7 @@ class SensorStream:
 
     @property
     def state(self) -> State:
-        """What the stream is doing."""
+        """State of the stream."""
         if self._clock is None:
             return 'learning' if len(self._learning[0]) else 'waiting'
         gate = self._gate
@@ -238,7 +238,7 @@ class SensorStream:
             self._learn()
 
     def flush(self) -> None:
-        """Process all samples that wait, and close the segment: no more samples come."""
+        """Process all buffered samples at the end of the input, and close the segment."""
         while True:
             if self._clock is None:
                 self._learn()

@@ -199,7 +199,7 @@ BRIDGED_SHARE = 0.1
 
 
 class SampleClock:
-    """Turns samples into evenly spaced blocks; at most one block and the look-ahead wait.
+    """Turns samples into evenly spaced blocks; at most one block and the look-ahead are buffered.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ class SampleClock:
         return done
 
     def _append(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> None:
-        """Append samples to those that wait."""
+        """Append samples to the buffer."""
         self._stamps = np.concatenate([self._stamps, stamps])
         self._rows = np.concatenate([self._rows, rows], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
@@ -292,7 +292,7 @@ class SampleClock:
         return [Block(self._stamps[judged], self._rows[:, judged])] if first < self._past else []
 
     def flush(self) -> list[Block]:
-        """Return the blocks of all samples that wait: no more come."""
+        """Return the blocks of all buffered samples at the end of the input."""
         done: list[Block] = []
         while not self.rate_changed and len(self._stamps) > self._past:
             left = len(self._stamps) - self._past

@@ -46,7 +46,7 @@ class LineForm:
         return f'{value}'
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Refuse: the file is loaded or imported in addition to those of the user."""
+        """Raise `AllanError`: the file is loaded in addition to those of the user."""
         raise AllanError(
             'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
         )
@@ -80,7 +80,7 @@ class XmlForm:
         return comment + '\n'.join(_elements(_tree(entries))) + '\n'
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Refuse: which sensor of a world the numbers belong to is not known."""
+        """Raise `AllanError`: it is not known which sensor in a world the numbers are for."""
         raise AllanError('copy the fragment into your SDF or model file: leave out --merge-into')
 
 

@@ -307,8 +307,8 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
     """Serialize a batch to one payload per sample.
 
-    A sensor whose axes are all NaN is written as absent (zeros, covariance[0] = -1), and so is the
-    orientation always.
+    A sensor whose axes are all NaN is written as absent (zeros, covariance[0] = -1). The
+    orientation is always absent.
     """
     joined = memoryview(encode_records(batch, encoding, order).tobytes())
     size = len(joined) // max(len(batch), 1)

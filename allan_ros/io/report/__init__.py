@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page of one analysis: a verdict, charts one can touch, tables, and how it was done."""
+"""The HTML report of an analysis: verdict, interactive charts, tables and method."""
 
 from .page import ReportContext, render_report
 

@@ -177,7 +177,7 @@ def _numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
 
 
 SYSTEMS = ('datasheet', 'si')
-"""The units one may switch between."""
+"""The systems of units that the page offers."""
 
 
 def sensor_charts(

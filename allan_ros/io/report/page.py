@@ -139,7 +139,7 @@ ICONS = {
     'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
-"""Level -> the sign in its disc: sign and words say the same as the colour."""
+"""Level -> its symbol, which repeats the meaning of the colour."""
 
 
 FOLDED = 3
@@ -177,7 +177,7 @@ class ReportContext:
 
 
 def render_report(results: Results, context: ReportContext, units: str) -> str:
-    """Return the page.
+    """Return the HTML of the report.
 
     Parameters
     ----------

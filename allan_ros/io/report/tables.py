@@ -26,7 +26,7 @@ from ..results import AxisResult, Results
 from .chart_data import TERM_NAMES, in_units
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
-"""Verdict -> a sign that says the same as its word and colour."""
+"""Verdict -> its symbol, which repeats the meaning of word and colour."""
 
 
 def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
