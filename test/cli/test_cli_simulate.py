@@ -89,7 +89,7 @@ def test_faults_are_passed_on(tmp_path):
         (['--gyro', 'N=-1'], 'noise.gyro: N is'),
         (['--gyro', 'Z=1'], "noise.gyro: 'Z' is unknown"),
         (['--preset', 'paper', '--drop', '2'], 'drop is 2.0'),
-        (['--preset', 'paper', '--gaps', '1:-2'], 'gaps: a span of -2.0 s'),
+        (['--preset', 'paper', '--gaps', '1:-2'], 'gaps: a period of -2.0 s'),
         (['--preset', 'paper', '--hours', '-1'], 'give positive numbers'),
         (['--preset', 'paper', '--seed', '-1'], '--seed is -1'),
         (['--sensor', 'nothing'], "no datasheet 'nothing'"),

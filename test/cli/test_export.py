@@ -56,7 +56,8 @@ def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str])
 def test_what_a_number_is_not_goes_to_stderr(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(['export', str(folder / 'results.json'), '--to', 'orb_slam3']) == 0
+    words = ['export', str(folder / 'results.json'), '--to', 'orb_slam3']
+    assert main([*words, '--fidelity', 'coefficients']) == 0
     shown = capsys.readouterr()
     # Six minutes show no K of these sensors.
     assert 'allan export: Upper limits (95 %)' in shown.err

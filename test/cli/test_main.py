@@ -140,7 +140,7 @@ def test_what_goes_wrong_is_one_line_and_no_traceback(
     ('words', 'said'),
     [
         (['analyze', '/no/such.mcap'], 'no such file'),
-        (['analyze', 'x', '--skip', '-1'], 'skip is -1.0: it must lie between'),
+        (['analyze', 'x', '--skip', '-2'], 'skip is -2.0: it must lie between'),
         (['merge', '/no/such.json'], 'no such file'),
     ],
 )

@@ -27,6 +27,7 @@ from allan_ros.io.exporters import make_export
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums
 from allan_ros.io.text import to_json
+from allan_ros.io.verdict import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]
 
@@ -65,7 +66,7 @@ def changes(document: dict[str, Any], seed: int) -> Iterator[dict[str, Any]]:
 
 
 def use_results(results: Results) -> None:
-    for text in (repr(results), *results_lines(results, 'datasheet', 100)):
+    for text in (repr(results), *results_lines(results, verdict_of(results), 'datasheet', 100)):
         assert '\x1b' not in text
     results._repr_html_()
     results.table()

@@ -146,7 +146,7 @@ def arw(**change):
         ('just words', 'object is expected'),
         ('', 'object is expected'),
         ('!!python/object/apply:os.getcwd []', 'is not YAML'),
-        ('x' * 200_000, 'over 100000 bytes'),
+        ('x' * 200_000, 'larger than 100000 bytes'),
     ],
 )
 def test_a_bad_file_is_refused_with_its_place(load, document, said):
