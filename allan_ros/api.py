@@ -72,7 +72,7 @@ class ResultSettings:
     )
     margin: float = parameter(
         MARGIN,
-        'Fraction by which a whole interval must exceed the limit of the datasheet, or the '
+        'Fraction by which a complete interval must exceed the limit of the datasheet, or the '
         'earlier run.',
         low=0.0,
         high=100.0,

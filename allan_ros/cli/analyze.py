@@ -48,13 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     spread = parser.add_argument_group('several recordings')
     spread.add_argument(
-        '--jobs', type=int, default=1, metavar='N', help='read so many at a time (default 1)'
+        '--jobs', type=int, default=1, metavar='N', help='recordings read in parallel (default 1)'
     )
     spread.add_argument(
         '--merge',
         action='store_true',
-        help='add the recordings of a folder, as recordings of one IMU are that are given by name; '
-        'without it each has results of its own and a line in a summary',
+        help='add the recordings of a folder, as if they were given by name; by default each has '
+        'its own results and a line in the summary',
     )
     spread.add_argument(
         '--scheduler',
@@ -79,7 +79,7 @@ def add_fail_on(parser: argparse.ArgumentParser) -> None:
 
 
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of everything between a recording and its sums."""
+    """Add the options for the processing of recordings to sums."""
     parser.add_argument(
         '--rate',
         type=float,
@@ -91,7 +91,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         '--hardware-id',
         default='',
         metavar='TEXT',
-        help='which unit this is; only sums of the same one are added',
+        help='serial number of the IMU; only sums with the same one are added',
     )
     add_settings(parser, 'data at rest', SegmenterSettings, without=['declared_rate'])
     add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])

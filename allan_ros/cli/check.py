@@ -29,7 +29,7 @@ from .tables import LEVEL_COLOURS
 
 EXIT_UNKNOWN = 1
 
-EXITS = {EXIT_FAILED: 'judged and failed'}
+EXITS = {EXIT_FAILED: 'checked and failed'}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, fit, judge, and print one line."""
+    """Read, fit, check, and print one line."""
     settings = settings_of(ResultSettings, args)
     if settings.sensor:
         load_sensor(settings.sensor)  # a wrong name is reported before hours are read

@@ -88,6 +88,6 @@ def _made(client: Any, future: Any) -> RecordingSums:
                 raise
             alone = 0.0 if client.nthreads() else alone + ASK_S
     raise AllanError(
-        f'the cluster at {client.scheduler.address} has no worker: start some that have '
-        'allan_ros, or look into their logs for why they ended'
+        f'the cluster at {client.scheduler.address} has no worker: start workers with '
+        'allan_ros, or check their logs for the reason'
     )

@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=MARGIN,
         metavar='NUMBER',
-        help='fraction by which a whole interval must lie above what a datasheet states '
+        help='fraction by which a complete interval must exceed the limit of a datasheet '
         f'(default {MARGIN:g})',
     )
     parser.add_argument(
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--method',
         choices=tuple(METHODS),
         default='gls',
-        help='how sums and recordings are fitted (default gls); results are taken as they are',
+        help='how sums and recordings are fitted (default gls); results are not fitted again',
     )
     result.add_argument(
         '--units',
@@ -114,10 +114,12 @@ def run(args: argparse.Namespace) -> int:
     datasheets = [load_sensor(name) for name in names]
     paths = [text for text in args.inputs if text not in given]
     if len(args.label) > len(paths):
-        raise AllanError(f'{len(args.label)} --label for {len(paths)} runs: give one a run at most')
+        raise AllanError(
+            f'{len(args.label)} --label for {len(paths)} runs: give at most one per run'
+        )
     labels = [*args.label, *labels_of(paths)[len(args.label) :]]
     if len(set(labels)) < len(labels):
-        raise AllanError(f'two runs are called {_twice(labels)!r}: tell them apart with --label')
+        raise AllanError(f'two runs are called {_twice(labels)!r}: name them with --label')
     if len(paths) + len(datasheets) < 2 or not paths:
         raise AllanError('give two runs, or a run and sensor:NAME: there is nothing to compare')
     runs = [

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--merge-into',
         metavar='EXISTING',
         help='your own YAML or JSON file, whose other keys and comments are kept; changed in '
-        'place unless -o says where to',
+        'place unless -o is given',
     )
     add_settings(parser, 'numbers', ExportOptions)
 
@@ -59,7 +59,9 @@ def run(args: argparse.Namespace) -> int:
             print(f'{name:{width}}  {what}')
         return 0
     if not args.results or not args.to:
-        raise AllanError('give a results.json or its folder, and --to TARGET; --list tells them')
+        raise AllanError(
+            'give a results.json or its folder, and --to TARGET; --list shows the targets'
+        )
     from ..api import file_in, load
     from ..io.documents import RESULTS
     from ..io.exporters import make_export, target_of
@@ -99,4 +101,4 @@ def _text(path: str) -> str:
     except OSError as error:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
     except UnicodeDecodeError:
-        raise AllanError(f'{path}: is no UTF-8 text: give the YAML or JSON file itself') from None
+        raise AllanError(f'{path}: is not UTF-8 text: give the YAML or JSON file itself') from None

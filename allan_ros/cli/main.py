@@ -72,7 +72,7 @@ def _run(words: Sequence[str]) -> int:
     try:
         args = parser.parse_args(configured)
     except SystemExit:
-        sys.stdout.flush()  # a reader of --help may have left: told where that is caught
+        sys.stdout.flush()  # a closed pipe raises here, where it is caught
         raise
     args.command_line = shlex.join(['allan', *configured])
     code: int = importlib.import_module(f'.{args.verb}', __package__).run(args)

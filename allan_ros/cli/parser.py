@@ -67,7 +67,7 @@ shells."""
 
 EXITS = {
     0: 'done',
-    EXIT_ERROR: 'an error you can fix: one line on stderr says what and how',
+    EXIT_ERROR: 'an error you can fix: stderr has one line with the cause and the remedy',
     EXIT_USAGE: 'wrong usage of the command line',
     EXIT_FAULT: 'a bug in allan: please report the line',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
@@ -146,7 +146,7 @@ def build_parser(verb: str = '') -> AllanParser:
         usage='allan VERB [options] ...',
         description=DESCRIPTION,
         add_help=False,  # the verbs come first
-        epilog='`allan VERB --help` tells more of each.\n\n'
+        epilog='`allan VERB --help` shows the options of a verb.\n\n'
         + _exits_text(EXITS)
         + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width. allan.toml, or '
         '[tool.allan] of pyproject.toml, in the current folder sets defaults of options.',
@@ -155,15 +155,18 @@ def build_parser(verb: str = '') -> AllanParser:
         title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
     )
     options = parser.add_argument_group('options')
-    options.add_argument('-h', '--help', action='help', help='show this and exit')
+    options.add_argument('-h', '--help', action='help', help='show this help and exit')
     options.add_argument(
-        '--version', action='version', version=f'allan_ros {__version__}', help='show it and exit'
+        '--version',
+        action='version',
+        version=f'allan_ros {__version__}',
+        help='show the version and exit',
     )
     options.add_argument(
         '--completion',
         action=_Completion,
         choices=SHELLS,
-        help='print what makes this shell complete verbs, options and names: '
+        help='print a script that completes verbs, options and names in this shell: '
         'eval "$(allan --completion bash)" in ~/.bashrc, or for fish '
         'allan --completion fish | source',
     )

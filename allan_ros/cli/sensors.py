@@ -75,8 +75,8 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
         if sheet.carries:
             yield from wrapped(f'{name} carries {sheet.carries}.', columns)
     yield from wrapped(
-        'Upper limits by what the datasheets state; "-": they do not say. `allan sensors NAME` '
-        'shows one with its conditions and sources.',
+        'Upper limits from the datasheets; "-": not stated. `allan sensors NAME` shows one with '
+        'its conditions and sources.',
         columns,
     )
 
@@ -85,7 +85,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
     """Yield the figures of one datasheet, the limits of N and B that follow, and the sources."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
-        yield f'carries {sheet.carries}, whose figures these are'
+        yield f'carries {sheet.carries}; the figures are those of that sensor'
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
     for axes, term, limit in _grouped(sheet):

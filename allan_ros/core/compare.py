@@ -247,7 +247,7 @@ def _verdict(difference: Difference, beyond: bool) -> Change:
     if difference.p is None or difference.ci95 is None:
         return 'open'
     if not beyond:
-        # A limit that does not exclude equality says nothing; two estimates say how alike they are.
+        # A limit that does not exclude equality is inconclusive; two estimates give a ratio.
         return 'open' if difference.ratio is None else 'alike'
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 

@@ -3,7 +3,7 @@
 """The one base error of the package: its message says what is wrong, where, and what to do."""
 
 SHOWN_START, SHOWN_END = 1500, 500
-"""Characters of a line that are shown where it has more: the place, and the remedy at its end."""
+"""Characters kept at the start and at the end of a longer line: the place and the remedy."""
 
 
 def one_line(text: str) -> str:

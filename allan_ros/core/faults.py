@@ -65,7 +65,7 @@ class Faults:
     )
     accel_rate: float = parameter(
         0.0,
-        'rate at which the accelerometer is read; its samples are held between; 0: every sample',
+        'rate at which the accelerometer is read; samples are repeated in between; 0: every sample',
         unit='Hz',
         low=0.0,
     )

@@ -242,7 +242,7 @@ CATALOGUE = {
         'warning',
         '{count} samples ({share:.2%}) of the last minute were never sent, according to the '
         'stamps.',
-        'Check the driver, the bus of the sensor and the load of their machine.',
+        'Check the driver, the bus of the sensor and the load of the machine.',
     ),
     'stamps_leapt': Wording(
         'warning',
@@ -251,7 +251,7 @@ CATALOGUE = {
     ),
     'frame_waits': Wording(
         'warning',
-        'The samples now have frame_id "{present}", but the results are of "{shown}", which has '
+        'The samples now have frame_id "{present}", but the results are for "{shown}", which has '
         'more data.',
         'Connect that IMU again, or call ~/reset.',
     ),
@@ -349,7 +349,7 @@ CATALOGUE = {
     ),
     'relay_other_frame': Wording(
         'warning',
-        '{count} messages have frame_id "{found}", but the noise model is of "{expected}"; they '
+        '{count} messages have frame_id "{found}", but the noise model is for "{expected}"; they '
         'are passed on unchanged.',
         'Relay the topic that is measured: rotated axes have other variances.',
     ),
@@ -547,8 +547,8 @@ CATALOGUE = {
     ),
     'export_half_of_noise': Wording(
         'info',
-        '{keys} are the customary N sqrt(f), of which the midpoint rule of this filter propagates '
-        'half the variance.',
+        '{keys} are the customary N sqrt(f); the midpoint rule of this filter propagates only half '
+        'of their variance.',
         'Write N sqrt(2f) with --exact, or use --inflate.',
     ),
     'export_no_gauss_markov': Wording(

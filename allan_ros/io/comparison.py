@@ -202,7 +202,7 @@ VERDICT_TEXT = {
     'higher': 'higher',
     'lower': 'lower',
     'alike': 'alike',
-    'open': 'cannot be told',
+    'open': 'not comparable',
 }
 """Verdict on the second run -> its text in tables."""
 
@@ -251,12 +251,12 @@ def _of_pair(pair: Pair, family_error: float) -> str:
         terms = sum(d.tau is None and d.verdict == 'alike' for d in pair.differences)
         deviations = sum(d.tau is not None and d.verdict == 'alike' for d in pair.differences)
         if not terms + deviations:
-            return f'{pair.second} and {pair.first} show nothing that could be compared'
+            return f'{pair.second} and {pair.first} have nothing that can be compared'
         return (
-            f'{pair.second} and {pair.first} differ by no more than chance: {terms} coefficients '
-            f'and {deviations} deviations compared at a level of {family_error:.0%} for all'
+            f'{pair.second} and {pair.first} do not differ significantly: {terms} coefficients '
+            f'and {deviations} deviations compared at a total level of {family_error:.0%}'
         )
-    # Coefficients name what differs; deviations speak where no coefficient does.
+    # Coefficients take precedence; deviations are named if no coefficient differs.
     named = [d for d in beyond if d.tau is None] or list(beyond)
     # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
     most = max(named, key=lambda d: (d.ratio is not None, _least_difference(d)))
@@ -266,7 +266,7 @@ def _of_pair(pair: Pair, family_error: float) -> str:
     if others:
         said += f', and differs in {others} more of {len(pair.differences)} comparisons'
     if opposite:
-        said += f' ({opposite} of them the other way)'
+        said += f' ({opposite} of them in the opposite direction)'
     return said
 
 
@@ -297,11 +297,11 @@ def _interval(difference: Difference) -> str:
 def _of_datasheet(label: str, beside: DatasheetComparison) -> str:
     name = beside.datasheet.name
     if not beside.held:
-        return f'the datasheet of {name} states nothing of what {label} measured'
+        return f'the datasheet of {name} has no limit for the axes of {label}'
     beyond = [h for h in beside.held if h.verdict == 'beyond']
     if beyond:
         what = ', '.join(f'{h.axis.replace("_", " ")} {h.term}' for h in beyond)
         return f'{label} is beyond the datasheet of {name} in {what}'
     still = sum(h.verdict == 'open' for h in beside.held)
     rest = f'; {still} of {len(beside.held)} are not settled yet' if still else ''
-    return f'{label} keeps the datasheet of {name}{rest}'
+    return f'{label} is within the datasheet of {name}{rest}'

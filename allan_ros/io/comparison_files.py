@@ -161,7 +161,7 @@ def _figure_head(
     figure.text(left, top, SENSOR_NAMES[sensor], va='top', weight='bold', size='large')
     if with_ratios:
         right = 1.0 - MARGIN_IN / width
-        said = f'right: ratio to {comparison.runs[0].label}, filled where more than chance'
+        said = f'right: ratio to {comparison.runs[0].label}, filled where significant'
         text = figure.text(right, top - 0.04 / height, said, va='top', ha='right', size=SMALL)
         text.set_parse_math(False)
     handles = []
@@ -213,7 +213,7 @@ def _draw_curves(panel: Axes, axis: str, comparison: RunComparison, units: str) 
             known.append((i, curve))
     panel.set_ylabel(f'{axis.replace("_", " ")}  [{pretty_unit(unit.name)}]')
     if not known:
-        panel.text(0.5, 0.5, 'no noise to show', ha='center', transform=panel.transAxes)
+        panel.text(0.5, 0.5, 'no noise', ha='center', transform=panel.transAxes)
         panel.set_yticks([])
         return
     adevs = np.concatenate([curve.adev[curve.adev > 0.0] for _, curve in known]) * unit.factor

@@ -49,7 +49,7 @@ def read_yaml(path: Path) -> Any:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
     except (UnicodeDecodeError, yaml.YAMLError) as error:
         where = ' '.join(str(error).split())
-        raise AllanError(f'{path}: is not YAML ({where[:120]}): mend it there') from error
+        raise AllanError(f'{path}: is not YAML ({where[:120]}): correct it there') from error
 
 
 def config_names(kind: str) -> list[str]:

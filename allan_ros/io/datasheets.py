@@ -49,7 +49,7 @@ class Source:
     title, revision, url : str
         The document, its number and revision, and the manufacturer's page; '' where not known.
     seen : 'datasheet', 'secondary' or ''
-        Whether the document itself was read, or ``via``, which quotes it; '' where not said.
+        Whether the document itself was read, or ``via``, which quotes it; '' where not known.
     via : str
         The document that was read instead, if not the original.
     """
@@ -240,7 +240,10 @@ def _density(fields: Fields, unit: str, sources: tuple[str, ...]) -> Limit:
     factor, note = {
         'one': (1.0 / math.sqrt(2.0), 'one-sided density, divided by sqrt(2)'),
         'two': (1.0, ''),
-        'unknown': (1.0, 'one- or two-sided is not said: N is this, or this / sqrt(2)'),
+        'unknown': (
+            1.0,
+            'the source does not state one- or two-sided: N is this, or this / sqrt(2)',
+        ),
     }[sided]
     return _quantity(fields, unit, sources, 'sided', factor=factor, note=note)
 
@@ -258,7 +261,7 @@ def _bias(fields: Fields, unit: str, sources: tuple[str, ...]) -> Limit:
         'minimum': (from_minimum, 'minimum of the curve, divided by 0.664'),
         'unknown': (
             from_minimum,
-            'B or the minimum of the curve is not said: taken for the minimum, divided by 0.664',
+            'the source does not state B or minimum: treated as the minimum, divided by 0.664',
         ),
     }[stated_as]
     return _quantity(fields, unit, sources, 'stated_as', factor=factor, note=note)

@@ -109,7 +109,7 @@ HEAD_IN = 0.62
 
 
 LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
-"""Inches of the legend beside the curves, and left of the signal."""
+"""Inches of the legend next to the curves, and left of the signal."""
 
 
 TALLER_LEGEND_IN = 0.44
@@ -300,7 +300,7 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
     panel.set_ylabel(f'{axis.replace("_", " ")}  [{pretty_unit(unit.name)}]')
     positive = curve.adev[curve.adev > 0.0]
     if not len(positive):
-        panel.text(0.5, 0.5, 'no noise to show', ha='center', transform=panel.transAxes)
+        panel.text(0.5, 0.5, 'no noise', ha='center', transform=panel.transAxes)
         panel.set_yticks([])
         return
     ink = rcParams['text.color']

@@ -39,10 +39,12 @@ def parse_json(text: str, where: str) -> object:
         beyond the bounds are rejected.
     """
     if len(text) > MAX_BYTES:
-        raise AllanError(f'{where}: has more than {MAX_BYTES} bytes: it is not a document of ours')
+        raise AllanError(
+            f'{where}: has more than {MAX_BYTES} bytes: it is not a document of allan_ros'
+        )
     try:
         document: object = json.loads(text, parse_constant=_refuse, parse_int=_integer)
-        if '\\ud' in text.lower():  # only so half of a pair can come in, which no file can hold
+        if '\\ud' in text.lower():  # half a surrogate pair, which no file can contain
             json.dumps(document, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         raise AllanError(f'{where}: is not JSON ({error}): write it again') from None
@@ -70,12 +72,12 @@ def read_json(path: str | os.PathLike[str]) -> object:
 
 
 def _refuse(name: str) -> object:
-    raise ValueError(f'{name} is no number')
+    raise ValueError(f'{name} is not a number')
 
 
 def _integer(digits: str) -> int:
     if len(digits) > MAX_DIGITS:
-        raise ValueError(f'a whole number of {len(digits)} digits')
+        raise ValueError(f'an integer of {len(digits)} digits')
     return int(digits)
 
 

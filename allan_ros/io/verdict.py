@@ -39,7 +39,7 @@ ODD_AXIS = 2.0
 """Ratio from which an axis is suspect; the third axis of many accelerometers reaches 1.5."""
 
 NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
-"""Findings that ask for nothing, or for a longer record, which is advised in one line."""
+"""Findings that need no action, or only a longer record, which is advised in one line."""
 
 
 @dataclass(frozen=True)

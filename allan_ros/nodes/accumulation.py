@@ -36,7 +36,7 @@ from .shell import Periodic
 from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
 
 LIVE_COUNTERPARTS = frozenset(('gaps',))
-"""Findings of a complete stream that the findings of the live input say better."""
+"""Findings of a complete stream that the findings of the live input replace."""
 
 
 class WatchedImu(NamedTuple):

@@ -229,7 +229,7 @@ class ImuInput:
             self._statistics.sent_before += number - FIRST_NUMBER
         before = self._last_number.get(who)
         self._last_number[who] = number
-        # Before Kilted nothing tells the messages of two publishers apart.
+        # Before Kilted, messages of two publishers cannot be distinguished.
         if before is not None and (gid is not None or self._alone):
             self._statistics.skipped_numbers += max(0, number - before - 1)
 

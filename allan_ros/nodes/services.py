@@ -76,7 +76,7 @@ def _call(node: Node, executor: SingleThreadedExecutor, name: str) -> int:
     """Call one service and print its answer; return 0 on success."""
     client: Client = node.create_client(Trigger, name)
     client.wait_for_service(DISCOVERY_S)
-    # An answer to a client that the service has not discovered yet is lost: ask again then.
+    # An answer to a client that the service has not discovered yet is lost: repeat the call.
     for _ in range(3):
         future = client.call_async(Trigger.Request())
         executor.spin_until_future_complete(future, DISCOVERY_S)

@@ -56,13 +56,13 @@ class InputSettings(CheckedSettings):
     )
     gyro_unit: str = parameter(
         'rad/s',
-        'Unit of angular_velocity as the driver publishes it; ROS asks for rad/s.',
+        'Unit of angular_velocity as the driver publishes it; ROS requires rad/s.',
         choices=tuple(GYRO_UNITS),
         read_only=True,
     )
     accel_unit: str = parameter(
         'm/s^2',
-        'Unit of linear_acceleration as the driver publishes it; ROS asks for m/s^2.',
+        'Unit of linear_acceleration as the driver publishes it; ROS requires m/s^2.',
         choices=tuple(ACCEL_UNITS),
         read_only=True,
     )

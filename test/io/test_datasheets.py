@@ -81,7 +81,7 @@ def test_the_examples_of_the_page_load(repository, load):
 
 @pytest.mark.parametrize(
     'sided, factor, note',
-    [('one', 0.5**0.5, 'one-sided'), ('two', 1, ''), ('unknown', 1, 'not said')],
+    [('one', 0.5**0.5, 'one-sided'), ('two', 1, ''), ('unknown', 1, 'does not state')],
 )
 def test_a_density_becomes_n_by_its_sides(load, sided, factor, note):
     density = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)', 'sided': sided}

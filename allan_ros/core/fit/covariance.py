@@ -7,8 +7,9 @@ For Gaussian noise the covariance of two Allan variances is a sum over lags (Iss
     Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
 
 with C_ij(s) the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i), d_j(u)/(sqrt2 m_j)
-and cnt_ij(s) the number of pairs at lag s in the record. C is linear in (q, w, b, k), so the sum
-is ten matrices weighted by products of powers: they depend on the length of the record only.
+and cnt_ij(s) the number of pairs at lag s in the record. C is linear in (q, w, b, k), so the sum is
+ten matrices weighted by products of these variance coefficients: they depend on the length of the
+record only.
 
 cnt is piecewise linear in s, so it takes just the running sums of C_k C_l and of s C_k C_l at four
 lags. And the grid repeats itself every octave: the pair (2^a m, 2^a m') at lags 2^a s has the C of
@@ -30,7 +31,7 @@ from .model import DIFFERENCE, Floats, walk_from_cubic
 Ints = NDArray[np.int64]
 
 TERM_PAIRS = tuple((a, b) for a in range(4) for b in range(a, 4))
-"""The ten products of powers a covariance is made of: q q, q w, q b, .. k k."""
+"""The ten products of variance coefficients in a covariance: q q, q w, q b, .. k k."""
 
 EXACT_POINTS = 14
 """Lag panels up to this long are summed point by point, longer ones by quadrature."""

@@ -43,7 +43,7 @@ OVERLAPPING = 0.75
 """Degrees of freedom of an average over tau, times tau over the record."""
 
 LEAST_ERROR = 0.05
-"""Relative error of a variance at least: what independent points cannot tell."""
+"""Least relative error of a variance, for errors that independent points do not show."""
 
 FINE = 1000
 """Units of time in the shortest averaging time: there, samples and continuous time are the same."""

@@ -29,7 +29,7 @@ B_RESOLVED = 8.5
 """Least B over N/sqrt(T) that T seconds resolve where K is not resolved."""
 
 B_RESOLVED_BESIDE_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
-"""K T/N, and least B over sqrt(N K) beside that K."""
+"""K T/N, and least B over sqrt(N K) where that K is resolved."""
 
 K_RESOLVED = 51.0
 """Least K over N/T."""

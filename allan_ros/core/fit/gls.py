@@ -82,7 +82,7 @@ def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, lis
     if selected.filtered or options.m_min > 1:
         noise['Q'] = _unresolved(None, np.inf)
     elif noise['Q'].status == 'not_observable':
-        # A q that cannot be told from 0 nearly doubles the error of N; its interval keeps q.
+        # A q that is not significant nearly doubles the error of N; its interval keeps q.
         others = tuple(t for t in sizes if t != Q)
         alone = solve(
             selected.fit.table, power[: len(sizes)], columns=others, misfit=options.misfit
@@ -105,10 +105,10 @@ def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, lis
 def _consistent(
     table: Table, power: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
-    """Return the powers, those outside of their interval replaced by what the interval is about.
+    """Return the variance coefficients such that each value lies within its interval.
 
-    Intervals leave q its sign, values do not. Where a negative q matters, in one record of a
-    hundred, a value without it would lie outside and claim to be exact on one side.
+    Intervals allow a negative q, values do not. In one record of a hundred this would put a value
+    outside its interval; it is replaced by the estimate that the interval belongs to.
     """
     above, below = 1.0 + AT_AN_END, 1.0 - AT_AN_END
     seen = [(t, each) for t, each in enumerate(intervals) if each.observable]

@@ -122,7 +122,8 @@ def few_averages(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> NDA
 
 
 def best_case_goodness(table: Table, power: Floats) -> Goodness:
-    """Return the goodness at the fitted powers, or with the walk at its upper limit if better.
+    """Return the goodness at the fitted coefficients, or with the walk at its upper limit if
+    better.
 
     Where a walk dominates the longest averages, k rests on few degrees of freedom, and an estimate
     of k that is too low by chance makes everything else look too large. A table is only rejected if

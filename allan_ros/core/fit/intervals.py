@@ -151,7 +151,7 @@ def coefficient_interval(
         high = cross(score, -Z_TWO_SIDED, middle, middle + 2.0 * deviation, np.inf)
         low = cross(score, Z_TWO_SIDED, middle, middle - 2.0 * deviation, 0.0)
         return CoefficientInterval(z_zero, low, high, high)
-    # An estimate below zero counts as zero: the limit is then what the record could have shown.
+    # An estimate below zero counts as zero: the limit is then that of the length of the record.
     upper = cross(lambda c: score(c, 0.0), -Z_ONE_SIDED, 0.0, middle + 2.0 * deviation, np.inf)
     return CoefficientInterval(z_zero, 0.0, upper, upper)
 
@@ -197,7 +197,7 @@ WIDEST_SHAPE = 100.0
 
 
 def process_intervals(fit: PointFit, table: Table) -> Floats:
-    """Return the ratios of powers and of shapes to the ends of their 95 % intervals.
+    """Return the ratios of variances and of shapes to the ends of their 95 % intervals.
 
     From the linear fit in which the derivatives of the columns by the logarithms of their shapes
     are free: the intervals are symmetric in the logarithm.

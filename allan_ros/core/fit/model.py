@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')
-"""The terms with a column, in the order of every array of powers."""
+"""The terms with a column, in the order of every array of variance coefficients."""
 
 
 WHITE = np.array([0.0, 1.0, 0.0, 0.0])
@@ -62,7 +62,8 @@ def phase_covariance(t: Floats) -> Floats:
 
 
 def coefficient_to_si(term: str, power: float, tau0: float) -> float:
-    """Return the SI coefficient of a power (q, w, b, k) or of the ramp r; 0 below 0."""
+    """Return the SI coefficient of a variance coefficient (q, w, b, k) or of the ramp r; 0 below
+    0."""
     if term == 'R':
         return power / tau0
     return math.sqrt(max(power, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])

@@ -9,11 +9,11 @@ The second differences of the coarse phase over the square of its step are estim
 
 with S the Toeplitz covariance of z under the noise model. Any such r is linear in the phase,
 ``weights @ phase``. Taking r m^2 out of every difference d leaves a table whose expectation is
-still linear in the powers, for any fixed weights and exactly:
+still linear in the variance coefficients, for any fixed weights and exactly:
 
     E V'_i = E V_i - sqrt2 m_i Cov(S_i, r) + m_i^2 Var(r) / 2
 
-where S_i is the mean of d/(sqrt2 m_i). `RampEffect` holds both, per unit power.
+where S_i is the mean of d/(sqrt2 m_i). `RampEffect` holds both, per unit coefficient.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class RampGeometry:
         Of its coarse phase record.
     m : (factors,) int64 array
     second_differences : (4, points - 2) float64 array
-        Covariance at lag 0, 1, .. of the second differences of the coarse phase, per unit power.
+        Covariance at lag 0, 1, .. of the second differences of the phase, per unit coefficient.
     cross : (4, factors, points) float64 array
-        Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit power.
+        Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit coefficient.
     """
 
     points: int
@@ -81,7 +81,7 @@ class RampGeometry:
 class RampEffect:
     """Covariance of a ramp estimate with the signed means S_i (4, factors), and its variance (4,).
 
-    Both per unit power.
+    Both per unit coefficient.
     """
 
     cross: Floats
@@ -91,7 +91,7 @@ class RampEffect:
 def ramp_shift(m: NDArray[np.int64], effect: RampEffect) -> Floats:
     """Return what removing the ramp adds to the expected d^2/(2 m^2), (factors, 4).
 
-    -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit power.
+    -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
     """
     m = m.astype(float)
     return np.asarray((np.outer(effect.variance, m * m / 2.0) - np.sqrt(2.0) * m * effect.cross).T)

@@ -306,7 +306,7 @@ def _without_the_shortest(
 
 
 def _resized(fit: PointFit) -> PointFit:
-    """Return a fit whose powers of processes are 0: a search finds them again."""
+    """Return a fit in which the variances of the processes are 0, to be found again by a search."""
     power = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
     power[: len(RANDOM_TERMS)] = fit.power[: len(RANDOM_TERMS)]
     return replace(fit, power=power)

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Iterated generalised least squares on an Allan table: the best variance coefficients.
 
-The covariance of the table depends on the powers, so the fit alternates: weights from the powers,
-powers from the weights (Davidian & Carroll, JASA 82 (1987)). Minimising over the powers inside the
-covariance as well would be biased.
+The covariance of the table depends on the coefficients, so the fit alternates: weights from the
+coefficients, coefficients from the weights (Davidian & Carroll, JASA 82 (1987)). Minimising over
+the coefficients inside the covariance as well would be biased.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .processes import Extra, with_extras
 from .table import EMPTY_ROW, PooledTable, Table
 
 RIDGE = 1e-12
-"""Added to the normal equations of unit columns, so that too few points give a wide answer
+"""Added to the normal equations of unit columns, so that too few points give a wide interval
 instead of none."""
 
 
@@ -114,7 +114,7 @@ almost one and the same number, and the covariance is only known to about this."
 
 
 TOLERANCE = 1e-3
-"""Relative change of the powers at which the iteration stops: far below their errors."""
+"""Relative change of the coefficients at which the iteration stops: far below their errors."""
 
 
 ROUNDS = 12
@@ -226,7 +226,7 @@ def solve(
     signed: bool = False,
     misfit: Misfit = NO_MISFIT,
 ) -> Floats:
-    """Return the powers that fit the table.
+    """Return the variance coefficients that fit the table.
 
     Parameters
     ----------
@@ -277,7 +277,8 @@ def white_floor(table: Table) -> float:
 
 
 def with_floor(table: Table, power: Floats) -> Floats:
-    """Return the powers, none negative, with `white_floor` at least: each factor has some noise."""
+    """Return the coefficients, none negative, with `white_floor` at least: each factor has
+    noise."""
     p = np.maximum(power, 0.0)
     p[table.noises + table.lines :] = 0.0
     p[N] = max(p[N], white_floor(table))
@@ -285,7 +286,7 @@ def with_floor(table: Table, power: Floats) -> Floats:
 
 
 def weights_at(table: Table, power: Floats, misfit: Misfit) -> Floats:
-    """Return the covariance of the table at powers `with_floor`."""
+    """Return the covariance of the table at the coefficients `with_floor`."""
     p = with_floor(table, power)
     covariance = table.covariance(p)
     model = table.terms @ p
@@ -297,11 +298,11 @@ def weights_at(table: Table, power: Floats, misfit: Misfit) -> Floats:
 
 
 RAMP_ROUNDS = 4
-"""Rounds of ramp and table; powers settle in two or three."""
+"""Rounds of ramp and table; the coefficients converge in two or three."""
 
 
 RAMP_TOLERANCE = 1e-2
-"""Relative change of the powers that no longer matters to the weights of the ramp."""
+"""Relative change of the coefficients that is negligible for the weights of the ramp."""
 
 
 @dataclass(frozen=True)
@@ -336,7 +337,7 @@ class FitOptions:
         ramps: Floats | None = None,
         tangents: bool = False,
     ) -> Table:
-        """Return the table of an axis with the ramps that are best under the powers.
+        """Return the table of an axis with the best ramps under these coefficients.
 
         Parameters are those of `PooledTable.table` and, for ``tangents``, of `with_extras`.
         """
@@ -353,7 +354,8 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class PointFit:
-    """Powers, the table (with its ramps) they were fitted to, and how."""
+    """Variance coefficients, the table (with its ramps) they were fitted to, and the fit
+    options."""
 
     power: Floats
     table: Table

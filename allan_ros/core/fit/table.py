@@ -61,11 +61,11 @@ class Table:
     terms : (factors, 4) float64 array
         Its expectation for unit q, w, b, k; further columns where terms were added.
     squares : (10, pairs) float64 array
-        Its covariance for the products of powers `TERM_PAIRS`, at pairs i <= j.
+        Its covariance for the products of coefficients `TERM_PAIRS`, at pairs i <= j.
     ramps : (segments,) float64 array
         The ramp taken out of each kept segment, per sample; 0 where none could be estimated.
     ramp_variance : (segments, 4) float64 array
-        Its variance per unit power.
+        Its variance per unit coefficient.
     ramp_squares : (10, pairs) float64 array
         The part of ``squares`` that removing the ramps has added.
     noises : int
@@ -73,7 +73,7 @@ class Table:
         products.
     line_scatter : (lines, noises) float64 array
         For each sinusoid, whose columns follow, the variance of its squared amplitude over the
-        squared amplitude, per unit power of each noise. Further columns only shift the
+        squared amplitude, per unit variance of each noise. Further columns only shift the
         expectation.
     filled : (factors,) float64 array
         What interpolated samples have added to the column of white noise.
@@ -97,7 +97,7 @@ class Table:
         return len(self.line_scatter)
 
     def covariance(self, power: Floats) -> Floats:
-        """Return the covariance of ``avar`` under the powers, (factors, factors).
+        """Return the covariance of ``avar`` under these coefficients, (factors, factors).
 
         A sinusoid multiplies with the noise at its frequency, which changes its amplitude alone.
         """
@@ -257,7 +257,7 @@ class PooledTable:
         return found, effects
 
     def table(self, axis: int, power: Floats, ramps: Floats | None = None) -> Table:
-        """Return the table of one axis, its ramps estimated as is best under the powers.
+        """Return the table of one axis, with the best ramps under these coefficients.
 
         Parameters
         ----------
@@ -335,7 +335,7 @@ def clear_cache() -> None:
 
 
 def variances(effects: Sequence[RampEffect | None]) -> Floats:
-    """Return the variance of each ramp per unit power, (segments, 4); 0 where it has none."""
+    """Return the variance of each ramp per unit coefficient, (segments, 4); 0 where it has none."""
     none = np.zeros(len(RANDOM_TERMS))
     return np.array([none if e is None else e.variance for e in effects]).reshape(-1, len(none))
 
@@ -360,7 +360,7 @@ def pooled_shift(classes: Sequence[LengthClass], m: Ints, stride: Ints, count: I
     Returns
     -------
     (factors, 4) float64 array
-        Per unit power, for sums of d^2/(2 m^2).
+        Per unit coefficient, for sums of d^2/(2 m^2).
     """
     taken = np.zeros((len(m), len(RANDOM_TERMS)))
     number = np.zeros(len(m))

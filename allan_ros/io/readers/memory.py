@@ -21,7 +21,7 @@ NAME = 'array'
 """Name of samples that do not come from a file."""
 
 DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
-"""Number of columns -> the axes they are taken for when none are named."""
+"""Number of columns -> the axes they are assumed to be when none are named."""
 
 NS = 1e9
 
