@@ -65,7 +65,7 @@ def on_cluster(
                 continue
             outcomes[job] = recorded
             progress.advance(recorded.provenance.counts.received)
-        # a worker takes with it what waits there too: only alone it shows which job is deadly
+        # a dying worker also loses its queued jobs: running alone shows which job is the cause
         for job in doubtful:
             try:
                 outcomes[job] = _made(client, client.submit(work, job, pure=False))
@@ -84,7 +84,7 @@ def _made(client: Any, future: Any) -> RecordingSums:
             made: RecordingSums = future.result(timeout=ASK_S)
             return made
         except Unfinished:
-            if future.status == 'error':  # its own: a disk far away, perhaps
+            if future.status == 'error':  # a timeout of the job itself, such as a remote disk
                 raise
             alone = 0.0 if client.nthreads() else alone + ASK_S
     raise AllanError(

@@ -38,7 +38,7 @@ def registration(shell: str) -> str:
             'python3-argcomplete'
         ) from error
     code: str = shellcode(['allan'], shell='fish' if shell == 'fish' else 'bash')
-    if shell == 'zsh' and 'compdef' not in code:  # argcomplete before 3.0 speaks bash only
+    if shell == 'zsh' and 'compdef' not in code:  # argcomplete before 3.0 supports bash only
         code = f'autoload -U bashcompinit\nbashcompinit\n{code}'
     return code
 

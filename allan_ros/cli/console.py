@@ -67,7 +67,7 @@ class Progress:
         trace: TracebackType | None,
     ) -> None:
         if self._draws:
-            self._stream.write('\r\x1b[K')  # leave no trace: the result is what counts
+            self._stream.write('\r\x1b[K')  # erase the bar before the result is printed
             self._stream.flush()
 
     def advance(self, units: int) -> None:

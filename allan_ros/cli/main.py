@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _stopped(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader (head, less) has left. Nothing may be written at exit either.
+        # The reader (head, less) has closed the pipe; writing at exit must not fail either.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -99,7 +99,7 @@ def _stopped(line: str, code: int) -> int:
 def console() -> None:
     """Exit with the code of `main`: the entry point of ``allan``."""
     for stream in (sys.stdout, sys.stderr):
-        # a file name may hold what the terminal's encoding does not
+        # a file name may contain characters outside the encoding of the terminal
         stream.reconfigure(errors='backslashreplace')  # type: ignore[union-attr]
     if '_ARGCOMPLETE' in os.environ:
         from .completion import complete

@@ -195,7 +195,7 @@ CATALOGUE = {
         'None of {received} samples is usable.',
         'See the other findings for the reasons.',
     ),
-    # --- the nodes: the input, and what survives a restart ----------------------------------------
+    # --- the nodes: input and checkpoint ----------------------------------------------------------
     'no_publisher': Wording(
         'error',
         'Nothing publishes on {topic}.',
@@ -311,7 +311,7 @@ CATALOGUE = {
         'The checkpoint cannot be written: {reason}.',
         'Fix the path; until then the sums are lost at a restart. Writing is retried.',
     ),
-    # --- the relay: what the relayed messages lack ------------------------------------------------
+    # --- the relay --------------------------------------------------------------------------------
     'relay_waits': Wording(
         'info',
         'There is no noise model on {topic} yet; messages are {done}.',
@@ -364,7 +364,7 @@ CATALOGUE = {
         '{count} messages could not be published.',
         'Check for a reliable subscriber that stopped reading.',
     ),
-    # --- the recording: what the readers could not read -------------------------------------------
+    # --- the recording: unreadable parts ----------------------------------------------------------
     'table_cut': Wording(
         'warning',
         '{path}: line {line}, the last one, has no line end, may be truncated and was dropped.',

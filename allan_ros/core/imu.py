@@ -233,5 +233,5 @@ class ImuIdentity(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What to call it: the serial number or the frame, safe to show in a terminal."""
+        """Name for users: the serial number or the frame_id, safe to print."""
         return one_line(self.hardware_id or self.frame_id)

@@ -273,7 +273,7 @@ def disturb_samples(
 
 def _recursion(pole: float, inputs: Floats) -> Floats:
     """Return y_k = pole y_(k-1) + x_k down the first axis, y_0 = x_0."""
-    from scipy.signal import lfilter  # slow to import: only those who ask for it pay
+    from scipy.signal import lfilter  # slow to import, and rarely needed
 
     return np.asarray(lfilter([1.0], [1.0, -pole], inputs, axis=0))
 

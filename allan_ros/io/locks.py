@@ -20,7 +20,7 @@ LOCKED_BYTE = 2**30
 
 
 class PathLock:
-    """Marks a path as owned by one process, by a lock on a hidden file next to it.
+    """Marks a path as owned by one process, with a lock on a hidden file next to it.
 
     The path itself cannot be locked, because it is replaced whenever it is written.
 

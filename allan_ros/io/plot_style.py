@@ -30,11 +30,11 @@ STYLES: dict[str, dict[str, Any]] = {
     'page': {'figure.figsize': (PAGE_IN, 6.3)},
     'column': {'figure.figsize': (COLUMN_IN, 7.6)},
 }
-"""Styles of our own: as wide as a page, with the signal beside the curves, or as a column."""
+"""Styles of our own: as wide as a page, with the signal next to the curves, or as a column."""
 
 
 NARROW_IN = 5.0
-"""A picture narrower than this has no room for the signal beside the curves."""
+"""A narrower picture has no room for the signal next to the curves."""
 
 
 FOOT_IN, LEFT_IN, MARGIN_IN = 0.45, 0.62, 0.12
@@ -113,7 +113,7 @@ def load_style(name: str) -> Mapping[str, Any]:
     path = Path(name)
     if path.is_file():
         return {**STYLES['page'], **_sheet(path)}
-    from matplotlib import style  # heavy, and not needed for our own
+    from matplotlib import style  # slow to import, and not needed for the built-in styles
 
     if name in style.library:
         return {**STYLES['page'], **style.library[name]}

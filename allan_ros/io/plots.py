@@ -47,7 +47,7 @@ from .results import AxisCurve, AxisResult, Results
 from .signal_summary import SignalSummary
 
 HATCHES = {True: '///', False: 3 * '\\'}
-"""Of what is left out, by whether the IMU moved."""
+"""Hatching of excluded data, by whether the IMU moved."""
 
 
 VEIL = 0.75
@@ -59,7 +59,7 @@ CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
 
 
 ABOVE_SIGNAL = 1.15
-"""Room around the used samples, over the largest; a knock that was left out may exceed it."""
+"""Margin around the used samples, relative to the largest; an excluded knock may exceed it."""
 
 
 STEPS = (1, 2, 5, 10)
@@ -294,7 +294,7 @@ def _head(
 
 
 def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bool) -> None:
-    """Draw the deviation with its limits, the fit and the parts it is made of."""
+    """Draw the deviation with its limits, the fit and its parts."""
     curve, unit = result.curve, shown_unit(axis, 'B', units)
     assert curve is not None
     panel.set_ylabel(f'{axis.replace("_", " ")}  [{pretty_unit(unit.name)}]')
@@ -317,7 +317,7 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
         label='measured',
     )  # fmt: skip
     lines = _draw_parts(panel, axis, result, curve, units)
-    if not wide:  # room for the values of what is drawn, no more
+    if not wide:  # limits from the drawn values only
         lines = [line for line in lines if isinstance(line, Line2D) and line.get_color()]
         for line in lines:
             line.set_label(str(line.get_label()).partition('\n')[0])

@@ -121,7 +121,7 @@ def write_result_files(
     contents[SUMS] = to_json(sums_document)
     folder = made_folder(Path(folder))
     with _folder_locked(folder):
-        # The filter files are removed first and written last: none is ever of another analysis.
+        # The filter files are removed first and written last, so none belongs to another analysis.
         former_files = _files_of(folder).difference(contents)
         write_together(folder, {**contents, **filters}, {*filters, *former_files})
     return results, [folder / name for name in (*filters, *contents)]

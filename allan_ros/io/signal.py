@@ -80,7 +80,7 @@ class SignalEnvelope:
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
-        # no picture shows what no IMU measures, nor do the sums contain it
+        # values that no IMU measures are excluded here and in the sums
         samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
         low = np.fmin.reduceat(samples, starts)
         high = np.fmax.reduceat(samples, starts)

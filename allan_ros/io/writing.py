@@ -108,7 +108,7 @@ def _write(
 
 
 def _only_file(bag: Path) -> None:
-    """Replace a bag by its storage file: the name given is that of a file."""
+    """Replace a bag by its storage file, because the given name is that of a file."""
     (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
     kept = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)

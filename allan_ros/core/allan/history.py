@@ -96,7 +96,7 @@ def short(values: Floats) -> Floats:
 
 
 def same_values(a: object, b: object) -> bool:
-    """Return whether two dataclass values of one type hold the same, arrays included."""
+    """Return whether two dataclass values of one type are equal, arrays included."""
     if type(a) is not type(b):
         return False
     pairs = ((getattr(a, f.name), getattr(b, f.name)) for f in fields(a))  # type: ignore[arg-type]

@@ -25,13 +25,13 @@ from .state_space import StateSpace, state_space, with_slope
 Floats = NDArray[np.float64]
 
 MEAN_S = 1.0
-"""Length of the means that the filter takes."""
+"""Length of the means that are the input of the filter."""
 
 AHEAD_S = 10.0
-"""The bias is the mean over so long."""
+"""Time over which the bias is averaged."""
 
 LONGEST_S = 1e6
-"""No bias is predicted further than this."""
+"""Longest time over which a bias is predicted."""
 
 KEPT_MEANS = 600
 """Means of an axis that a changed model starts from."""
@@ -252,7 +252,7 @@ def filter_space(model: ProcessModel) -> StateSpace:
     model = drift_model(model)
     space = state_space(model)
     if not space.white and not space.walk:
-        # without any noise of its own the walk would become certain to the last digit
+        # without any noise the variance of the walk would become 0
         space = replace(space, white=1e-12)
     return with_slope(space) if model.terms.R else space
 
@@ -260,7 +260,7 @@ def filter_space(model: ProcessModel) -> StateSpace:
 def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
     """Return the averaging time in s whose mean predicts the bias best; ``longest`` if it is that.
 
-    White noise asks for long averages, drift for short ones.
+    White noise requires long averages, drift short ones.
     """
     windows = np.geomspace(1.0, longest, 200)
     error = predicted_growth(drift_model(model), AHEAD_S, windows)

@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 States = Literal['none', 'walk', 'gauss_markov', 'processes']
 
 STATES: tuple[States, ...] = ('none', 'walk', 'gauss_markov', 'processes')
-"""What models the bias: nothing, a random walk, one Gauss-Markov process, or walk and processes."""
+"""Model of the bias: nothing, a random walk, one Gauss-Markov process, or walk and processes."""
 
 SHORTEST_HORIZON_S = 1.0
 """Lower end of a range of horizons that is given by its upper end only."""

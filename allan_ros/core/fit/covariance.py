@@ -46,7 +46,7 @@ TAIL = 128
 """Flicker differences are uncorrelated (C^2 < 1e-8) beyond this many times m_i + m_j."""
 
 PANELS_AT_ONCE = 1024
-"""Panels summed in one go: a few megabytes of work space, also inside a robot's node."""
+"""Panels summed together: a few megabytes of work space."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
 _KEY = np.int64(1) << 52

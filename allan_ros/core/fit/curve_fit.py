@@ -37,7 +37,7 @@ POINTS_PER_OCTAVE = 4
 """Points that are kept of a denser curve."""
 
 DEFAULT_RECORD = 9.0
-"""Length of an unknown record in the longest averaging time: what most tools end at."""
+"""Length of an unknown record in the longest averaging time: where most tools end."""
 
 OVERLAPPING = 0.75
 """Degrees of freedom of an average over tau, times tau over the record."""

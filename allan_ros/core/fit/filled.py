@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the interpolation of lost samples does to the Allan variance of white noise.
+"""Effect of interpolated samples on the Allan variance of white noise.
 
 Linear interpolation replaces samples by weighted means of the two next to a gap. A second
 difference is a weighted sum of independent samples, so its variance changes from the sum of the

@@ -55,7 +55,7 @@ def lattice_step(phase: Floats, deviation: float) -> float | None:
         for known in moved[: i + 1]:
             multiple = np.round(known / step)
             if multiple < 1.0:
-                return None  # the divisor grew past what it should divide: there is none
+                return None  # the divisor exceeds a number it should divide: there is none
             step = float(known / multiple)
     off = np.abs(moved / step - np.round(moved / step))
     return step if off.max() < NEAR_WHOLE else None

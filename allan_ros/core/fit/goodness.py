@@ -41,7 +41,7 @@ MISFIT_START = 0.1
 """Start of its search: a typical value of real sensors."""
 
 MISFIT_TOLERANCE = 0.04
-"""Relative accuracy of chi^2, so 2 % of the misfit: it is a description, not a measurement."""
+"""Relative accuracy of chi^2, which is 2 % of the misfit."""
 
 MISFIT_STEPS = 30
 """Bound on its search, which takes four to eight steps."""

@@ -37,7 +37,7 @@ TAIL = (1.5, 9.0)
 """Ends of the quadrature beyond the last corner, in the longest correlation time."""
 
 PAIRS_AT_ONCE = 512
-"""Pairs of factors summed in one go: a few megabytes of work space."""
+"""Pairs of factors summed together: a few megabytes of work space."""
 
 CORNER_WEIGHTS = np.array([4.0, -4.0, -4.0, 2.0, 2.0])
 """Of C at the corners, both signs of u together: products of (1, -2, 1) and (1, -2, 1)."""

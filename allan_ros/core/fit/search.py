@@ -47,8 +47,8 @@ MOST_LINES = 3
 """Sinusoids that are fitted at most."""
 
 NEEDED_GAIN = 12.0
-"""Fall of chi^2 for one more process while the model is rejected: chance brings it about with
-none of some hundred shapes (3.5 standard deviations)."""
+"""Fall of chi^2 for one more process while the model is rejected: it does not occur by chance among
+some hundred shapes (3.5 standard deviations)."""
 
 SURE_GAIN = 21.0
 """The same for one more process in a model that passes: one in 2000 records."""
@@ -152,7 +152,7 @@ class ProcessSearch:
             Processes to begin with; those that are not significant any more are removed.
         """
         found = self._adjusted(self.fitted(start))
-        while found.extras:  # leave out what does not pay
+        while found.extras:  # remove processes that are not significant
             without = [
                 self.fitted([e for k, e in enumerate(found.extras) if k != out])
                 for out in range(len(found.extras))

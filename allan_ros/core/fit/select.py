@@ -180,7 +180,7 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     without = replace(fit, options=replace(fit.options, walk=False))
     other = _searched(pooled, axis, without)
     z = _z(fit)
-    # What fails anyway gets a model error, and z counts for little.
+    # A model that fails in any case gets a model error, so z matters less.
     if _z(other) > (max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z):
         return fit
     return other if _criterion(other) + BOUNDED_MARGIN < _criterion(fit) else fit

@@ -63,7 +63,7 @@ def nonnegative_least_squares(
     x = unconstrained(np.ones(len(scale), bool))
     if (x[bound] >= 0.0).all():
         return np.asarray(x / scale)
-    # Leaving out what comes out negative, and taking in what would gain, mostly ends at once.
+    # Removing negative coefficients and adding those with a gain usually converges at once.
     active = ~bound | (x > 0.0)
     for _ in range(NNLS_GUESSES):
         x = unconstrained(active)

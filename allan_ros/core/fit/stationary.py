@@ -243,7 +243,7 @@ def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
 
 
 def _what(sums: AllanSums, parts: list[EarlyPart]) -> str:
-    """Return what differs in the early part."""
+    """Return the description of the early part."""
     warm_ups = [part for part in parts if part.kind == 'warm_up']
     if not warm_ups:
         return 'larger drift'

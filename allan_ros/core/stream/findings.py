@@ -97,7 +97,7 @@ def stream_findings(
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:
-    """Return what only all recordings together show."""
+    """Return the findings on the sums of all recordings."""
     seconds = sums.elapsed_ns * 1e-9
     return [finding('short', seconds=seconds)] if seconds < SHORT_S else []
 

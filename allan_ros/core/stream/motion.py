@@ -66,7 +66,7 @@ saturated: at a coarse resolution the top of a slow motion has equal samples too
 
 
 class WindowClass(NamedTuple):
-    """What k windows are, (k,) bool arrays.
+    """Classification of k windows, (k,) bool arrays.
 
     ``moving``: motion, or an axis ``stuck`` at one value. ``quiet``: may end a motion.
     ``turning_only``: nothing differs from the floor but the mean rate.
@@ -202,8 +202,8 @@ class MotionGate:
             out += self._end_stretch()
         self._stretch_cut = self._stretch_cut or stretch[0].cut
         for block in stretch:
-            # only the window that began before is copied together; the samples it looks ahead at
-            # are the first of the next one, which is a view
+            # only the window that began in the buffer is copied; its look-ahead is the start of the
+            # next window, which is a view
             seam = -len(self._waiting) % self.size + SPIKE_NEIGHBORS
             out += self._fill(block.part(slice(None, seam)))
             if len(block) > seam:
@@ -380,7 +380,7 @@ class MotionGate:
 
     def _judge_again(self, block: list[_Judged]) -> list[Block]:
         """Judge a block again with the floor learned from it; all data before it are void."""
-        # what was passed on is counted as moving by whoever voids it
+        # released samples are counted as moving where they are discarded
         self._counts.moving += sum(len(b) for b in self._margin)
         samples = sum(len(j.block) for j in block)
         stuck = self.size * sum(int(np.count_nonzero(j.windows_class.stuck)) for j in block)

@@ -255,7 +255,7 @@ class FrameStream:
         return counts
 
     def by_rate(self) -> list[StreamSums]:
-        """Return what there is of each sensor stream at each rate it had."""
+        """Return the sums of each sensor stream at each of its rates."""
         return [each for sensor in self.sensors for each in sensor.by_rate()]
 
     @property
@@ -337,7 +337,7 @@ class FrameStream:
             late = stamps >= self._skip_until
             if late.any():
                 start = int(np.argmax(late))
-                self._skip_until = None  # a clock that goes back later skips nothing more
+                self._skip_until = None  # a backward clock step later skips no more samples
             else:
                 start = len(stamps)
             self._skipped += start

@@ -196,7 +196,7 @@ class SensorStream:
 
     @property
     def present(self) -> StreamSums:
-        """What there is at the present rate."""
+        """Sums at the present rate."""
         spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
@@ -205,7 +205,7 @@ class SensorStream:
         return StreamSums(sums, spectrum, segments)
 
     def by_rate(self) -> list[StreamSums]:
-        """Return what there is at each rate; a rate that returns is continued."""
+        """Return the sums at each rate; a rate that returns is continued."""
         present = self.present
         if not present.sums.samples:
             return self._former

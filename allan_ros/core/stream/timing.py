@@ -245,8 +245,8 @@ class SampleClock:
         """Take more samples, return the blocks that are complete."""
         if rows.strides[1] != rows.itemsize:
             rows = np.ascontiguousarray(rows)  # axis by axis, however they lay in memory
-        # Only the seam between what waits and what comes is copied: up to the end of a block from
-        # which on the samples that are looked back at came with these.
+        # Only the seam between buffered and new samples is copied: up to the end of the block after
+        # which all samples that are looked back at are new.
         waiting = len(self._stamps) - self._past
         seam = -(-(waiting + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - waiting + self._reach
         self._append(stamps[:seam], rows[:, :seam], jumped[:seam])

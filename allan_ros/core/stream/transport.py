@@ -227,7 +227,7 @@ class TransportMonitor:
         # Dropped samples and messages lost in transport are missing according to the stamps too;
         # the latter from both sensor streams, if there are two. They are dropped before they are
         # found missing, so the maximum counts. The decision on the latest samples may still be
-        # revised, so only what two calls agree on counts.
+        # revised, so only the number that two calls agree on counts.
         explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
         absent = c.lost - self._leapt - self._elsewhere - explained
         self._absent = max(self._absent, min(absent, self._absent_before))

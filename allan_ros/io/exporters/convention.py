@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a target asks of the noise model, and the entries that its file is made of."""
+"""The noise parameters that a target takes, and the entries of its file."""
 
 from __future__ import annotations
 

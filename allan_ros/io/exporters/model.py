@@ -35,7 +35,7 @@ DIGITS = 6
 
 
 class Quantity(NamedTuple):
-    """How a target wants N and K.
+    """Form in which a target takes N and K.
 
     Attributes
     ----------

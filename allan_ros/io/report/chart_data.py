@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the page draws, as plain values in SI, with the factors of the units shown."""
+"""Data of the charts as plain values in SI, with the factors of the selectable units."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def sensor_charts(
     spectra: Sequence[Spectrum],
     summary: SignalSummary | None,
 ) -> dict[str, Any]:
-    """Return what is drawn of one sensor.
+    """Return the chart data of one sensor.
 
     Parameters
     ----------
