@@ -72,6 +72,7 @@ audit: $(VENV)/.ready  ## list what is installed with its licences, ask PyPI for
 docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 	$(VENV)/bin/python scripts/reference.py
 	$(VENV)/bin/python scripts/sensor_table.py
+	$(VENV)/bin/python scripts/quoted_output.py
 
 site: $(SITE)/.ready  ## build the documentation as a website, into site/
 	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --quiet --strict

@@ -98,3 +98,20 @@ def test_pictures_are_small() -> None:
     pictures = sorted((ROOT / 'docs' / 'images').glob('*.png'))
     assert pictures
     assert [p.name for p in pictures if p.stat().st_size > LARGEST_PICTURE] == []
+
+
+NUMBER = re.compile(r'\d+(?:\.\d+)?')
+
+
+def test_quoted_output_of_the_readme_is_current(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other versions of numpy may change the last digit, so numbers are compared to 5 %."""
+    monkeypatch.syspath_prepend(str(ROOT / 'scripts'))
+    text = (ROOT / 'README.md').read_text()
+    new = importlib.import_module('quoted_output').with_new_output(text)
+    sys.modules.pop('quoted_output')
+    hint = 'run `python scripts/quoted_output.py`'
+    assert re.sub(r' +', ' ', NUMBER.sub('0', new)) == re.sub(r' +', ' ', NUMBER.sub('0', text)), (
+        hint
+    )
+    numbers = ([float(n) for n in NUMBER.findall(each)] for each in (new, text))
+    assert list(next(numbers)) == pytest.approx(next(numbers), rel=0.05), hint
