@@ -234,7 +234,7 @@ def analyze(
     sensor : str
         Datasheet to compare with: a name of `allan sensors`, or the path of a .yaml file.
     margin : float
-        Fraction by which a whole interval must exceed the limit of the datasheet.
+        Fraction by which a complete interval must exceed the limit of the datasheet.
     hardware_id : str
         Serial number; only sums with equal ones can be merged.
     processes : int
@@ -416,7 +416,7 @@ def compare(
     sensor : str or sequence of str
         Datasheets to compare each run with.
     margin : float
-        Fraction by which a whole interval must exceed the limit of a datasheet.
+        Fraction by which a complete interval must exceed the limit of a datasheet.
 
     Examples
     --------

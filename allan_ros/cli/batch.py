@@ -30,7 +30,7 @@ from .options import settings_of
 METADATA = 'metadata.yaml'
 
 STORAGES = ('.mcap', '.db3')
-"""Files of which several may be the splits of one bag."""
+"""Suffixes of files that can be splits of one bag."""
 
 RECORDINGS = (*STORAGES, '.bag', '.csv', '.tsv', '.npz', '.npy')
 """Suffixes of files that are recordings of their own."""

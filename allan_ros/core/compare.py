@@ -34,7 +34,7 @@ rises some percent with temperature."""
 
 
 Verdict = Literal['within', 'beyond', 'open']
-"""The whole interval is below the limit; above it; the interval contains the limit."""
+"""The complete interval is below the limit; above it; the interval contains the limit."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def compare(
     noise : mapping of term to Coefficient
     reference : Reference
     margin : float
-        Fraction by which the whole 95 % interval must lie above the limit to be beyond it.
+        Fraction by which the complete 95 % interval must lie above the limit to be beyond it.
     """
     limits = reference.limits.get(axis, {})
     return tuple(
@@ -301,7 +301,7 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
-    """Return the logarithm of upper / lower, at least half of that of the whole interval.
+    """Return the logarithm of upper / lower, at least half of that of the complete interval.
 
     An interval inverts a test in which the other terms are refitted, so an estimate may lie at one
     of its ends; that does not make this end more precise.

@@ -46,7 +46,7 @@ class DatasheetComparison:
     ----------
     datasheet : Datasheet
     margin : float
-        Fraction by which a whole 95 % interval must lie above a limit to be beyond it.
+        Fraction by which a complete 95 % interval must lie above a limit to be beyond it.
     held : tuple of LimitCheck
         By axis, then term.
     """

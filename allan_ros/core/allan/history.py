@@ -357,7 +357,7 @@ class SegmentAges:
             low = high
 
     def by_period(self, first: int, length: int, level: int, period: int) -> tuple[int, Ints]:
-        """Return the first period and where each one begins among the starts."""
+        """Return the index of the first period, and the first start in each period."""
         age = self.offset + (first << level)
         last = (self.offset + ((first + length - 1) << level)) // period
         at = np.arange(age // period + 1, last + 1) * period

@@ -295,7 +295,7 @@ def time_within(model: ProcessModel, tolerance: float) -> float:
 
 
 def steady_filter(model: ProcessModel, seconds: float = 3600.0) -> BiasFilter:
-    """Return a filter that has taken means of 0 for so long: its intervals are those to expect."""
+    """Return a filter after that many seconds of zero means, which gives the expected intervals."""
     bias = BiasFilter(model, period=10.0 * MEAN_S)
     for _ in range(round(seconds / bias.period)):
         bias.update(0.0)

@@ -5,7 +5,7 @@
 A filter with N and K only knows white noise and a random walk. Given the bare coefficients of a
 sensor that also has bias instability, it underestimates its error. A reduction chooses the
 parameters of the filter's states so that the growth of the error that the filter predicts is
-nowhere below that of the whole model, over a stated range of horizons. The bias counts as known
+nowhere below that of the complete model, over a stated range of horizons. The bias counts as known
 from the longest of these horizons (see `growth`).
 """
 
@@ -83,9 +83,9 @@ class Reduction:
         K; 0 where the states have no walk, or nothing drifts.
     gauss_markov : tuple of (sigma, tau)
     horizons : Horizons
-        Where the growth that the filter predicts bounds that of the whole model.
+        Where the growth that the filter predicts bounds that of the complete model.
     ratio : (low, high)
-        Least and largest ratio of predicted growth to that of the whole model over the horizons.
+        Least and largest ratio of predicted growth to that of the complete model over the horizons.
     """
 
     states: States

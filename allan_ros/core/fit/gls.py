@@ -147,7 +147,7 @@ def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
 
 
 def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient:
-    """Return a term that is not observable, with its limit if the sums set any."""
+    """Return a term that is not resolved, with its upper limit if there is one."""
     limit = upper if np.isfinite(upper) else None
     return Coefficient(value or None, None, limit, 'not_observable', sign)
 

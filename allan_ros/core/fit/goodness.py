@@ -165,7 +165,7 @@ def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misf
     """Return the fractional error eps, from ``m_min`` on, at which chi^2 is as expected.
 
     C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
-    into one of relative residuals over the whole curve. chi^2 falls from its value at 0 about
+    into one of relative residuals over the complete curve. chi^2 falls from its value at 0 about
     as 1/eps^2 does, so the search steps in the logarithms of both.
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START

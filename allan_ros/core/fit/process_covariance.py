@@ -109,7 +109,7 @@ class _Segments:
         self.single = len(by_length) == 1
 
     def pairs(self, reach: Floats, stride: Floats, lost: Floats) -> Floats:
-        """Return how many differences that reach so far start every ``stride`` samples.
+        """Return the number of differences of that reach, one start every ``stride`` samples.
 
         ``lost`` is what the mean over all lags has less than at lags where both start.
         """
@@ -121,7 +121,7 @@ class _Segments:
         return (self.total[at] - number * reach) / stride + number * (1.0 - lost)
 
     def whole_pairs(self, reach: Floats, stride: Floats) -> Floats:
-        """Return how many differences that reach so far there are: whole numbers per segment."""
+        """Return the number of differences of that reach, an integer per segment."""
         if self.single or len(self.samples) < 64:
             each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
             number = -np.diff(self.number)
@@ -233,7 +233,8 @@ class _Lags:
         return u, weight
 
     def _end_weights(self) -> Floats:
-        """Return what the sum has beyond the integral where the slope of the counts changes.
+        """Return the difference of sum and integral at the points where the slope of the counts
+        changes.
 
         The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
         """

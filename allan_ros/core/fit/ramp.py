@@ -65,7 +65,7 @@ class RampGeometry:
         return self._on_phase(solution / solution.sum())
 
     def _on_phase(self, on_second: Floats) -> Floats:
-        """Return weights on the phase from weights on its second differences."""
+        """Convert weights on the second differences of the phase to weights on the phase."""
         return np.asarray(np.convolve(on_second, DIFFERENCE) / float(self.step) ** 2)
 
     def effect(self, weights: Floats) -> RampEffect:
@@ -98,7 +98,7 @@ def ramp_shift(m: NDArray[np.int64], effect: RampEffect) -> Floats:
 
 
 def _on_second_differences(weights: Floats) -> Floats:
-    """Return weights w on second differences with ``weights`` = their weights on the phase."""
+    """Convert weights on the phase to weights on its second differences."""
     return np.asarray(np.cumsum(np.cumsum(weights))[:-2])
 
 

@@ -194,7 +194,7 @@ class Whitening:
         return np.asarray(np.linalg.solve(self.lower, scaled))
 
     def weights(self, contrast: Floats) -> Floats:
-        """Return the weights on the table of weights on the whitened table."""
+        """Convert weights on the whitened table to weights on the table."""
         return np.asarray(np.linalg.solve(self.lower.T, contrast) / self.deviation)
 
     def scatter(self, contrast: Floats) -> Floats:

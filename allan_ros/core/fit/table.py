@@ -127,7 +127,7 @@ class Table:
 
 @lru_cache(maxsize=8)
 def _packing(size: int) -> Ints:
-    """Return where each element of a symmetric matrix stands among its pairs i <= j."""
+    """Return the index of each element of a symmetric matrix in the list of its pairs i <= j."""
     at = np.empty((size, size), np.int64)
     i, j = np.triu_indices(size)
     at[i, j] = at[j, i] = np.arange(len(i))

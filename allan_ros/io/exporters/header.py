@@ -31,7 +31,7 @@ RULE_WORDS = {
 def header_lines(
     name: str, target: Target, noise: FilterNoise, entries: Sequence[Entry]
 ) -> list[str]:
-    """Return the lines, without the mark of a comment; each holds printable characters only."""
+    """Return the lines without comment marks; they contain printable characters only."""
     results, inflate = noise.results, noise.options.inflate
     limits = [entry.key for entry in entries if entry.is_limit]
     lines = [

@@ -277,8 +277,8 @@ class FilterNoise:
         ratios = [one.reduction.ratio for one in self._used.values()]
         low, high = min(r[0] for r in ratios), max(r[1] for r in ratios)
         return [
-            f'reduction: N and K bound the error growth of the whole model over {self.horizons}; '
-            f'predicted over model growth {low:.2f} to {high:.2f}'
+            f'reduction: N and K bound the error growth of the complete model over '
+            f'{self.horizons}; predicted over model growth {low:.2f} to {high:.2f}'
         ]
 
     def reduction_findings(self) -> list[Finding]:

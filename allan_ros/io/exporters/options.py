@@ -52,7 +52,7 @@ class ExportOptions:
     fidelity: str = parameter(
         'reduction',
         'N and K of the file: a reduction, with K raised so that the predicted error growth covers '
-        'the whole model, or the bare coefficients.',
+        'the complete model, or the bare coefficients.',
         choices=FIDELITIES,
     )
     horizon: float = parameter(

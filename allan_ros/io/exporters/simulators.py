@@ -4,7 +4,7 @@
 
 A simulated sensor should behave like the measured one: the bias process is the one whose error
 growth follows that of the model, as far above as below it. `state_space` has the simulators that
-run the whole model.
+run the complete model.
 """
 
 from __future__ import annotations

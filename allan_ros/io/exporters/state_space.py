@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The whole process model: a JSON document, a Python module, and the simulators that run it.
+"""The complete process model: a JSON document, a Python module, and the simulators that run it.
 
 Schema ``allan_ros/state_space/1``: under ``axes``, for each axis, the levels ``white``, ``walk``
 and ``gauss_markov`` in SI, the matrices of `allan_ros.core.filters.state_space` at one rate under

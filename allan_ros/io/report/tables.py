@@ -136,7 +136,7 @@ def baseline_table(
         yield from _comparison_table(f'Compared with {name}', axes, rows)
         yield (
             '<p class="note">"Within" is not above the upper end of what the earlier run allowed; '
-            '"beyond" is a whole interval above it.</p>'
+            '"beyond" is a complete interval above it.</p>'
         )
 
 

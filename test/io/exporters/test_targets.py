@@ -333,7 +333,7 @@ def test_a_limit_is_stated_in_the_file_and_as_a_finding(known_results: Results, 
 def test_k_is_raised_for_what_it_has_to_cover(known_results: Results, name: str) -> None:
     made = make_export(known_results, name)
     horizon = target_of(name).convention.horizon_s
-    assert f'error growth of the whole model over 1 to {horizon:g} s' in made.text
+    assert f'error growth of the complete model over 1 to {horizon:g} s' in made.text
     assert 'raised from 1.000e-05 to cover the other terms' in made.text
     assert 'raised from none to cover the other terms' in made.text
     bare = make_export(known_results, name, ExportOptions(fidelity='coefficients'))
