@@ -483,7 +483,7 @@ CATALOGUE = {
     'warm_up': Wording(
         'warning',
         'The sensor is warming up ({what}) and settles {when}.',
-        'Record for at least {how_long} in all.',
+        'Record for at least {how_long} in total.',
     ),
     'bias_steps': Wording(
         'warning',

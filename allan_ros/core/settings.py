@@ -73,14 +73,14 @@ class SegmenterSettings(CheckedSettings):
 
     stamps: str = parameter(
         'header',
-        'Which time the samples have: header stamps (record time takes their place when they are '
-        'all equal or zero) or the time of recording.',
+        'Times of the samples: header stamps (record times if these are all equal or zero), or '
+        'record times.',
         choices=('header', 'record'),
         read_only=True,
     )
     declared_rate: float = parameter(
         0.0,
-        'Rate the IMU should have; only checked against the stamps. 0 checks nothing.',
+        'Expected sample rate, which is only compared with the stamps; 0: no check.',
         unit='Hz',
         low=0.0,
         high=1e6,
@@ -88,7 +88,7 @@ class SegmenterSettings(CheckedSettings):
     )
     max_bridge: int = parameter(
         3,
-        'Longest run of lost samples that is bridged by interpolation; a longer one cuts.',
+        'Most consecutive lost samples that are interpolated; a longer gap splits the data.',
         unit='samples',
         low=0,
         high=100,
@@ -96,7 +96,7 @@ class SegmenterSettings(CheckedSettings):
     )
     motion_gate: bool = parameter(
         True,
-        'Count only spans in which the IMU is still. Turn it off when the IMU is known to rest.',
+        'Use only data at rest. Switch it off if the IMU is known to be at rest.',
         read_only=True,
     )
     motion_ratio: float = parameter(
@@ -116,8 +116,8 @@ class SegmenterSettings(CheckedSettings):
     )
     skip: float = parameter(
         AUTO,
-        'Time left out at the start while the IMU warms up. auto (-1) detects it and uses the '
-        'settled part; 0 uses everything.',
+        'Time excluded at the start while the IMU warms up. auto (-1) detects it and uses the '
+        'settled part; 0 uses all data.',
         unit='s',
         low=AUTO,
         high=1e6,

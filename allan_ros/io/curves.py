@@ -76,7 +76,7 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
         if not path.is_file():
             raise AllanError(f'{path}: no such file')
         if path.stat().st_size > LARGEST_FILE:
-            raise AllanError(f'{path}: larger than a curve can be')
+            raise AllanError(f'{path}: is too large for a curve: check the path')
         lines = [line for line in path.read_text().splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise AllanError(f'{path}: cannot be read ({error})') from None

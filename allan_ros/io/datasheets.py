@@ -159,13 +159,13 @@ def _product(fields: Fields) -> Datasheet:
     # This refuses a file that names itself, too.
     if 'carries' in carried:
         raise AllanError(
-            f'{fields.where}.carries: {name!r} is no sensor but carries one: name that one'
+            f'{fields.where}.carries: {name!r} is not a sensor but carries one: name that one'
         )
     sensor, own = _datasheet(carried), _sources(fields)
     for key in own:
         if key in sensor.sources:
             raise AllanError(
-                f'{fields.where}.sources: {key!r} is a source of {name!r} too: call it otherwise'
+                f'{fields.where}.sources: {key!r} is also a source of {name!r}: use another key'
             )
     return replace(
         sensor,

@@ -199,7 +199,7 @@ def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
         items = value if isinstance(value, list) else [value]
         plain = all(v is None or isinstance(v, (bool, str, int, float)) for v in items)
         if not plain or max(len(items), len(settings)) > MAX_SETTINGS or math.inf in items:
-            raise AllanError(f'{fields.where}: {name!r:.40} is no setting of ours')
+            raise AllanError(f'{fields.where}: {name!r:.40} is not a known setting')
         settings[name] = value
     return settings
 
@@ -207,7 +207,7 @@ def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
 def _period_from_document(fields: Fields) -> float:
     period = fields.number('tau0_s', least=SHORTEST_PERIOD_S)
     if period > LONGEST_PERIOD_S:
-        raise AllanError(f'{fields.where}.tau0_s is {period}: no IMU is as slow')
+        raise AllanError(f'{fields.where}.tau0_s is {period}: no IMU is that slow')
     return period
 
 

@@ -82,22 +82,20 @@ RC: dict[str, Any] = {
 class PictureSettings:
     """File formats and style of the plots."""
 
-    plot_format: tuple[str, ...] = parameter(
-        ('png',), 'Forms in which each picture is written: png, svg, pdf.'
-    )
+    plot_format: tuple[str, ...] = parameter(('png',), 'File formats of each plot: png, svg, pdf.')
     plot_style: str = parameter(
         'page',
-        "Look of the pictures: page or column (as wide as a paper's), a style of matplotlib's, or "
-        'the path of a style sheet.',
+        'Style of the plots: page or column (the width of a journal page or column), a style of '
+        'matplotlib, or the path of a style sheet.',
     )
 
     def __post_init__(self) -> None:
         check(self)
         for form in self.plot_format:
             if form not in FORMATS:
-                raise AllanError(f'no plot format {form!r}: choose of {", ".join(FORMATS)}')
+                raise AllanError(f'no plot format {form!r}: choose from {", ".join(FORMATS)}')
         if not self.plot_format:
-            raise AllanError(f'no plot format given: choose of {", ".join(FORMATS)}')
+            raise AllanError(f'no plot format given: choose from {", ".join(FORMATS)}')
 
 
 def load_style(name: str) -> Mapping[str, Any]:

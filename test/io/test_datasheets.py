@@ -186,10 +186,10 @@ def test_a_product_has_the_figures_of_the_sensor_it_carries(load):
 @pytest.mark.parametrize(
     'change, said',
     [
-        ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is no sensor but carries"),
+        ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is not a sensor but carries"),
         ({'carries': 'bmi05'}, r"x.yaml.carries: no datasheet 'bmi05': did you mean .*bmi055"),
         ({'gyro': {}}, r"'gyro' is unknown, use schema, name, .*carries"),
-        ({'sources': {'datasheet': {'title': 'M'}}}, r"sources: 'datasheet' is a source of 'bmi"),
+        ({'sources': {'datasheet': {'title': 'M'}}}, r"sources: 'datasheet' is also a source of 'bmi"),
         ({'sources': {}}, 'sources is empty'),
     ],
 )
@@ -200,7 +200,7 @@ def test_a_bad_product_is_refused_with_its_place(load, change, said):
 
 
 def test_a_product_that_carries_itself_is_refused(load, tmp_path):
-    with pytest.raises(AllanError, match='is no sensor but carries one'):
+    with pytest.raises(AllanError, match='is not a sensor but carries one'):
         load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
 
 

@@ -127,7 +127,7 @@ class RecentView:
 
     def __init__(self, window_s: float) -> None:
         if not window_s > 0.0:
-            raise AllanError(f'a recent window of {window_s} s is none: give a positive number')
+            raise AllanError(f'a recent window of {window_s} s is invalid: give a positive number')
         self._window_s = window_s
         self._ring: deque[_Snapshot] = deque()
         self._latest: _Snapshot | None = None

@@ -65,7 +65,9 @@ class Expression:
         try:
             self._root = ast.parse(text.strip(), mode='eval').body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise AllanError(f'{text!r} is no expression: write it as in 2 * N**2 * f') from error
+            raise AllanError(
+                f'{text!r} is not an expression: write it as in 2 * N**2 * f'
+            ) from error
         names: set[str] = set()
         self._check(self._root, names)
         self.names = frozenset(names)
