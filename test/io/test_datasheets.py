@@ -189,7 +189,10 @@ def test_a_product_has_the_figures_of_the_sensor_it_carries(load):
         ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is not a sensor but carries"),
         ({'carries': 'bmi05'}, r"x.yaml.carries: no datasheet 'bmi05': did you mean .*bmi055"),
         ({'gyro': {}}, r"'gyro' is unknown, use schema, name, .*carries"),
-        ({'sources': {'datasheet': {'title': 'M'}}}, r"sources: 'datasheet' is also a source of 'bmi"),
+        (
+            {'sources': {'datasheet': {'title': 'M'}}},
+            r"sources: 'datasheet' is also a source of 'bmi",
+        ),
         ({'sources': {}}, 'sources is empty'),
     ],
 )
