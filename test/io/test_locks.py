@@ -127,7 +127,10 @@ for name in ('pthread_sigmask', 'SIG_BLOCK', 'SIG_SETMASK', 'SIGKILL', 'SIGHUP',
              'SIGUSR1', 'SIGPIPE', 'setitimer', 'alarm'):
     if hasattr(signal, name):
         delattr(signal, name)
-for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC', 'mkfifo', 'pread', 'fork', 'getuid'):
+names = ['O_NOFOLLOW', 'O_CLOEXEC', 'mkfifo', 'pread', 'fork', 'getuid']
+if sys.version_info < (3, 13):  # shutil itself needs it from then on
+    names.append('O_NONBLOCK')
+for name in names:
     if hasattr(os, name):
         delattr(os, name)
 import tempfile

@@ -144,7 +144,9 @@ def _line_scatter(
         density = [step, 1.0, 1.0 / omega, 1.0 / step]
         for drift in drifts:
             keep = np.exp(-1.0 / drift.shape)
-            density.append((1.0 - keep**2) / (1.0 - 2.0 * keep * np.cos(omega) + keep**2))
+            lost = -np.expm1(-1.0 / drift.shape)
+            # (1 - keep^2) / (1 - 2 keep cos(omega) + keep^2) without the loss of digits
+            density.append(lost * (1.0 + keep) / (lost**2 + keep * step))
         rows.append(8.0 / samples * np.array(density))
     return np.array(rows).reshape(len(lines), len(RANDOM_TERMS) + len(drifts))
 
