@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import AllanError
 from .goodness import (
     DEFICIT_LIMIT,
     Z_FAIL,
@@ -235,7 +236,10 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
         extras = found.extras
         if not extras and settled:
             break
-        fit = point_fit(pooled, axis, replace(options, extras=extras), found.power)
+        try:
+            fit = point_fit(pooled, axis, replace(options, extras=extras), found.power)
+        except AllanError:  # beyond the precision of the covariance: not a better description
+            break
         if settled or search.z(found) > hopeless:
             break
         table = options.table(pooled, axis, fit.options.noise(fit.power))
