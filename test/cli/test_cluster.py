@@ -150,5 +150,5 @@ def test_a_cluster_without_workers_is_not_waited_for(
     monkeypatch.setattr('allan_ros.cli.cluster.ALONE_S', 0.2)
     with distributed.LocalCluster(
         n_workers=0, processes=False, dashboard_address=None
-    ) as empty, pytest.raises(AllanError, match='has no worker: start some'):  # fmt: skip
+    ) as empty, pytest.raises(AllanError, match='has no worker: start workers'):  # fmt: skip
         list(on_cluster(jobs_of(recordings[:1]), empty.scheduler_address, Console()))

@@ -201,9 +201,9 @@ def test_what_is_not_to_be_filled_is_passed_on_as_it_is(graph, still_imu, result
     assert received[1:5] == sent[1:5]
     assert received[5] == CovariancePatch(variances(results)).patch(whole)
     status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
-    assert '"base_link"' in status.message and 'is of "imu"' in status.message
+    assert '"base_link"' in status.message and 'is for "imu"' in status.message
     assert graph.value('relay', 'malformed') == '2'
-    assert 'are no Imu' in graph.value('relay', 'finding: relay_malformed')
+    assert 'are not valid Imu messages' in graph.value('relay', 'finding: relay_malformed')
 
 
 def set_parameters(graph: Any, node: str, **values: Any) -> list[Any]:
