@@ -32,7 +32,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import allan_ros as ar
-from allan_ros.core.filters.bias import BiasFilter
+from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import Horizons, reduce_model
 from allan_ros.core.imu import AXES
@@ -78,14 +78,16 @@ SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...],
 """Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, seconds of the record."""
 
 
-def draw(name: str, seconds: int, rng: np.random.Generator, axes: int) -> tuple[Any, Any]:
+def draw(
+    name: str, seconds: int, rng: np.random.Generator, axes: int, rate: float = RATE
+) -> tuple[Any, Any]:
     """Return the white part and all of the samples of a sensor, (n, axes) each."""
     _, terms, processes, _ = SENSORS[name]
-    n = round(seconds * RATE)
-    white = REALITY['white_noise'](n, DT, terms['N'], rng, axes)
-    samples = white + REALITY['draw'](n, DT, {**terms, 'N': 0.0}, rng, axes)
+    n, dt = round(seconds * rate), 1.0 / rate
+    white = REALITY['white_noise'](n, dt, terms['N'], rng, axes)
+    samples = white + REALITY['draw'](n, dt, {**terms, 'N': 0.0}, rng, axes)
     for sigma, tau in processes:
-        samples += REALITY['gauss_markov'](n, DT, DEG(B=sigma)['B'], tau, rng, axes)
+        samples += REALITY['gauss_markov'](n, dt, DEG(B=sigma)['B'], tau, rng, axes)
     return white, samples
 
 
@@ -159,19 +161,26 @@ def growth(skip_hours: float) -> None:
             print(f'{name} {axis:8}', *(f'{ratio:5.2f}' for ratio in ratios), flush=True)
 
 
+BIAS_RATE = 10.0
+"""Rate in Hz of the records of `bias`: its input are means over 1 s."""
+
+
 def bias(records: int) -> None:
     """Print the coverage of the 95 % interval of the bias now, 60 s and 600 s later."""
+    per_s = round(BIAS_RATE)
     for name in ('x', 'y', 'z'):
-        hits: dict[int, list[bool]] = {0: [], 60: [], 600: []}
+        covered: dict[int, list[float]] = {0: [], 60: [], 600: []}
         for record in range(records):
-            rng = np.random.default_rng(100 * record + ord(name))
-            white, samples = draw(name, SECONDS, rng, 3)
-            results = analysed(samples)
+            rng = np.random.default_rng([record, ord(name)])
+            white, samples = draw(name, SECONDS, rng, 3, BIAS_RATE)
+            results = ar.analyze(samples, rate=BIAS_RATE, motion_gate=False, skip=0.0)
             means, drift = (
-                values.reshape(SECONDS, -1, 3).mean(axis=1) for values in (samples, samples - white)
+                values.reshape(SECONDS, per_s, 3).mean(axis=1)
+                for values in (samples, samples - white)
             )
             for i, axis in enumerate(AXES[:3]):
-                tracker = BiasFilter(results[axis].fit.selected)
+                hits: dict[int, list[bool]] = {after: [] for after in covered}
+                tracker = BiasFilter(BiasModel.of_fit(results[axis].fit))
                 for k, mean in enumerate(means[:, i], 1):
                     tracker.update(float(mean))
                     if k >= 600 and k % 30 == 0 and k + 610 <= SECONDS:
@@ -179,7 +188,12 @@ def bias(records: int) -> None:
                             low, high = tracker.estimate(after).ci95
                             true = drift[k + after : k + after + 10, i].mean()
                             hit.append(bool(low < true < high))
-        cells = '  '.join(f'{after} s: {np.mean(hit):.3f}' for after, hit in hits.items())
+                for after, hit in hits.items():
+                    covered[after].append(float(np.mean(hit)))
+        cells = '  '.join(
+            f'{after} s: {np.mean(each):.3f} +- {np.std(each) / len(each) ** 0.5:.3f}'
+            for after, each in covered.items()
+        )
         print(f'table 1 {name}: coverage {cells} ({3 * records} axes)', flush=True)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 
-from ..core.filters.bias import AxisBias, BiasTracker
+from ..core.filters.bias import AxisBias, BiasModel, BiasTracker
 from ..core.imu import AXES
 from ..io.results import Results
 from .node import AllanNode
@@ -54,7 +54,7 @@ class BiasPublisher:
     def use(self, results: Results | None) -> None:
         """Use the models of these results."""
         axes = results.axes if results is not None else {}
-        self._tracker.use({axis: result.fit.selected for axis, result in axes.items()})
+        self._tracker.use({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
         """Return the values of an axis for diagnostics."""

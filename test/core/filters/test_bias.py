@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.bias import BiasFilter, BiasTracker, optimal_window, time_within
+from allan_ros.core.filters.bias import (
+    BiasFilter,
+    BiasModel,
+    BiasTracker,
+    optimal_window,
+    time_within,
+)
+from allan_ros.core.fit.model import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis
 
@@ -19,6 +26,7 @@ HOUR_BIAS = DEG / 3600
 TERMS = NoiseTerms(
     N=0.242 * DEG / 60, B=5.24 * HOUR_BIAS, K=31.8 * DEG / 3600**1.5, R=76.2 * DEG / 3600**2
 )
+MODEL = BiasModel(ProcessModel(TERMS), TERMS.R)
 
 
 def test_the_interval_covers_the_bias_now_and_later():
@@ -33,7 +41,7 @@ def test_the_interval_covers_the_bias_now_and_later():
         bias = simulate_axis(36_000, 0.1, drift, rng) + rng.normal(0.0, 100.0 * HOUR_BIAS)
         means = bias.reshape(-1, 10).mean(axis=1)
         noisy = means + TERMS.N * rng.normal(size=len(means))
-        tracker = BiasFilter(ProcessModel(TERMS))
+        tracker = BiasFilter(MODEL)
         for k, mean in enumerate(noisy, 1):
             tracker.update(float(mean))
             if k >= 300 and k % 200 == 0 and k + 610 <= len(means):
@@ -45,8 +53,37 @@ def test_the_interval_covers_the_bias_now_and_later():
         assert 0.88 < np.mean(hit) < 0.99
 
 
+def fit_with_ramp(ramp: Coefficient) -> AxisFit:
+    return AxisFit({**{t: Coefficient(getattr(TERMS, t)) for t in 'QNBK'}, 'R': ramp})
+
+
+def test_a_ramp_below_the_limit_stays_possible():
+    # an estimate of 1e-8 and a limit of 1e-8 + 1.645 * 3e-8
+    hidden = Coefficient(1e-8, None, 1e-8 + 1.6448536 * 3e-8, 'not_observable')
+    model = BiasModel.of_fit(fit_with_ramp(hidden))
+    assert model.slope_std == pytest.approx(math.hypot(1e-8, 3e-8), rel=1e-6)
+    assert model.processes.terms.R == 0.0
+    without = BiasModel(model.processes)
+    stds = []
+    for one in (model, without):
+        tracker = BiasFilter(one)
+        for _ in range(1200):
+            tracker.update(0.0)
+        stds.append(tracker.estimate(600.0).std)
+    assert stds[0] > 1.01 * stds[1], stds
+
+
+def test_a_measured_ramp_has_the_error_of_its_interval_and_no_interval_is_vague():
+    resolved = Coefficient(1e-7, (1e-7 - 1.96 * 2e-8, 1e-7 + 1.96 * 2e-8), None, 'estimated', 1)
+    assert BiasModel.of_fit(fit_with_ramp(resolved)).slope_std == pytest.approx(1.02e-7, rel=1e-3)
+    vague = BiasModel.of_fit(fit_with_ramp(Coefficient(1e-7, None, None, 'estimated', 1)))
+    assert vague.slope_std > 100.0 * 1e-7
+    for nothing in (Coefficient(None, None, None, 'not_observable'), Coefficient(0.0)):
+        assert BiasModel.of_fit(fit_with_ramp(nothing)).slope_std == 0.0
+
+
 def test_white_noise_alone_averages_out():
-    tracker = BiasFilter(ProcessModel(NoiseTerms(N=1.0)))
+    tracker = BiasFilter(BiasModel(ProcessModel(NoiseTerms(N=1.0))))
     for _ in range(100):
         tracker.update(3.0)
     estimate = tracker.estimate()
@@ -57,7 +94,7 @@ def test_white_noise_alone_averages_out():
 
 
 def test_a_pause_widens_the_interval():
-    tracker = BiasFilter(ProcessModel(TERMS))
+    tracker = BiasFilter(MODEL)
     for _ in range(300):
         tracker.update(1e-4)
     later = tracker.estimate(120.0)
@@ -66,7 +103,7 @@ def test_a_pause_widens_the_interval():
 
 
 def test_nothing_is_known_before_the_first_mean():
-    tracker = BiasFilter(ProcessModel(TERMS))
+    tracker = BiasFilter(MODEL)
     with pytest.raises(AllanError, match='at rest for a second'):
         tracker.estimate()
 
@@ -79,12 +116,11 @@ def test_the_optimal_average_balances_noise_and_drift():
 
 
 def test_a_wider_tolerance_lasts_longer():
-    model = ProcessModel(TERMS)
-    times = [time_within(model, tolerance * HOUR_BIAS) for tolerance in (5.0, 20.0, 50.0)]
+    times = [time_within(MODEL, tolerance * HOUR_BIAS) for tolerance in (5.0, 20.0, 50.0)]
     assert times[0] == 0.0
     assert 60.0 < times[1] < 600.0 < times[2] < 3600.0
     with pytest.raises(AllanError, match='tolerance'):
-        time_within(model, 0.0)
+        time_within(MODEL, 0.0)
 
 
 def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
@@ -93,8 +129,8 @@ def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
     values = (2.0 * HOUR_BIAS + TERMS.N * np.random.default_rng(5).normal(size=300)).tolist()
     tracker.take('gyro_x', ends, values)
     assert tracker.bias('gyro_x') is None  # no model yet
-    tracker.use({'gyro_x': ProcessModel(TERMS)})
-    direct = BiasFilter(ProcessModel(TERMS))
+    tracker.use({'gyro_x': MODEL})
+    direct = BiasFilter(MODEL)
     for value in values:
         direct.update(value)
     found = tracker.bias('gyro_x')
@@ -119,9 +155,9 @@ def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
 
 def test_a_tolerance_can_be_given() -> None:
     tracker = BiasTracker({'gyro': 20.0 * HOUR_BIAS})
-    tracker.use({'gyro_x': ProcessModel(TERMS)})
+    tracker.use({'gyro_x': MODEL})
     tracker.take('gyro_x', [10**9], [0.0])
     found = tracker.bias('gyro_x')
     assert found is not None
     assert found.tolerance == 20.0 * HOUR_BIAS
-    assert found.within_s == time_within(ProcessModel(TERMS), 20.0 * HOUR_BIAS)
+    assert found.within_s == time_within(MODEL, 20.0 * HOUR_BIAS)
