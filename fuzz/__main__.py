@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from .harness import CURRENT, FORKED_SECONDS, Tally, Watch, run_target
+from .harness import CURRENT, HANG_SECONDS, Tally, Watch, run_target
 from .targets import TARGETS
 
 EXIT_CRASHES = 1
@@ -23,7 +23,7 @@ EXIT_CRASHES = 1
 HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest, s', 'memory, MB')
 """Memory is the growth of the process after the first inputs."""
 
-GRACE_S = FORKED_SECONDS + 60.0
+GRACE_S = HANG_SECONDS + 60.0
 """Time a target may take beyond its share: to start, for the last input, and to shrink."""
 
 
@@ -79,16 +79,21 @@ def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally
         try:
             out, said = process.communicate(timeout=seconds + GRACE_S)
         except subprocess.TimeoutExpired:
-            process.kill()
-            out, said = '', f'hung in code that heeds no signal\n{process.communicate()[1]}'
-        finally:  # and what it started
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            _kill_group(process.pid)
+            out, said = '', f'hung between inputs\n{process.communicate()[1]}'
+        finally:
+            _kill_group(process.pid)
         if process.returncode or not out.strip():
-            last = current.read_text(errors='replace')[:2000] if current.exists() else 'no input'
-            said = f'ended with {process.returncode}: {said[-2000:]}\n  {last}'
+            last = current.read_text('utf-8', errors='replace') if current.exists() else 'no input'
+            said = f'ended with {process.returncode}: {said[-4000:]}\n  {last[:2000]}'
             return Tally(name, crashes={'process': said})
     return Tally(**json.loads(out.strip().splitlines()[-1]))
+
+
+def _kill_group(leader: int) -> None:
+    """Kill a process and those it started, which would keep its output open."""
+    with suppress(ProcessLookupError):
+        os.killpg(leader, signal.SIGKILL)
 
 
 def _line(cells: tuple[str, ...]) -> str:

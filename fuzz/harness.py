@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rule that is checked for every target, and the process in which it runs.
 
-The rule: whatever goes in, out comes a valid result or an `AllanError` of one printable line,
-within `INPUT_SECONDS` of CPU and `MEMORY_BYTES`, and nothing is written but where the target says
-so.
+The rule: every input gives a valid result or an `AllanError` of one printable line, within
+`INPUT_SECONDS` of CPU time and `MEMORY_BYTES`, and only the target's own folder is written to.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import resource
@@ -34,6 +34,9 @@ INPUT_SECONDS = 10.0
 
 FORKED_SECONDS = 100.0
 """Time one input may take where other processes are involved, on a loaded machine."""
+
+HANG_SECONDS = 120.0
+"""Time, CPU or not, after which an input hangs: the process prints all stacks and ends."""
 
 MEMORY_BYTES = 1 << 30
 """Address space a target may use beyond that after its first inputs."""
@@ -187,16 +190,22 @@ def run_target(
     current = Path(os.environ.get(CURRENT, scratch / 'current'))
 
     def one(value: Any) -> None:
-        current.write_text(repr(value), errors='surrogatepass')
+        text = f'seed {first_seed}, input {value!r}'
+        current.write_text(text, 'utf-8', errors='surrogatepass')
+        # from a thread of its own: also ends code that waits, or blocks or swallows signals
+        faulthandler.dump_traceback_later(HANG_SECONDS, exit=True)
         with tempfile.TemporaryDirectory(dir=scratch) as folder:
             began = clock()
-            signal.setitimer(timer, FORKED_SECONDS if target.forks else INPUT_SECONDS)
+            limit_s = FORKED_SECONDS if target.forks else INPUT_SECONDS
+            # repeated, in case the exception is raised where it is caught
+            signal.setitimer(timer, limit_s, 1.0)
             try:
                 if watch is not None and not target.forks:
                     watch.folder, watch.seen[:] = str(scratch), []
                 valid = target.check(value, Path(folder))
             finally:
                 signal.setitimer(timer, 0.0)
+                faulthandler.cancel_dump_traceback_later()
                 if watch is not None:
                     watch.folder = None
             if watch is not None and watch.seen:
