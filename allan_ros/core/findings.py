@@ -458,6 +458,12 @@ CATALOGUE = {
         'fitted as several sinusoids.',
         'Check the mounting, the table and the building for a resonance.',
     ),
+    'slow_disturbance': Wording(
+        'warning',
+        'Periodic disturbance with a period of {period}, amplitude {amplitude:.2g} {unit}; it is '
+        'fitted as a separate term.',
+        'Check for loads or interference with this period: sway, switching supplies, polling.',
+    ),
     'slow_cycle': Wording(
         'warning',
         'A cycle of {period}, amplitude {amplitude:.2g} {unit}, probably thermal; it is fitted as '

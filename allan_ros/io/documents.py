@@ -137,7 +137,7 @@ def sums_file_from_document(
     fields = Fields(document, where)
     fields.schema(SUMS_SCHEMA)
     return (
-        tuple(sums_from_document(s) for s in fields.sequence('sums')),
+        tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
         _provenance_from_document(fields),
     )
 

@@ -117,6 +117,52 @@ def test_merging_sums_is_analysing_together(recording: Path, tmp_path: Path) -> 
     assert read(folders[2] / 'sums.json')['sums'] == read(folders[3] / 'sums.json')['sums']
 
 
+def test_the_time_of_all_inputs_decides_whether_data_are_short(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two recordings of 36 s: each is short, both together are not."""
+    paths = [str(tmp_path / name) for name in ('a.npz', 'b.npz')]
+    for seed, path in enumerate(paths):
+        how = ['--preset', 'paper', '--hours', '0.01', '--rate', '50', '--seed', str(seed)]
+        assert main(['simulate', path, *how]) == 0
+    capsys.readouterr()
+    short = []
+    for given in (paths[:1], paths):
+        assert main(['analyze', *given, '--json', '--method', 'relative']) == 0
+        found = json.loads(capsys.readouterr().out)['findings']
+        short.append([each['message'] for each in found if each['id'] == 'short'])
+    assert len(short[0]) == 1 and '36' in short[0][0]
+    assert short[1] == []
+
+
+ABSURD_SUMS: dict[str, tuple[list[Any], Any]] = {
+    'no time': (['elapsed_ns'], 0),
+    'negative sums': (['sum_sq', 0, 0], -1.0),
+    'sums of infinite noise': (['sum_sq', 3, 0], 1e300),
+    'one sample': (['segments', 0, 'samples'], 1),
+    'a phase of another length': (['segments', 0, 'phase'], [[0.0] * 6]),
+    'signed sums of another length': (['segments', 0, 'signed'], [[0.0] * 6]),
+    'counts that disagree': (['count', 0], 2**62),
+}
+
+
+@pytest.mark.parametrize('what', ABSURD_SUMS)
+def test_absurd_sums_are_refused_in_one_line(
+    what: str, analysed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = read(analysed / 'sums.json')
+    place, value = ABSURD_SUMS[what]
+    home = document['sums'][0]
+    for key in place[:-1]:
+        home = home[key]
+    home[place[-1]] = value
+    path = tmp_path / 'absurd.json'
+    path.write_text(json.dumps(document))
+    assert main(['merge', str(path)]) == 1
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1 and str(path) in error and 'Traceback' not in error
+
+
 def test_a_run_given_twice_is_refused(analysed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sums = str(analysed / 'sums.json')
     assert main(['merge', sums, sums]) == 1

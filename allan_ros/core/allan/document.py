@@ -164,7 +164,7 @@ def _unpacked_squares(fields: Fields, key: str, kind: str, *shape: int) -> NDArr
     return values
 
 
-def sums_from_document(document: object) -> AllanSums:
+def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
     """Return the sums of a document.
 
     Raises
@@ -173,12 +173,12 @@ def sums_from_document(document: object) -> AllanSums:
         When the document is of another version, or anything in it is missing, of the wrong kind or
         shape, not finite, beyond its bounds, or contradicts the rest of it.
     """
-    top = Fields(document, 'sums')
+    top = Fields(document, where)
     top.schema(SUMS_SCHEMA)
     axes = tuple(top.sequence('axes', len(AXES)))
     if not axes or axes != tuple(a for a in AXES if a in axes):
         raise AllanError(
-            f'sums.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
+            f'{where}.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
         )
     n = len(top.sequence('count', MAX_FACTORS))
     width = len(axes)
@@ -197,12 +197,12 @@ def sums_from_document(document: object) -> AllanSums:
         _filled(top, width) if 'filled' in top else np.zeros((0, 0), np.int64),
     )
     if not np.array_equal(top.integers('m', n), sums.m):
-        raise AllanError('sums.m is not the grid of this version: accumulate the data again')
-    _check(sums)
+        raise AllanError(f'{where}.m is not the grid of this version: accumulate the data again')
+    _check(sums, where)
     return sums
 
 
-def _check(sums: AllanSums) -> None:
+def _check(sums: AllanSums, where: str) -> None:
     """Do nothing if the parts of the sums agree with each other.
 
     Raises
@@ -212,18 +212,18 @@ def _check(sums: AllanSums) -> None:
     """
     if sums.intervals != sums.samples - sums.segment_count:
         raise AllanError(
-            f'sums.intervals is {sums.intervals}: {sums.samples} samples in {sums.segment_count} '
-            f'segments have {sums.samples - sums.segment_count}'
+            f'{where}.intervals is {sums.intervals}: {sums.samples} samples in '
+            f'{sums.segment_count} segments have {sums.samples - sums.segment_count}'
         )
     longest_ns = sums.intervals * MAX_PERIOD_NS
     if not sums.intervals <= sums.elapsed_ns <= longest_ns:
         raise AllanError(
-            f'sums.elapsed_ns is {sums.elapsed_ns}: {sums.intervals} sample periods take from '
+            f'{where}.elapsed_ns is {sums.elapsed_ns}: {sums.intervals} sample periods take from '
             f'{sums.intervals} to {longest_ns} ns'
         )
     lengths = np.arange(1, len(sums.filled) + 1)
     if np.any(lengths @ sums.filled > sums.samples):
-        raise AllanError('sums.filled has more samples than the segments: the file is damaged')
+        raise AllanError(f'{where}.filled has more samples than the segments: the file is damaged')
     kept = np.zeros_like(sums.count)
     for segment in sums.segments:
         kept += counts(segment.samples, sums.m, sums.stride)
@@ -232,9 +232,11 @@ def _check(sums: AllanSums) -> None:
     for c in sums.classes:
         most += c.samples // sums.stride + c.count
     if np.any(pooled < 0) or np.any(pooled > most):
-        raise AllanError('sums.count is not that of the segments and classes: the file is damaged')
+        raise AllanError(
+            f'{where}.count is not that of the segments and classes: the file is damaged'
+        )
     if np.any(sums.group_count > sums.count):
-        raise AllanError('sums.group_count exceeds sums.count: the file is damaged')
+        raise AllanError(f'{where}.group_count exceeds count: the file is damaged')
     bins = sums.history.bins
     if bins:
         number, total = np.zeros_like(sums.count), np.zeros_like(sums.sum_sq)
@@ -243,7 +245,7 @@ def _check(sums: AllanSums) -> None:
             total[: len(b.count)] += b.sum_sq
         near = np.abs(total - sums.sum_sq) <= SAME * sums.sum_sq
         if not np.array_equal(number, sums.count) or not near.all():
-            raise AllanError('sums.history does not add up to the sums: the file is damaged')
+            raise AllanError(f'{where}.history does not add up to the sums: the file is damaged')
 
 
 def _squares(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.float64]:

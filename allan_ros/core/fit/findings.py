@@ -82,8 +82,11 @@ SMALL_DEVIATION = 0.05
 HUMP_RATIO = 1.5
 """Sinusoids whose frequencies are nearer than this describe one broad hump."""
 
-SLOWEST_VIBRATION = 100.0
-"""Seconds: what takes longer is not mechanical."""
+SLOWEST_VIBRATION = 0.5
+"""Hz: slower sinusoids are not called vibration. Buildings and tables resonate from here on."""
+
+SHORTEST_THERMAL_S = 300.0
+"""Slower cycles are typical of heating, air conditioning and temperature control."""
 
 FASTEST_VIBRATION = 400.0
 """Hz: with a faster sample rate, vibration of rotors and engines is not aliased."""
@@ -150,7 +153,7 @@ def _shape_findings(
     elif selected.filtered and _removed(selected) > FILTER_REMOVES:
         found.append(finding('low_pass', name))
     for lines in _neighbours(fit.processes.sinusoid):
-        found.append(_line_finding(name, unit, lines, tau0))
+        found.append(line_finding(name, unit, lines, tau0))
     for process in fit.processes.gauss_markov:
         time = about(process.correlation_time)
         found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
@@ -188,7 +191,7 @@ def _neighbours(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
     return groups
 
 
-def _line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
+def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
     """Return the finding on one sinusoid, or on several that describe a broad hump."""
     largest = max(lines, key=lambda line: line.amplitude)
     amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
@@ -201,9 +204,11 @@ def _line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: 
             amplitude=amplitude,
             unit=unit,
         )
-    if largest.frequency * SLOWEST_VIBRATION < 1.0:
+    if largest.frequency < SLOWEST_VIBRATION:
+        thermal = largest.frequency * SHORTEST_THERMAL_S < 1.0
+        id = 'slow_cycle' if thermal else 'slow_disturbance'
         period = about(1.0 / largest.frequency)
-        return finding('slow_cycle', name, period=period, amplitude=amplitude, unit=unit)
+        return finding(id, name, period=period, amplitude=amplitude, unit=unit)
     rate = 1.0 / tau0
     alias = ''
     if rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate:

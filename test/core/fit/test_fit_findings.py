@@ -5,8 +5,9 @@ import pytest
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.findings import finding
-from allan_ros.core.fit.findings import about, joined
+from allan_ros.core.fit.findings import about, joined, line_finding
 from allan_ros.core.fit.gls import fit_gls
+from allan_ros.core.fit.model import Sinusoid
 
 
 @pytest.mark.parametrize(
@@ -31,6 +32,20 @@ def test_findings_that_read_alike_are_one():
     both, last = joined([one, third, other])[0], joined([one, third, other])[1]
     assert both.axes == ('gyro_x', 'gyro_z')
     assert last == third
+
+
+@pytest.mark.parametrize(
+    ('hertz', 'id', 'words'),
+    [
+        (0.57, 'vibration', 'Vibration at 0.57 Hz'),
+        (0.024, 'slow_disturbance', 'Periodic disturbance with a period of 42 s'),
+        (1 / 1200, 'slow_cycle', 'A cycle of 20 min'),
+    ],
+)
+def test_a_sinusoid_is_named_by_its_frequency(hertz, id, words):
+    line = Sinusoid(0.01, (0.009, 0.011), hertz, (hertz, hertz))
+    found = line_finding(('accel_x',), 'm/s^2', [line], 0.01)
+    assert found.id == id and found.message.startswith(words)
 
 
 def sums_of(*segments):

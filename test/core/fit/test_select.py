@@ -66,11 +66,13 @@ def test_a_slow_filter_is_not_called_a_vibration_alone(noise):
     assert 'low-pass filter' in findings['short_averages'].message
 
 
-@pytest.mark.parametrize('hertz', [0.1, 2.0])
-def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz):
+@pytest.mark.parametrize(
+    'hertz, name', [(0.02, 'slow_disturbance'), (0.1, 'slow_disturbance'), (2.0, 'vibration')]
+)
+def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz, name):
     line = 0.08 * WHITE * np.sin(2.0 * np.pi * hertz / RATE * np.arange(SAMPLES))
     axis, findings = fit_of(noise + line)
-    assert 'vibration' in findings
+    assert {'vibration', 'slow_disturbance', 'slow_cycle'} & set(findings) == {name}
     low, high = axis.sinusoid.frequency_ci95
     assert low < hertz < high
     assert axis.sinusoid.frequency == pytest.approx(hertz, rel=0.1)

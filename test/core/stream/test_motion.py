@@ -96,6 +96,16 @@ def test_spikes_do_not_bias_the_noise_and_none_are_found_in_white_noise():
     assert deviation / SIGMA[:, 0] == pytest.approx(np.ones(6), abs=8e-3)
 
 
+def test_spikes_are_excluded_without_bias():
+    """Compared with the same samples without the gate, so nothing scatters."""
+    rows = white(1000)
+    spikes = np.random.default_rng(1).random(rows.shape) < 1e-3
+    for added in (0.0, 10 * SIGMA * spikes):
+        out = gate(rows + added)[0]
+        deviation = np.concatenate([b.rows for b in out], axis=1).std(axis=1)
+        assert deviation / rows.std(axis=1) == pytest.approx(np.ones(6), abs=5e-4)
+
+
 def test_noise_with_heavy_tails_is_no_motion_and_keeps_its_values():
     rows = MEAN + SIGMA * np.random.default_rng(2).standard_t(3, size=(6, 600 * RATE))
     _, counts, passed = gate(rows)

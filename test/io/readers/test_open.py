@@ -109,6 +109,18 @@ def test_a_real_array_is_read(shared_data: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.stamps_ns, np.rint(truth[:, 0] * 1e9).astype(np.int64))
 
 
+@pytest.mark.parametrize(('name', 'storage'), [('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1')])
+def test_units_are_applied_to_bags(
+    name: str, storage: str, tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    write_recording(tmp_path / name, imu_batches(30), storage=storage)
+    plain = read(tmp_path / name).samples
+    back = read(tmp_path / name, gyro_unit='deg/s', accel_unit='g')
+    np.testing.assert_array_equal(back.samples[:, :3], plain[:, :3] * (np.pi / 180))
+    np.testing.assert_array_equal(back.samples[:, 3:], plain[:, 3:] * 9.80665)
+    assert (back.recording.options.gyro_unit, back.recording.options.accel_unit) == ('deg/s', 'g')
+
+
 def test_bad_options_are_refused() -> None:
     with pytest.raises(AllanError, match='gyro_unit is'):
         ReadOptions(gyro_unit='furlong')
