@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import math
+import zlib
 from typing import Any
 
 import numpy as np
@@ -23,12 +24,13 @@ from .history import (
     CELLS,
     FIRST_EDGE,
     KEPT_RECORDINGS,
-    PERIODS,
+    MOST_PERIODS,
     AgeBin,
     History,
     Recording,
     age_bin,
     edge_age,
+    short,
 )
 from .sums import (
     FIRST_FACTORS,
@@ -61,7 +63,7 @@ MAX_SUM = 1e80
 MAX_PERIOD_NS = 10**13
 """Longest sample period, nearly three hours."""
 
-SAME = 1e-6
+SAME = 1e-4
 """The sums by age add up to the sums, to this fraction."""
 
 
@@ -111,8 +113,8 @@ def _history_to_document(history: History) -> dict[str, Any]:
         'bins': [
             {
                 'age': edge_age(b.index),
-                'count': b.count.tolist(),
-                'sum_sq': _packed(b.sum_sq, '<f8'),
+                'count': _packed(b.count),
+                'sum_sq': _packed(b.sum_sq),
                 **({'pooled': [list(p) for p in b.pooled]} if b.pooled else {}),
                 **({'ramp_correction': b.ramp.tolist()} if len(b.ramp) else {}),
             }
@@ -125,42 +127,70 @@ def _history_to_document(history: History) -> dict[str, Any]:
                 'samples': int(r.samples),
                 'reference': r.reference.tolist(),
                 'step': r.step,
-                'cell_samples': r.cell_samples.tolist(),
-                'cell_means': _packed(r.cell_means, '<f4'),
-                'period': r.period,
-                'level_count': r.level_count.tolist(),
-                'level_sum_sq': _packed(r.level_sum_sq, '<f4'),
+                'cell_samples': _packed(r.cell_samples),
+                'cell_means': _packed(r.cell_means),
+                'period_begin': _packed(r.period_begin),
+                'level_count': _packed(r.level_count),
+                'level_sum_sq': _packed(r.level_sum_sq),
             }
             for r in history.recordings
         ],
     }
 
 
-def _packed(values: NDArray[np.float64], kind: str) -> str:
-    """Return an array as base64 text of its little-endian numbers: half the size of decimals."""
-    return base64.b64encode(values.astype(kind).tobytes()).decode('ascii')
+def _packed(values: NDArray[Any]) -> str:
+    """Return an array as text: its numbers in little-endian bytes, byte by byte, compressed.
+
+    Floats are those of `history.short`: the upper half of double precision. 'z4:' (floats) or 'z8:'
+    (whole numbers) in front of the base64 text tells the bytes per number.
+    """
+    kind, size = ('<f8', 4) if values.dtype.kind == 'f' else ('<i8', 8)
+    data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)[:, 8 - size :]
+    return f'z{size}:' + base64.b64encode(zlib.compress(data.T.tobytes(), 9)).decode('ascii')
 
 
-def _unpacked(fields: Fields, key: str, kind: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the array of a packed text."""
-    size = math.prod(shape) * np.dtype(kind).itemsize
-    text = fields.text(key, longest=4 * (size // 3 + 1))
+def _unpacked(fields: Fields, key: str, most: int, former: str) -> NDArray[Any]:
+    """Return the numbers of a packed text, at most so many.
+
+    Texts of former versions are not compressed, of numbers of the type ``former``.
+    """
+    where = f'{fields.where}.{key}'
+    kind, _, coded = fields.text(key, longest=12 * most + 100).rpartition(':')
     try:
-        data = base64.b64decode(text, validate=True)
-    except ValueError as error:
-        raise AllanError(f'{fields.where}.{key} is not base64: {error}') from error
-    if len(data) != size:
-        raise AllanError(f'{fields.where}.{key} has {len(data)} bytes: {size} are expected')
-    values = np.frombuffer(data, kind).astype(float).reshape(shape)
-    if not np.all(np.abs(values) <= MAX_SUM):  # NaN is not either
-        raise AllanError(f'{fields.where}.{key} is not finite or above {MAX_SUM:g}')
-    return values
+        data = base64.b64decode(coded, validate=True)
+        if not kind:
+            return np.frombuffer(data, former)
+        size = {'z4': 4, 'z8': 8}[kind]
+        stream = zlib.decompressobj()
+        planes = np.frombuffer(stream.decompress(data, size * most + 1), np.uint8)
+        full = np.zeros((len(planes) // size, 8), np.uint8)
+        full[:, 8 - size :] = planes.reshape(size, -1).T
+    except (ValueError, KeyError, zlib.error) as error:
+        raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
+    if not stream.eof:
+        raise AllanError(f'{where} is cut off, or has more than {most} numbers')
+    return full.view('<f8' if kind == 'z4' else '<i8').ravel()
 
 
-def _unpacked_squares(fields: Fields, key: str, kind: str, *shape: int) -> NDArray[np.float64]:
-    values = _unpacked(fields, key, kind, shape)
-    if np.any(values < 0.0):
-        raise AllanError(f'{fields.where}.{key} has a negative sum of squares')
+def _floats(
+    fields: Fields, key: str, former: str, shape: tuple[int, ...], least: float = -MAX_SUM
+) -> NDArray[np.float64]:
+    """Return the array of a packed text."""
+    values = _unpacked(fields, key, math.prod(shape), former).astype(float)
+    if values.size != math.prod(shape):
+        raise AllanError(f'{fields.where}.{key} has {values.size} numbers: {shape} are expected')
+    if not np.all((least <= values) & (values <= MAX_SUM)):  # NaN is not either
+        raise AllanError(f'{fields.where}.{key} is not from {least:g} to {MAX_SUM:g}')
+    return short(values).reshape(shape)
+
+
+def _integers(fields: Fields, key: str, most: int) -> NDArray[np.int64]:
+    """Return whole numbers of 0 or above, packed or, in former versions, as a list."""
+    if isinstance(fields.value(key), list):
+        return fields.integers(key, len(fields.sequence(key, most)))
+    values = _unpacked(fields, key, most, '<i8').astype(np.int64)
+    if np.any((values < 0) | (values >= MAX_INTEGER)):
+        raise AllanError(f'{fields.where}.{key}: whole numbers of 0 or above are expected')
     return values
 
 
@@ -331,7 +361,7 @@ def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
     age = fields.integer('age', least=0)
     if edge_age(age_bin(age)) != age:
         raise AllanError(f'{fields.where}.age is {age}: not an edge between two bins')
-    n = len(fields.sequence('count', factors))
+    count = _integers(fields, 'count', factors)
     pooled = fields.sequence('pooled', MAX_CLASSES) if 'pooled' in fields else []
     for each in pooled:
         if (
@@ -346,35 +376,52 @@ def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
         ramp = fields.table('ramp_correction', rows, axes)
     return AgeBin(
         age_bin(age),
-        fields.integers('count', n),
-        _unpacked_squares(fields, 'sum_sq', '<f8', n, axes),
+        count,
+        _floats(fields, 'sum_sq', '<f8', (len(count), axes), 0.0),
         tuple((each[0], each[1], each[2]) for each in pooled),
         ramp,
     )
 
 
 def _recording(fields: Fields, axes: int) -> Recording:
-    step, period = _power_of_two(fields, 'step'), _power_of_two(fields, 'period')
+    step = _power_of_two(fields, 'step')
     samples = fields.integer('samples', least=1)
     length = fields.integer('length', least=samples)
-    cells = len(fields.sequence('cell_samples', CELLS))
-    number = fields.integers('cell_samples', cells)
-    rows = fields.sequence('level_count', PERIODS)
-    levels = len(rows[0]) if rows and isinstance(rows[0], list) else 0
-    count = fields.table('level_count', len(rows), levels, least=0.0)
+    number = _integers(fields, 'cell_samples', CELLS)
+    cells = len(number)
+    begins, count = _period_counts(fields, length)
     if len(fields.sequence('reference', axes)) != axes:
         raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
-    if np.any(number > step) or cells * step > length + step or levels > MAX_LEVELS:
-        raise AllanError(f'{fields.where}: cells and levels contradict its length of {length}')
+    if np.any(number > step) or cells * step > length + step:
+        raise AllanError(f'{fields.where}: its cells contradict its length of {length}')
     return Recording(
         fields.integer('start_ns'),
         length,
         samples,
         step,
         number,
-        _unpacked(fields, 'cell_means', '<f4', (cells, axes)),
+        _floats(fields, 'cell_means', '<f4', (cells, axes)),
         fields.numbers('reference'),
-        period,
-        count.astype(np.int64),
-        _unpacked_squares(fields, 'level_sum_sq', '<f4', len(rows), levels, axes),
+        begins,
+        count,
+        _floats(fields, 'level_sum_sq', '<f4', (*count.shape, axes), 0.0),
     )
+
+
+def _period_counts(fields: Fields, length: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the ages at which periods begin, and the counts (periods, levels) in them."""
+    if 'period' in fields:  # a former version: periods of equal length
+        rows = fields.sequence('level_count', MOST_PERIODS)
+        levels = len(rows[0]) if rows and isinstance(rows[0], list) else 0
+        count = fields.table('level_count', len(rows), levels, least=0.0).astype(np.int64)
+        begins = np.arange(len(rows)) * _power_of_two(fields, 'period')
+    else:
+        begins = _integers(fields, 'period_begin', MOST_PERIODS)
+        count = _integers(fields, 'level_count', MOST_PERIODS * MAX_LEVELS)
+        levels = len(count) // max(len(begins), 1)
+        if levels * len(begins) != len(count):
+            raise AllanError(f'{fields.where}.level_count: {len(begins)} rows are expected')
+        count = count.reshape(len(begins), levels)
+    if levels > MAX_LEVELS or np.any(np.diff(begins, append=length + 1) <= 0):
+        raise AllanError(f'{fields.where}: its periods contradict its length of {length}')
+    return begins, count

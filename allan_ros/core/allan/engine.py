@@ -14,7 +14,8 @@ an offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,19 +25,20 @@ from ..imu import AXES, ImuIdentity
 from .history import (
     CELLS,
     PERIOD_OVER_FACTOR,
-    PERIODS,
+    AgeBin,
     History,
-    PeriodSums,
     Recording,
-    SegmentAges,
-    bins_of,
-    cell_step,
-    short,
-    starts_between,
+    age_bin,
+    edge_age,
+    period_begins,
+    regrouped,
+    shortest_period,
+    starts_before,
 )
 from .sums import FIRST_FACTORS, LEVEL_FACTORS, AllanSums, SegmentRecord, counts, grid_for
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 BLOCK = 4096
@@ -54,18 +56,73 @@ _HISTORY = 2 * LEVEL_FACTORS[-1]
 _ALL_FACTORS = FIRST_FACTORS + LEVEL_FACTORS
 
 
+MOST_PIECES = 512
+"""Sums by period are merged to the periods of the recording beyond this many."""
+
+
+class _PeriodSums:
+    """Sums of squares by period at one averaging factor; the periods may be too short yet.
+
+    Parameters
+    ----------
+    m : int
+        A power of 4.
+    axes : int
+    """
+
+    def __init__(self, m: int, axes: int) -> None:
+        self.m, self.axes = m, axes
+        self.begins: list[int] = []
+        self.sums: list[Floats] = []
+
+    def shortest(self, length: int) -> int:
+        """Return the length of the shortest period with sums at this factor."""
+        return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
+
+    def add(self, begin: int, sums: Floats) -> None:
+        """Add sums, (axes,), of a period that is the last one or follows it."""
+        if self.begins and begin <= self.begins[-1]:
+            self.sums[-1] = self.sums[-1] + sums
+        else:
+            self.begins.append(begin)
+            self.sums.append(sums)
+
+    def over(self, begins: Ints) -> Floats:
+        """Return the sums over periods that begin at some ages, (periods, axes)."""
+        return regrouped(np.reshape(self.sums, (-1, self.axes)), np.array(self.begins, int), begins)
+
+    def merge(self, length: int) -> None:
+        """Merge periods if there are too many for a recording that has this length so far."""
+        if len(self.begins) > MOST_PIECES:
+            coarser = period_begins(length, self.begins[0])
+            self.sums, self.begins = list(self.over(coarser)), coarser.tolist()
+
+    def copy(self) -> _PeriodSums:
+        """Return a copy that can be added to."""
+        other = _PeriodSums(self.m, self.axes)
+        other.begins, other.sums = self.begins.copy(), self.sums.copy()
+        return other
+
+
 class _LevelSums:
     """Sums of squares of a level: of all differences by the age of their start, and the groups'.
 
     Attributes
     ----------
     bins : dict of bin index to (factors, axes) float64 array
+    periods : dict of row of a factor to _PeriodSums
+        Of every second octave.
     groups : (factors, axes) float64 array
     """
 
-    def __init__(self, factors: int, axes: int) -> None:
+    def __init__(self, factors: tuple[int, ...], axes: int) -> None:
         self.bins: dict[int, Floats] = {}
-        self.groups = np.zeros((factors, axes))
+        self.periods = {
+            i: _PeriodSums(m, axes)
+            for i, m in enumerate(factors)
+            if m.bit_count() == 1 and m.bit_length() % 2
+        }
+        self.groups = np.zeros((len(factors), axes))
 
     def of_bin(self, index: int) -> Floats:
         """Return the sums of one bin, to be added to."""
@@ -75,8 +132,9 @@ class _LevelSums:
 
     def copy(self) -> _LevelSums:
         """Return a copy that can be added to."""
-        other = _LevelSums(*self.groups.shape)
+        other = _LevelSums((), 0)
         other.bins = {index: squares.copy() for index, squares in self.bins.items()}
+        other.periods = {i: one.copy() for i, one in self.periods.items()}
         other.groups = self.groups.copy()
         return other
 
@@ -88,21 +146,16 @@ class _Level:
     points that are not summed yet follow.
     """
 
-    def __init__(self, level: int, axes: int, ages: SegmentAges) -> None:
+    def __init__(self, level: int, axes: int, offset: int) -> None:
         self.level = level
         self.factors = LEVEL_FACTORS if level else _ALL_FACTORS
-        self.ages = ages
+        self.offset = offset
         self.points = np.empty((axes, _HISTORY + BLOCK))
         self.fill = 0
         self.summed = 0
         self.first: Floats | None = None
-        self.sums = _LevelSums(len(self.factors), axes)
-        # every second octave is also summed by period
-        self.by_period = {
-            i: PeriodSums(axes)
-            for i, f in enumerate(self.factors)
-            if (f << level).bit_count() == 1 and (f << level).bit_length() % 2
-        }
+        self.bin, self.bin_starts = 0, (0, 0)  # the bin used last, and its differences
+        self.sums = _LevelSums(tuple(f << level for f in self.factors), axes)
 
     @property
     def past(self) -> int:
@@ -115,8 +168,7 @@ class _Level:
 
     def sum_block(self) -> Floats:
         """Sum the full block, keep its end, and return every second point for the next level."""
-        period = cell_step(self.ages.offset + ((self.summed + BLOCK) << self.level), PERIODS)
-        self._add(self.points[:, _HISTORY - self.past :], period, self.sums, self.by_period)
+        self._add(self.points[:, _HISTORY - self.past :], self.sums)
         if self.first is None:
             self.first = self.waiting()[:, :_HISTORY].copy()
         upward = self.waiting()[:, ::2].copy()
@@ -129,62 +181,83 @@ class _Level:
         """Return the end of the previous block followed by new points, (axes, n)."""
         return np.concatenate([self.points[:, _HISTORY - self.past : _HISTORY], new], axis=1)
 
-    def sums_with(self, points: Floats, period: int) -> tuple[_LevelSums, dict[int, Floats]]:
+    def sums_with(self, points: Floats) -> _LevelSums:
         """Return the sums so far and those of every difference that ends in new points.
 
         Parameters
         ----------
         points : (axes, history + new) float64 array
             The new points behind the history they follow on.
-        period : int
-            Length in samples of the periods to sum by.
-
-        Returns
-        -------
-        sums : _LevelSums
-        by_period : dict of factor to (periods, axes) float64 array
         """
         sums = self.sums.copy()
-        by_period = {
-            i: sums_so_far.copy()
-            for i, sums_so_far in self.by_period.items()
-            if PERIOD_OVER_FACTOR * (self.factors[i] << self.level) <= period
-        }
-        self._add(points, period, sums, by_period)
-        return sums, {self.factors[i] << self.level: p.at(period) for i, p in by_period.items()}
+        self._add(points, sums)
+        return sums
 
-    def _add(
-        self, points: Floats, period: int, sums: _LevelSums, by_period: dict[int, PeriodSums]
-    ) -> None:
+    def _add(self, points: Floats, sums: _LevelSums) -> None:
         """Add the squares of every difference that ends in new points, as of `sums_with`."""
         scratch = np.empty((2, *points.shape))
+        length = self.offset + ((self.summed + points.shape[1] - self.past) << self.level)
         for i, f in enumerate(self.factors):
             reach = min(self.past, 2 * f)
             window = points[:, self.past - reach :]
-            length = window.shape[1] - 2 * f
-            if length <= 0:
+            number = window.shape[1] - 2 * f
+            if number <= 0:
                 continue
-            g = scratch[0, :, : length + f]
+            g = scratch[0, :, : number + f]
             np.subtract(window[:, f:], window[:, :-f], out=g)
-            d = scratch[1, :, :length]
+            d = scratch[1, :, :number]
             np.subtract(g[:, f:], g[:, :-f], out=d)
             first = self.summed - reach
             pieces = [
                 (index, _squares(d[:, low:high]))
-                for index, low, high in self.ages.by_bin(first, length, self.level)
+                for index, low, high in self._by_bin(first, number)
             ]
             for index, squares in pieces:
                 sums.of_bin(index)[i] += squares
             every = d[:, -first % f :: f]
             sums.groups[i] += _squares(every) if f > 1 or len(pieces) > 1 else pieces[0][1]
-            if i in by_period:
-                at, begins = self.ages.by_period(first, length, self.level, period)
-                if len(begins) > 1:
-                    by_period[i].add(period, at, np.add.reduceat(d * d, begins, axis=1).T)
-                elif len(pieces) == 1:
-                    by_period[i].add(period, at, pieces[0][1][None])
-                else:
-                    by_period[i].add(period, at, _squares(d)[None])
+            if i in sums.periods:
+                by_period = sums.periods[i]
+                periods = self._by_period(first, number, by_period.shortest(length))
+                for begin, low, high in periods:
+                    complete = high - low == number and len(pieces) == 1
+                    squares = pieces[0][1] if complete else _squares(d[:, low:high])
+                    by_period.add(begin, squares)
+                by_period.merge(length)
+
+    def _by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
+        """Return (bin, low, high) for the differences first .. first + number - 1.
+
+        ``low`` and ``high`` count from ``first``.
+        """
+        begin, end = self.bin_starts
+        if begin <= first and first + number <= end:
+            return [(self.bin, 0, number)]
+        found = []
+        low = 0
+        while low < number:
+            self.bin = age_bin(self.offset + ((first + low) << self.level))
+            begin, end = (self._start_at(edge_age(i)) for i in (self.bin, self.bin + 1))
+            self.bin_starts = begin, end
+            high = min(number, end - first)
+            found.append((self.bin, low, high))
+            low = high
+        return found
+
+    def _by_period(self, first: int, number: int, period: int) -> list[tuple[int, int, int]]:
+        """Return (age at which a period begins, low, high), as `_by_bin`."""
+        found = []
+        low = 0
+        while low < number:
+            index = (self.offset + ((first + low) << self.level)) // period
+            high = min(number, self._start_at((index + 1) * period) - first)
+            found.append((index * period, low, high))
+            low = high
+        return found
+
+    def _start_at(self, age: int) -> int:
+        """Return the first difference that starts at an age or later."""
+        return -((self.offset - age) >> self.level)
 
     def ends(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the first and the last points of the level; ``points`` as in `sums_with`."""
@@ -241,7 +314,7 @@ class OpenSegment:
     """The cascade of the open segment."""
 
     def __init__(self, axes: int, reference: Floats, start_ns: int, offset: int = 0) -> None:
-        self.ages = SegmentAges(offset)
+        self.offset = offset
         self.reference = reference[:, None].copy()
         self.start_ns = self.last_ns = start_ns
         self.samples = 0
@@ -249,7 +322,7 @@ class OpenSegment:
         # the rounding of a running sum of 1e8 samples stays small too.
         self.base = np.zeros((axes, 1))
         self.theta = np.zeros(axes)
-        self.levels = [_Level(0, axes, self.ages)]
+        self.levels = [_Level(0, axes, offset)]
         self.coarse = _SparsePhase(axes, PHASE_POINTS)
         self.cells = _SparsePhase(axes, CELLS, offset)
         bottom = self.levels[0]
@@ -287,7 +360,7 @@ class OpenSegment:
         j = 1
         while upward.shape[1]:
             if j == len(self.levels):
-                self.levels.append(_Level(j, len(upward), self.ages))
+                self.levels.append(_Level(j, len(upward), self.offset))
             level = self.levels[j]
             begin = _HISTORY + level.fill
             level.points[:, begin : begin + upward.shape[1]] = upward
@@ -300,19 +373,18 @@ class OpenSegment:
     def sums(self, identity: ImuIdentity, axes: tuple[str, ...]) -> AllanSums:
         """Return the sums of the segment as if it ended here; the state does not change."""
         m, stride = grid_for(self.samples)
-        period = cell_step(self.ages.offset + self.samples, PERIODS)
         shape = (len(m), len(axes))
         bins: dict[int, Floats] = {}
         groups, signed = np.zeros(shape), np.zeros(shape)
-        by_period: dict[int, Floats] = {}
+        by_period: list[_PeriodSums] = []
         carry = np.empty((len(axes), 0))
         j = row = 0
         while row < len(m):
-            level = self.levels[j] if j < len(self.levels) else _Level(j, len(axes), self.ages)
+            level = self.levels[j] if j < len(self.levels) else _Level(j, len(axes), self.offset)
             new = np.concatenate([level.waiting(), carry], axis=1)
             points = level.with_history(new)
-            sums, level_by_period = level.sums_with(points, period)
-            by_period.update(level_by_period)
+            sums = level.sums_with(points)
+            by_period += sums.periods.values()
             reached = level.factors[: len(m) - row]
             rows = slice(row, row + len(reached))
             groups[rows] = sums.groups[: len(reached)]
@@ -329,12 +401,9 @@ class OpenSegment:
         bottom = self.levels[0]
         phase, step = self.coarse.extended(bottom.waiting(), self.base, bottom.summed)
         record = SegmentRecord(
-            self.start_ns, self.samples, signed, phase.T.copy(), step, self.ages.offset
+            self.start_ns, self.samples, signed, phase.T.copy(), step, self.offset
         )
-        history = History.of_segment(
-            bins_of(bins, m, stride, self.ages.offset, self.samples),
-            self._recording(period, by_period),
-        )
+        history = History.of_segment(self._bins(bins, m, stride), self._recording(by_period))
         return AllanSums(
             identity,
             axes,
@@ -348,36 +417,47 @@ class OpenSegment:
             history=history,
         )
 
-    def _recording(self, period: int, by_period: dict[int, Floats]) -> Recording:
+    def _bins(self, squares: dict[int, Floats], m: Ints, stride: Ints) -> Iterator[AgeBin]:
+        """Yield the bins of this segment from sums of squares, (factors, axes), by bin."""
+        for index in sorted(squares):
+            ages = np.array([[edge_age(index)], [edge_age(index + 1)]])
+            count = np.diff(starts_before(ages, m, stride, self.offset, self.samples), axis=0)[0]
+            some = int(np.flatnonzero(count)[-1]) + 1 if count.any() else 0
+            if some:
+                no_ramp = np.zeros((0, len(self.theta)))
+                yield AgeBin(index, count[:some], squares[index][:some], (), no_ramp)
+
+    def _recording(self, by_period: list[_PeriodSums]) -> Recording:
         """Return the means by cell and the sums of squares by period of this segment."""
-        offset, bottom, axes = self.ages.offset, self.levels[0], len(self.theta)
+        offset, bottom, axes = self.offset, self.levels[0], len(self.theta)
         phase, step = self.cells.extended(bottom.waiting(), self.base, bottom.summed)
         first = -(-offset // step)
         means = np.diff(phase, axis=1).T / step
         samples = np.zeros(first + len(means), np.int64)
         samples[first:] = step
-        kept = [m for m in (4**i for i in range(len(by_period))) if m in by_period]
-        number = (offset + self.samples) // period + 1
-        count = np.zeros((number, len(kept)), np.int64)
-        sum_sq = np.zeros((number, len(kept), axes))
-        for i, m in enumerate(kept):
-            stride = np.array([max(1, m // LEVEL_FACTORS[0])])
-            for at in range(offset // period, number):
-                low, high = at * period, (at + 1) * period
-                factor = np.array([m])
-                count[at, i] = starts_between(factor, stride, offset, self.samples, low, high)[0]
-            sum_sq[: len(by_period[m]), i] = by_period[m]
+        length = offset + self.samples
+        begins = period_begins(length)
+        periods = np.diff(begins, append=begins[-1] + shortest_period(length))
+        long_enough = [one for one in by_period if PERIOD_OVER_FACTOR * one.m <= periods.max()]
+        count = np.zeros((len(begins), len(long_enough)), np.int64)
+        sum_sq = np.zeros((len(begins), len(long_enough), axes))
+        for i, one in enumerate(long_enough):
+            rows = PERIOD_OVER_FACTOR * one.m <= periods
+            stride = max(1, one.m // LEVEL_FACTORS[0])
+            before = starts_before(np.append(begins, length), one.m, stride, offset, self.samples)
+            count[rows, i] = np.diff(before)[rows]
+            sum_sq[rows, i] = one.over(begins)[rows]
         return Recording(
             self.start_ns,
-            offset + self.samples,
+            length,
             self.samples,
             step,
             samples,
-            short(np.concatenate([np.zeros((first, axes)), means])),
+            np.concatenate([np.zeros((first, axes)), means]),
             self.reference[:, 0].copy(),
-            period,
+            begins,
             count,
-            short(sum_sq),
+            sum_sq,
         )
 
 
@@ -489,7 +569,7 @@ class RunningAllan:
 
     def end_segment(self) -> None:
         """End the segment: the next sample starts a new one, no difference spans both."""
-        self._closed = self.sums
+        self._closed = self._exact
         self._open = None
 
     def _age(self, first_ns: int) -> int:
@@ -511,6 +591,11 @@ class RunningAllan:
     @property
     def sums(self) -> AllanSums:
         """The sums of all samples as if the open segment ended here; the state does not change."""
+        exact = self._exact
+        return replace(exact, history=exact.history.rounded())
+
+    @property
+    def _exact(self) -> AllanSums:
         if self._open is None:
             return self._closed
         now = self._open.sums(self._closed.identity, self._closed.axes)

@@ -6,10 +6,11 @@ The age of a sample is the number of sample periods since the first sample of it
 
 - `AgeBin`: the Allan sums of the second differences that *start* in a range of ages. Segments are
   not split, so all averaging factors stay, and the sum over the bins is the sum of the recording.
-  Edges lie at 2^k and 1.5 * 2^k samples: about 16 bins at any length. They make it possible to
-  leave out the early part of a recording afterwards (`AllanSums.settled`).
+  Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. They make it possible to
+  leave out the early part of a recording afterwards (`settled.settled_sums`).
 - `Recording`: the means of up to 512 cells of equal length, and the sums of squares at every
-  second octave of up to 64 periods of equal length. The stationarity tests use both.
+  second octave of about 100 periods, shorter ones towards the end. The stationarity tests and the
+  comparison of the recent noise with the former use them.
 
 Everything is a function of the samples and their number alone, so any chunking gives the same
 values, and the values of several recordings add.
@@ -17,7 +18,7 @@ values, and the values of several recordings add.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -29,20 +30,31 @@ Ints = NDArray[np.int64]
 FIRST_EDGE = 256
 """Age in samples of the first edge between two bins."""
 
-EARLIEST_PART = 128
-"""Bins that end before this fraction of the recording are merged into the first one."""
+EARLIEST_PART = 64
+"""Bins that end before this fraction of the recording are merged into the first one: below it the
+phase record has too few points to leave them out exactly."""
 
 CELLS, MERGED_CELLS = 512, 64
 """Cells of a recording are fewer than this; of each of several recordings together, fewer."""
 
-PERIODS, MERGED_PERIODS = 64, 16
-"""The same for the periods with sums of squares."""
+LONGEST_PERIOD, PERIOD_DISTANCE = 32, 4
+"""A period is at most this fraction of its recording, and this fraction of the time from its end to
+the end of the recording."""
+
+MERGED_PERIODS = 16
+"""Periods of each of several recordings, but for the latest, are fewer than this."""
+
+SHORTEST_PERIODS = (128, 2048)
+"""Shortest period in samples of a short recording, and of one of 2e6 samples or more."""
 
 PERIOD_OVER_FACTOR = 16
 """A period has sums at averaging factors up to its length over this."""
 
+MOST_PERIODS = 1024
+"""Bound for documents: a recording of 2^60 samples has about 300 periods."""
+
 KEPT_RECORDINGS = 32
-"""How many of the longest recordings keep their means and periods."""
+"""How many recordings keep their means and periods."""
 
 PooledCount = tuple[int, int, int]
 """Index of a length class, and how many segments and samples of it begin in a bin."""
@@ -72,26 +84,55 @@ def cell_step(length: int, cells: int) -> int:
     return step
 
 
-def starts_between(m: Ints, stride: Ints, offset: int, samples: int, low: int, high: int) -> Ints:
-    """Return how many second differences of a segment start at ages from ``low`` to ``high`` - 1.
+def shortest_period(length: int) -> int:
+    """Return the length of the last periods of a recording, a power of two."""
+    shortest, longest = SHORTEST_PERIODS
+    return min(max(shortest, cell_step(length, longest)), longest)
+
+
+def period_begins(length: int, begin: int = 0) -> Ints:
+    """Return the ages at which the periods of a recording begin, from that around ``begin`` on.
+
+    A period is the longest one, of a power of two samples and beginning at a multiple of it, within
+    1/32 of the length and 1/4 of the distance from its end to the end of the recording. As the
+    recording grows, periods are therefore only ever merged.
+    """
+    begins = []
+    shortest = shortest_period(length)
+    while begin < length:
+        period = shortest
+        while True:
+            double = 2 * period
+            left = length - begin // double * double
+            if LONGEST_PERIOD * double > length or (1 + PERIOD_DISTANCE) * double > left:
+                break
+            period = double
+        begins.append(begin // period * period)
+        begin = begins[-1] + period
+    return np.array(begins, np.int64)
+
+
+def starts_before(ages: Ints, m: Ints | int, stride: Ints | int, offset: int, samples: int) -> Ints:
+    """Return how many second differences of a segment start before some ages.
 
     Parameters
     ----------
-    m, stride : (factors,) int64 arrays
+    ages : int64 array
+    m, stride : int or int64 arrays that broadcast with ``ages``
         Averaging factors, and samples between two starts.
     offset, samples : int
         Age of the first sample of the segment, and its length.
     """
-    ends = samples - 2 * m + 1  # starts are below it
-    below = [-(-np.clip(age - offset, 0, np.maximum(ends, 0)) // stride) for age in (low, high)]
-    number: Ints = below[1] - below[0]
+    ends = np.maximum(samples - 2 * np.asarray(m) + 1, 0)  # starts are below it
+    number: Ints = -(-np.clip(ages - offset, 0, ends) // stride)
     return number
 
 
 def short(values: Floats) -> Floats:
-    """Return values rounded to single precision, in which the statistics by period are kept."""
-    largest = float(np.finfo(np.float32).max)
-    rounded: Floats = np.clip(values, -largest, largest).astype(np.float32).astype(float)
+    """Return values rounded to the 16 significant bits with which the history is kept."""
+    bits = np.ascontiguousarray(values, '<f8').view('<u8')
+    even = bits + ((bits >> 37) & 1) + ((1 << 36) - 1)
+    rounded: Floats = (even >> 37 << 37).view('<f8')
     return rounded
 
 
@@ -160,8 +201,8 @@ class Recording:
         Mean of these samples less ``reference``; 0 where there are none.
     reference : (axes,) float64 array
         First sample of the recording.
-    period : int
-        Length of a period in samples, a power of two.
+    period_begin : (periods,) int64 array
+        Ages at which the periods begin, see `period_begins`.
     level_count : (periods, levels) int64 array
     level_sum_sq : (periods, levels, axes) float64 array
         Second differences that start in each period at the factors 1, 4, 16 ..., and the sum of
@@ -175,7 +216,7 @@ class Recording:
     cell_samples: Ints
     cell_means: Floats
     reference: Floats
-    period: int
+    period_begin: Ints
     level_count: Ints
     level_sum_sq: Floats
 
@@ -192,47 +233,53 @@ class Recording:
         """Averaging factors of the levels, (levels,)."""
         return 4 ** np.arange(self.level_count.shape[1])
 
-    def coarser(self, cells: int, periods: int) -> Recording:
-        """Return the same in fewer cells and periods than so many."""
-        step, period = cell_step(self.length, cells), cell_step(self.length, periods)
+    def coarser(self, cells: int, begins: Ints) -> Recording:
+        """Return the same in fewer cells than so many, and in longer periods."""
+        step = cell_step(self.length, cells)
         number, means = self.cell_samples, self.cell_means
         sums = means * number[:, None]
-        for _ in range(_doublings(self.step, step)):
+        for _ in range(max(0, step.bit_length() - self.step.bit_length())):
             number, sums = _pair_sums(number), _pair_sums(sums)
-        count, sum_sq = self.level_count, self.level_sum_sq
-        for _ in range(_doublings(self.period, period)):
-            count, sum_sq = _pair_sums(count), _pair_sums(sum_sq)
         if step > self.step:
             means = sums / np.maximum(number, 1)[:, None]
         return replace(
             self,
             step=max(step, self.step),
             cell_samples=number,
-            cell_means=short(means),
-            period=max(period, self.period),
-            level_count=count,
-            level_sum_sq=short(sum_sq),
+            cell_means=means,
+            period_begin=begins,
+            level_count=regrouped(self.level_count, self.period_begin, begins),
+            level_sum_sq=regrouped(self.level_sum_sq, self.period_begin, begins),
         )
+
+    def summary(self) -> Recording:
+        """Return the same in few cells and periods, as kept of each of several recordings."""
+        period = cell_step(self.length, MERGED_PERIODS)
+        return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
+
+    def rounded(self) -> Recording:
+        """Return the same as precisely as it is stored."""
+        means, squares = short(self.cell_means), short(self.level_sum_sq)
+        return replace(self, cell_means=means, level_sum_sq=squares)
 
     def continued(self, later: Recording) -> Recording:
         """Return this recording with a later segment of it, aged from the same first sample."""
-        a = replace(self, length=max(self.length, later.length)).coarser(CELLS, PERIODS)
-        b = replace(later, length=a.length).coarser(CELLS, PERIODS)
+        length = max(self.length, later.length)
+        begins = period_begins(length)
+        a = replace(self, length=length).coarser(CELLS, begins)
+        b = replace(later, length=length).coarser(CELLS, begins)
         number = add_padded(a.cell_samples, b.cell_samples)
         shifted = b.cell_means + (b.reference - a.reference)
         sums = add_padded(a.cell_means * a.cell_samples[:, None], shifted * b.cell_samples[:, None])
         levels = max(a.level_count.shape[1], b.level_count.shape[1])
-        counts, squares = (
-            [_with_levels(x, levels) for x in pair]
-            for pair in ((a.level_count, b.level_count), (a.level_sum_sq, b.level_sum_sq))
-        )
         return replace(
             a,
             samples=a.samples + b.samples,
             cell_samples=number,
-            cell_means=short(sums / np.maximum(number, 1)[:, None]),
-            level_count=add_padded(*counts),
-            level_sum_sq=short(add_padded(*squares)),
+            cell_means=sums / np.maximum(number, 1)[:, None],
+            level_count=_with_levels(a.level_count, levels) + _with_levels(b.level_count, levels),
+            level_sum_sq=_with_levels(a.level_sum_sq, levels)
+            + _with_levels(b.level_sum_sq, levels),
         )
 
 
@@ -247,7 +294,7 @@ class History:
     bins : tuple of AgeBin
         By index; bins without a difference are left out.
     recordings : tuple of Recording
-        The 32 longest, longest first.
+        The latest and the 31 longest others, longest first.
     recording_count : int
         How many there are.
     """
@@ -289,15 +336,22 @@ class History:
         if not self.recordings or not other.recordings:
             return self if self.recordings else other
         first = max(self.first, other.first)
-        recordings = sorted(
-            (r.coarser(MERGED_CELLS, MERGED_PERIODS) for r in self.recordings + other.recordings),
-            key=lambda r: r.order,
-        )
+        recordings = sorted(self.recordings + other.recordings, key=lambda r: r.order)
+        latest = max(recordings, key=lambda r: (r.start_ns, r.length))
+        former = [r.summary() for r in recordings if r is not latest][: KEPT_RECORDINGS - 1]
         return History(
             first,
             _add_bins(self._from(first).bins, other._from(first).bins),
-            tuple(recordings[:KEPT_RECORDINGS]),
+            tuple(sorted((*former, latest), key=lambda r: r.order)),
             self.recording_count + other.recording_count,
+        ).rounded()
+
+    def rounded(self) -> History:
+        """Return the same as precisely as it is stored: with 16 significant bits."""
+        return replace(
+            self,
+            bins=tuple(replace(b, sum_sq=short(b.sum_sq)) for b in self.bins),
+            recordings=tuple(r.rounded() for r in self.recordings),
         )
 
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
@@ -332,69 +386,6 @@ class History:
         return replace(self, first=first, bins=tuple(late))
 
 
-class SegmentAges:
-    """Divides the starts of the second differences of one segment by age.
-
-    Parameters
-    ----------
-    offset : int
-        Age of the first sample of the segment.
-    """
-
-    def __init__(self, offset: int) -> None:
-        self.offset = offset
-
-    def by_bin(self, first: int, length: int, level: int) -> Iterator[tuple[int, int, int]]:
-        """Yield (bin, low, high) for the starts first .. first + length - 1 of a level.
-
-        ``low`` and ``high`` count from ``first``; starts are 2^level samples apart.
-        """
-        low = 0
-        while low < length:
-            index = age_bin(self.offset + ((first + low) << level))
-            high = min(length, (-((self.offset - edge_age(index + 1)) >> level)) - first)
-            yield index, low, high
-            low = high
-
-    def by_period(self, first: int, length: int, level: int, period: int) -> tuple[int, Ints]:
-        """Return the index of the first period, and the first start in each period."""
-        age = self.offset + (first << level)
-        last = (self.offset + ((first + length - 1) << level)) // period
-        at = np.arange(age // period + 1, last + 1) * period
-        begins = -((self.offset - at) >> level) - first
-        return age // period, np.concatenate([[0], begins])
-
-
-class PeriodSums:
-    """Sums of squares by period at one averaging factor, coarsened as the recording grows."""
-
-    def __init__(self, axes: int) -> None:
-        self.period = 1
-        self.sums = np.zeros((0, axes))
-
-    def add(self, period: int, first: int, sums: Floats) -> None:
-        """Add sums, (periods, axes), of the periods from ``first`` on."""
-        self.sums = self.at(period)
-        self.period = period
-        missing = first + len(sums) - len(self.sums)
-        if missing > 0:
-            self.sums = np.pad(self.sums, ((0, missing), (0, 0)))
-        self.sums[first : first + len(sums)] += sums
-
-    def copy(self) -> PeriodSums:
-        """Return a copy that can be added to."""
-        other = PeriodSums(self.sums.shape[1])
-        other.period, other.sums = self.period, self.sums.copy()
-        return other
-
-    def at(self, period: int) -> Floats:
-        """Return the sums by periods of a length that is a multiple of the present one."""
-        sums = self.sums
-        for _ in range(_doublings(self.period, period) if len(sums) else 0):
-            sums = _pair_sums(sums)
-        return sums.copy()
-
-
 def add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
     """Return a + b along the first axis, the shorter one filled with zeros."""
     if len(a) < len(b):
@@ -410,8 +401,13 @@ def _first_edge(length: int) -> int:
     return index if edge_age(index) * EARLIEST_PART >= length else index + 1
 
 
-def _doublings(step: int, coarser: int) -> int:
-    return max(0, coarser.bit_length() - step.bit_length())
+def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type: ignore[type-arg]
+    """Return the sums of rows that begin at some ages, over longer periods."""
+    rows, first = np.unique(np.searchsorted(coarser, begins, 'right') - 1, return_index=True)
+    out = np.zeros((len(coarser), *values.shape[1:]), values.dtype)
+    if len(rows):
+        out[rows] = np.add.reduceat(values, first)
+    return out
 
 
 def _pair_sums(values: NDArray) -> NDArray:  # type: ignore[type-arg]
@@ -443,26 +439,3 @@ def _add_bins(a: tuple[AgeBin, ...], b: tuple[AgeBin, ...]) -> tuple[AgeBin, ...
         have = total.get(each.index)
         total[each.index] = each if have is None else have + each
     return tuple(total[index] for index in sorted(total))
-
-
-def bins_of(
-    squares: Mapping[int, Floats], m: Ints, stride: Ints, offset: int, samples: int
-) -> list[AgeBin]:
-    """Return the bins of one segment.
-
-    Parameters
-    ----------
-    squares : mapping of bin index to (factors, axes) float64 array
-    m, stride : (factors,) int64 arrays
-    offset, samples : int
-        Age of the first sample of the segment, and its length.
-    """
-    bins = []
-    for index in sorted(squares):
-        low, high = edge_age(index), edge_age(index + 1)
-        count = starts_between(m, stride, offset, samples, low, high)
-        some = int(np.flatnonzero(count)[-1]) + 1 if count.any() else 0
-        sum_sq = squares[index][:some]
-        if some:
-            bins.append(AgeBin(index, count[:some], sum_sq, (), np.zeros((0, sum_sq.shape[1]))))
-    return bins

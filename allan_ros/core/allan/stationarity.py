@@ -470,12 +470,14 @@ def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelC
 
 def _level_blocks(recording: Recording, age: int, blocks: int) -> tuple[Ints, Floats]:
     """Return counts (blocks, levels) and sums of squares (blocks, levels, axes)."""
-    first = -(-age // recording.period)
-    count, sum_sq = recording.level_count[first:], recording.level_sum_sq[first:]
-    edges = np.unique(np.linspace(0, len(count), blocks + 1).round().astype(int)[:-1])
-    if not len(count):
+    late = recording.period_begin >= age
+    begins = recording.period_begin[late]
+    count, sum_sq = recording.level_count[late], recording.level_sum_sq[late]
+    edges = np.linspace(age, recording.length, blocks + 1)[:-1]
+    rows = np.unique(np.searchsorted(edges, begins, 'right'), return_index=True)[1]
+    if not len(rows):
         return count.sum(axis=0)[None], sum_sq.sum(axis=0)[None]
-    return np.add.reduceat(count, edges), np.add.reduceat(sum_sq, edges)
+    return np.add.reduceat(count, rows), np.add.reduceat(sum_sq, rows)
 
 
 def _white_level(variance: Floats, count: Ints) -> int | None:
