@@ -15,8 +15,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import adev, analyze, compare, fit, inflate, load, merge, simulate
+    from .api import adev, analyze, compare, fit, inflate, merge, simulate
     from .core.errors import AllanError
+    from .io.documents import load
     from .io.results import AxisCurve, AxisResult, Quantity, Results
 
 __version__ = '1.0.0'
@@ -39,6 +40,7 @@ __all__ = [
 
 _HOME = {
     'AllanError': 'core.errors',
+    'load': 'io.documents',
     **dict.fromkeys(('AxisCurve', 'AxisResult', 'Quantity', 'Results'), 'io.results'),
 }
 

@@ -28,9 +28,9 @@ from .core.fit.curve_fit import fit_curve
 from .core.imu import AXES, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import simulate_imu
-from .io.comparison import RunComparison, Subject, compare_runs, labels_of
+from .io.comparison import RunComparison, Subject, compare_runs
 from .io.datasheets import load_sensor
-from .io.documents import RESULTS, SUMS, SUMS_SCHEMA, results_from_document, sums_file_from_document
+from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.inflation import Inflation
 from .io.inflation import inflate as inflation_of
 from .io.readers.memory import recording_in_memory, without_absent
@@ -38,7 +38,6 @@ from .io.readers.recording import SI, ReadOptions
 from .io.reading import Observer, Silent, add_recordings, read_in_processes, read_in_turn
 from .io.recorded import ReadJob, RecordingSums, read_recording
 from .io.results import AxisCurve, AxisResult, Results, analyse_recorded
-from .io.text import read_json
 from .io.truth import stated_noise
 
 T = TypeVar('T')
@@ -68,7 +67,7 @@ class ResultSettings:
         'file.',
     )
     baseline: str = parameter(
-        '', 'results.json of an earlier run of this IMU, to compare this one with in the report.'
+        '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
     )
     margin: float = parameter(
         MARGIN,
@@ -82,104 +81,19 @@ class ResultSettings:
         check(self)
 
 
-# --- from documents to sums and results ----------------------------------------------------------
-
-
-def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
-    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
-
-    Raises
-    ------
-    AllanError
-        When the file is missing or is no such document.
-    """
-    path = file_in(path, SUMS)
-    sums, provenance = sums_file_from_document(read_json(path), path)
-    return RecordingSums(path, sums, provenance)
-
-
-def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return the path itself, or if it is a folder the file of that name in it.
-
-    Raises
-    ------
-    AllanError
-        When the folder has no such file.
-    """
-    if not Path(path).is_dir():
-        return str(path)
-    inside = Path(path) / name
-    if not inside.is_file():
-        raise AllanError(
-            f'{path}: no {name} in this folder: give the folder of an analysis, or the file'
-        )
-    return str(inside)
-
-
 # --- from sums to results -------------------------------------------------------------------------
 
 
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
-    """Fit the sums and compare the coefficients with the datasheet that the settings name.
+    """Fit the sums and compare them with the datasheet and the earlier run of the settings.
 
     Raises
     ------
     AllanError
-        When there is too little data, or the datasheet cannot be read.
+        When there is too little data, or the datasheet or the earlier run cannot be read.
     """
     results = analyse_recorded(recorded, settings.method)
-    if settings.sensor:
-        return results.against_datasheet(load_sensor(settings.sensor), settings.margin)
-    return results
-
-
-def load_baseline(path: str) -> dict[str, Results]:
-    """Return the results of an earlier run by its short name; none where the path is ''.
-
-    Raises
-    ------
-    AllanError
-        When it cannot be read, or is no results.json.
-    """
-    if not path:
-        return {}
-    (label,) = labels_of([path])
-    return {label: results_from_document(read_json(path), path)}
-
-
-def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
-    """Return the results of a results.json, or of the folder of an analysis.
-
-    A sums.json or a checkpoint is fitted first. Results of a folder can be merged and saved, since
-    the folder holds their sums.
-
-    Raises
-    ------
-    AllanError
-        When the file is missing, or is no such document.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import allan_ros as ar
-    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     files = results.save(folder)
-    ...     ar.load(folder).samples == results.samples
-    True
-    """
-    place = Path(path)
-    if place.is_dir():
-        has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()
-        place = Path(file_in(path, RESULTS if has_results else SUMS))
-    document = read_json(place)
-    if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
-        sums, provenance = sums_file_from_document(document, str(place))
-        return analyse_recorded(RecordingSums(str(place), sums, provenance), method)
-    results = results_from_document(document, str(place))
-    if Path(path).is_dir() and (place.parent / SUMS).is_file():
-        return replace(results, recorded=load_sums(path))
-    return results
+    return results.compared(settings.sensor, settings.baseline, settings.margin)
 
 
 def results_of(
@@ -209,6 +123,7 @@ def analyze(
     accel_unit: str = '',
     method: str = 'gls',
     sensor: str = '',
+    baseline: Results | str | os.PathLike[str] = '',
     margin: float = MARGIN,
     hardware_id: str = '',
     processes: int = 1,
@@ -233,8 +148,10 @@ def analyze(
         'gls', 'relative' or 'paper'.
     sensor : str
         Datasheet to compare with: a name of `allan sensors`, or the path of a .yaml file.
+    baseline : Results or path
+        An earlier run of this IMU to compare with: results, a document, or a folder of an analysis.
     margin : float
-        Fraction by which a complete interval must exceed the limit of the datasheet.
+        Fraction by which a complete interval must exceed the datasheet or the earlier run.
     hardware_id : str
         Serial number; only sums with equal ones can be merged.
     processes : int
@@ -262,12 +179,13 @@ def analyze(
     reading, segmenter = _options_of(options)
     reading = replace(reading, rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit)
     segmenter = replace(segmenter, declared_rate=rate)
-    settings = ResultSettings(method=method, sensor=sensor, margin=margin)
+    ResultSettings(method=method, margin=margin)  # checks them before hours are read
     if paths := _paths(source):
         jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in paths]
         several = min(processes, len(jobs)) > 1
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
-        return fit_recorded(add_recordings(read), settings)
+        recorded = add_recordings(read)
+        return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
     recording = recording_in_memory(
         source, rate, axes, gyro_unit or SI['gyro'], accel_unit or SI['accel']
     )
@@ -275,7 +193,7 @@ def analyze(
     recorded = read_recording(job, recording)
     findings = without_absent(recorded.provenance.findings)
     recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
-    return fit_recorded(recorded, settings)
+    return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
 
 
 def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
@@ -395,8 +313,8 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Re
     """
     if not sources:
         raise AllanError('nothing to merge: give results or paths')
-    recorded = add_recordings(map(_recorded, sources))
-    return fit_recorded(recorded, ResultSettings(method=method))
+    ResultSettings(method=method)  # checks it
+    return analyse_recorded(add_recordings(map(_recorded, sources)), method)
 
 
 def compare(

@@ -20,16 +20,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ..api import ResultSettings, fit_recorded, load_baseline
+from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
+from ..io.documents import load
 from ..io.plot_style import PictureSettings, load_style
 from ..io.readers.recording import ReadOptions
 from ..io.reading import add_recordings, read_in_processes, read_in_turn
 from ..io.recorded import ReadJob, RecordingSums
 from ..io.results import Results
-from ..io.verdict import Verdict, comparisons_of, verdict_of
+from ..io.verdict import Verdict, verdict_of
 from .batch import recordings_in, run_batch
 from .console import Console
 from .options import add_settings, settings_of
@@ -140,7 +141,8 @@ def check_result_arguments(args: argparse.Namespace) -> None:
     settings_of(ResultSettings, args)
     if args.sensor:
         load_sensor(args.sensor)
-    load_baseline(args.baseline)
+    if args.baseline:
+        load(args.baseline)
     load_style(settings_of(PictureSettings, args).plot_style)
     for name in args.export:
         target_of(name)
@@ -168,20 +170,18 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
             results, paths = write_result_files(
                 args.output,
                 results,
-                former=load_baseline(settings.baseline),
-                margin=settings.margin,
                 command=args.command_line,
                 units=settings.units,
                 targets=settings.export,
                 pictures=settings_of(PictureSettings, args),
             )
         written = f'written to {args.output}: {", ".join(sorted(path.name for path in paths))}'
-    comparisons = comparisons_of(results, load_baseline(settings.baseline), settings.margin)
-    verdict = verdict_of(results, comparisons, settings.units)
+    verdict = verdict_of(results, units=settings.units)
     if console.json:
         from ..io.documents import results_to_document
 
-        console.document(results_to_document(results, verdict=verdict))
+        document = results_to_document(results)
+        console.document({**document, 'verdict': verdict.to_document()})
         console.findings(results.findings)
         if written:
             console.say(written)

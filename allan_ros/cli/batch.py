@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ..api import ResultSettings, fit_recorded, load_baseline
+from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.fit.duration import ADVISED_TERMS
@@ -23,7 +23,7 @@ from ..io.format import shown_unit, value_text
 from ..io.plot_style import PictureSettings
 from ..io.recorded import ReadJob, RecordingSums, read_recording
 from ..io.results import Results
-from ..io.verdict import WORDS, Verdict, comparisons_of, verdict_of
+from ..io.verdict import WORDS, Verdict, verdict_of
 from .console import Console
 from .options import settings_of
 
@@ -127,22 +127,18 @@ def analyze_one(
     settings = settings_of(ResultSettings, args)
     try:
         results = fit_recorded(recorded or read_recording(job), settings)
-        baselines = load_baseline(settings.baseline)
-        comparisons = comparisons_of(results, baselines, settings.margin)
         if args.output:
             from ..io.result_files import write_result_files
 
             results, _ = write_result_files(
                 Path(args.output) / folder_name(job.path),
                 results,
-                former=baselines,
-                margin=settings.margin,
                 command=args.command_line,
                 units=settings.units,
                 targets=settings.export,
                 pictures=settings_of(PictureSettings, args),
             )
-        verdict = verdict_of(results, comparisons, settings.units)
+        verdict = verdict_of(results, units=settings.units)
     except AllanError as error:
         return Outcome(job.path, error=str(error))
     return Outcome(job.path, results, verdict)

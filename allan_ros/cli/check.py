@@ -17,11 +17,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from ..api import ResultSettings, fit_recorded, load, load_baseline
+from ..api import ResultSettings, fit_recorded
 from ..io.datasheets import load_sensor
+from ..io.documents import load
 from ..io.reading import add_recordings, read_in_turn
 from ..io.results import Results
-from ..io.verdict import comparisons_of, verdict_of
+from ..io.verdict import verdict_of
 from .analyze import EXIT_FAILED, add_fail_on, add_reading_arguments, fails, read_jobs
 from .console import Console, coloured, painted
 from .options import add_settings, settings_of
@@ -45,12 +46,11 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_of(ResultSettings, args)
     if settings.sensor:
         load_sensor(settings.sensor)  # a wrong name is reported before hours are read
-    baselines = load_baseline(settings.baseline)
+    if settings.baseline:
+        load(settings.baseline)
     console = Console.of(args)
     results = _results(args, settings, console)
-    verdict = verdict_of(
-        results, comparisons_of(results, baselines, settings.margin), settings.units
-    )
+    verdict = verdict_of(results, units=settings.units)
     code = 0
     if verdict.level == 'failed' or fails(verdict, results, args.fail_on):
         code = EXIT_FAILED
@@ -72,8 +72,6 @@ def _results(args: argparse.Namespace, settings: ResultSettings, console: Consol
     first = Path(args.inputs[0])
     if len(args.inputs) == 1 and (first.suffix == '.json' or (first / 'results.json').is_file()):
         results = load(first, settings.method)
-        if settings.sensor:
-            results = results.against_datasheet(load_sensor(settings.sensor), settings.margin)
-        return results
+        return results.compared(settings.sensor, settings.baseline, settings.margin)
     recorded = read_in_turn(read_jobs(args.inputs, args), console)
     return fit_recorded(add_recordings(recorded), settings)

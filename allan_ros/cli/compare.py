@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,8 +99,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
     from ..api import results_of
-    from ..io.comparison import Subject, compare_runs, comparison_document, labels_of
+    from ..io.comparison import Subject, compare_runs, comparison_document
     from ..io.datasheets import load_sensor
+    from ..io.documents import labels_of
     from ..io.plot_style import load_style
 
     console = Console.of(args)
@@ -146,13 +148,11 @@ def _write_report(folder: str, runs: Sequence[Subject], margin: float, units: st
     from ..io.report import ReportContext, render_report
 
     first, *others = runs
-    context = ReportContext(
-        baselines={run.label: run.results for run in others},
-        margin=margin,
-        method={'runs': ', '.join(run.label for run in runs)},
-    )
+    others_by_label = {run.label: run.results for run in others}
+    results = replace(first.results, baselines=others_by_label, margin=margin)
+    context = ReportContext(method={'runs': ', '.join(run.label for run in runs)})
     path = Path(folder) / 'report.html'
-    write_atomic(path, render_report(first.results, context, units))
+    write_atomic(path, render_report(results, context, units))
     return path
 
 
@@ -177,7 +177,7 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
             f'so in at most {comparison.family_error:.0%} of comparisons',
             columns,
         )
-    for label, checked in comparison.beside:
+    for label, checked in comparison.datasheets:
         yield ''
         yield f'{label}'
         yield from datasheet_lines(checked, units, columns)
@@ -219,7 +219,7 @@ def _column(comparison: RunComparison, axis: str, units: str) -> list[str]:
             cells.append(said)
     for pair in comparison.pairs:
         tried = [d for d in pair.differences if d.axis == axis and d.tau is not None]
-        off = [d for d in tried if d.verdict in ('higher', 'lower')]
+        off = [d for d in tried if d.significant]
         cells.append(f'{len(off)} of {len(tried)} differ' if tried else NOT_THERE)
     return cells
 

@@ -62,8 +62,7 @@ def run(args: argparse.Namespace) -> int:
         raise AllanError(
             'give a results.json or its folder, and --to TARGET; --list shows the targets'
         )
-    from ..api import file_in, load
-    from ..io.documents import RESULTS
+    from ..io.documents import RESULTS, file_in, load
     from ..io.exporters import make_export, target_of
     from ..io.files import write_atomic
 

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..api import ResultSettings, load_sums
+from ..api import ResultSettings
+from ..io.documents import load_sums
 from ..io.plot_style import PictureSettings
 from ..io.reading import add_recordings
 from .analyze import EXITS, add_fail_on, check_result_arguments, show_results

@@ -8,11 +8,12 @@ import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 
-from ..core import compare
+from ..core.compare import Comparison
+from ..core.compare import Verdict as LimitVerdict
 from ..core.findings import grouped
 from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS, sensor_of
-from ..io.datasheet_comparison import VERDICT_TEXT, DatasheetComparison, LimitCheck
+from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
 from ..io.format import (
     interval_text,
     region_text,
@@ -35,7 +36,7 @@ LEVEL_COLOURS: dict[Level, str] = {
 """ANSI colours of the levels of a verdict: bold green, yellow, cyan, red."""
 
 
-HEADLINES: dict[compare.Verdict | None, str] = {
+HEADLINES: dict[LimitVerdict | None, str] = {
     'within': 'every stated limit is kept',
     'open': 'no limit is exceeded; some intervals contain the limit',
     'beyond': 'a limit is exceeded',
@@ -53,29 +54,24 @@ def datasheet_lines(comparison: DatasheetComparison, units: str, columns: int) -
     sheet = comparison.datasheet
     headline = f'compared with the datasheet of {sheet.name}: {HEADLINES[comparison.verdict]}'
     yield from wrapped(headline, columns, '  ')
-    for group in _by_limit(comparison).values():
-        yield from wrapped(_line(group, units), columns, ' ' * 9)
+    groups: dict[tuple[str, str, float], list[Comparison]] = {}
+    for c in comparison.comparisons:  # axes of one sensor that share a limit of a term
+        groups.setdefault((sensor_of(c.axis), c.term, c.limit), []).append(c)
+    for group in groups.values():
+        stated = comparison.limit(group[0]).stated
+        yield from wrapped(_line(group, stated, units), columns, ' ' * 9)
 
 
-def _by_limit(comparison: DatasheetComparison) -> dict[tuple[str, str, float], list[LimitCheck]]:
-    """Return the axes of one sensor that share a limit of a term together."""
-    groups: dict[tuple[str, str, float], list[LimitCheck]] = {}
-    for held in comparison.held:
-        key = sensor_of(held.axis), held.term, held.limit.value
-        groups.setdefault(key, []).append(held)
-    return groups
-
-
-def _line(group: list[LimitCheck], units: str) -> str:
+def _line(group: list[Comparison], stated: str, units: str) -> str:
     first = group[0]
     unit = shown_unit(first.axis, first.term, units)
-    limit = f'{significant(first.limit.value * unit.factor, LIMIT_DIGITS)} {unit.name}'
-    stood: dict[compare.Verdict, list[str]] = {}
-    for held in group:
-        stood.setdefault(held.verdict, []).append(held.axis.rsplit('_', 1)[1])
-    verdicts = ', '.join(f'{" ".join(axes)} {VERDICT_TEXT[v]}' for v, axes in stood.items())
+    limit = f'{significant(first.limit * unit.factor, LIMIT_DIGITS)} {unit.name}'
+    axes: dict[LimitVerdict, list[str]] = {}
+    for c in group:
+        axes.setdefault(c.verdict, []).append(c.axis.rsplit('_', 1)[1])
+    verdicts = ', '.join(f'{" ".join(names)} {VERDICT_TEXT[v]}' for v, names in axes.items())
     sensor = sensor_of(first.axis)
-    return f'{sensor:5} {first.term}  {verdicts}: limit {limit} (stated {first.limit.stated})'
+    return f'{sensor:5} {first.term}  {verdicts}: limit {limit} (stated {stated})'
 
 
 LABEL, GAP = 16, 2

@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which differences between two recordings are significant.
+"""Which differences between two runs are significant, and which coefficients exceed a limit.
+
+`differences` is the only test of whether two runs differ: recordings, a recording and an earlier
+one, or the last hour of a stream and the time before it.
 
 Coefficients are compared by the logarithm of their ratio, whose limits come from the two intervals
 each with its own width above and below (the method of variance estimates recovery:
@@ -17,9 +20,9 @@ other.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,58 +35,99 @@ MARGIN = 0.2
 """Tolerance above a limit: typical figures of a datasheet are those of the median unit, and noise
 rises some percent with temperature."""
 
+FAMILY_ERROR = 0.05
+"""Probability that runs of equal noise differ in any one of all comparisons made at once."""
+
+Z_TWO_SIDED, Z_ONE_SIDED = 1.96, 1.645
+"""Normal quantiles of the 95 % intervals and upper limits that coefficients carry."""
+
+TAU_RATIO = 4.0
+"""Ratio of neighboring averaging times: closer ones share most of their samples."""
+
+MIN_EDF = 3.0
+"""Fewest degrees of freedom on either side: with fewer, no ratio below 10 is significant."""
+
+EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
+"""Degrees of freedom among which those of a curve's limits are looked up."""
+
+MEETING_STEPS = 60
+"""Bisections until two limits meet to the last digit."""
+
+LARGEST_EXPONENT = 709.0
+"""exp of more is beyond the largest float."""
+
+FARTHEST_Z = 40.0
+"""Largest z that is tried: beyond, the probability underflows."""
 
 Verdict = Literal['within', 'beyond', 'open']
-"""The complete interval is below the limit; above it; the interval contains the limit."""
+"""Not above a limit; significantly above it and its margin; not decided."""
 
+Change = Literal['higher', 'lower', 'alike', 'open']
+"""The second run is significantly higher, lower, not significantly different, or undecided."""
 
-@dataclass(frozen=True)
-class Reference:
-    """Upper limits for the noise of an IMU.
-
-    Attributes
-    ----------
-    name : str
-        Of the datasheet or the earlier run.
-    limits : mapping of axis name to term to float
-        Upper limits in SI, for the terms that are known.
-    """
-
-    name: str
-    limits: Mapping[str, Mapping[str, float]]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One coefficient against one limit, in SI."""
+    """One quantity of one axis against one limit or earlier value, in SI.
+
+    Attributes
+    ----------
+    reference : str
+        Name of the datasheet or of the earlier run.
+    axis : str
+    term : str
+        A term, or 'adev' for the deviation at ``tau``.
+    limit : float
+        Limit of the datasheet, or what the earlier run had: its value, or its upper limit.
+    verdict : 'within', 'beyond' or 'open'
+    at_least : float
+        Lower end of the 95 % interval of measured / limit; 0 where it is not known.
+    tau : float or None
+        Averaging time in s, of a deviation.
+    """
 
     reference: str
     axis: str
     term: str
     limit: float
     verdict: Verdict
+    at_least: float = 0.0
+    tau: float | None = None
 
 
-def compare(
-    axis: str, noise: Mapping[str, Coefficient], reference: Reference, margin: float
+def compare_with_limits(
+    reference: str,
+    limits: Mapping[str, Mapping[str, float]],
+    axis: str,
+    noise: Mapping[str, Coefficient],
+    margin: float,
 ) -> tuple[Comparison, ...]:
-    """Return a comparison for each term of an axis that the reference has a limit for.
+    """Return a comparison for each term of an axis that has a limit.
 
     Parameters
     ----------
+    reference : str
+        Name of the datasheet.
+    limits : mapping of axis to term to float
+        Upper limits in SI.
     axis : str
     noise : mapping of term to Coefficient
-    reference : Reference
     margin : float
         Fraction by which the complete 95 % interval must lie above the limit to be beyond it.
     """
-    limits = reference.limits.get(axis, {})
     return tuple(
         Comparison(
-            reference.name, axis, term, limits[term], verdict(noise[term], limits[term], margin)
+            reference,
+            axis,
+            term,
+            limit,
+            verdict(noise[term], limit, margin),
+            (noise[term].ci95 or (noise[term].value or 0.0,))[0] / limit if limit > 0.0 else 0.0,
         )
-        for term in TERMS
-        if term in limits
+        for term, limit in ((t, limits.get(axis, {}).get(t)) for t in TERMS)
+        if limit is not None
     )
 
 
@@ -98,68 +142,6 @@ def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
     return 'open'
 
 
-def reference_of_run(name: str, noise: Mapping[str, Mapping[str, Coefficient]]) -> Reference:
-    """Return an earlier run as a reference: its limits are the upper ends of its intervals.
-
-    Parameters
-    ----------
-    name : str
-    noise : mapping of axis name to term to Coefficient
-    """
-    limits: dict[str, dict[str, float]] = {}
-    for axis, terms in noise.items():
-        limits[axis] = {
-            term: high for term, c in terms.items() if (high := _highest(c)) is not None
-        }
-    return Reference(name, limits)
-
-
-def _highest(coefficient: Coefficient) -> float | None:
-    """Return the upper end of the interval, or the upper limit, of a coefficient."""
-    if coefficient.ci95 is not None:
-        return coefficient.ci95[1]
-    return coefficient.value if coefficient.upper95 is None else coefficient.upper95
-
-
-Floats = NDArray[np.float64]
-
-
-Change = Literal['higher', 'lower', 'alike', 'open']
-"""The second run is significantly higher, lower, not significantly different, or undecided."""
-
-
-FAMILY_ERROR = 0.05
-"""Probability that runs of equal noise differ in any one of all comparisons made at once."""
-
-
-Z_TWO_SIDED, Z_ONE_SIDED = 1.96, 1.645
-"""Normal quantiles of the 95 % intervals and upper limits that coefficients carry."""
-
-
-TAU_RATIO = 4.0
-"""Ratio of neighboring averaging times: closer ones share most of their samples."""
-
-
-MIN_EDF = 3.0
-"""Fewest degrees of freedom on either side: with fewer, no ratio below 10 is significant."""
-
-
-EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
-"""Degrees of freedom among which those of a curve's limits are looked up."""
-
-
-MEETING_STEPS = 60
-"""Bisections until two limits meet to the last digit."""
-
-
-LARGEST_EXPONENT = 709.0
-"""exp of more is beyond the largest float."""
-
-
-FARTHEST_Z = 40.0
-"""Largest z that is tried: beyond, the probability underflows."""
-
-
 @dataclass(frozen=True)
 class Difference:
     """One quantity of one axis in two runs.
@@ -171,6 +153,8 @@ class Difference:
         A term, or 'adev' for the deviation at ``tau``.
     tau : float or None
         Averaging time in s, of a deviation.
+    first : float or None
+        In the first run, SI: the value, or its upper limit; None where neither is known.
     ratio : float or None
         The second run's over the first's; None where one of them has only a limit.
     ci95 : (low, high) or None
@@ -184,10 +168,36 @@ class Difference:
     axis: str
     quantity: str
     tau: float | None
+    first: float | None
     ratio: float | None
     ci95: tuple[float, float] | None
     p: float | None
     verdict: Change = 'open'
+
+    @property
+    def significant(self) -> bool:
+        """Whether the two runs differ."""
+        return self.verdict in ('higher', 'lower')
+
+    def beyond(self, margin: float) -> bool:
+        """Return whether the runs differ, and the complete interval by more than a fraction."""
+        low, high = self.ci95 or (1.0, 1.0)
+        return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
+
+    def against(self, reference: str, margin: float) -> Comparison | None:
+        """Return the second run compared with the first; None where nothing can be compared.
+
+        An estimate that is not significantly above the first run by the margin is within it.
+        """
+        if self.p is None or self.ci95 is None or self.first is None:
+            return None
+        found: Verdict = 'open'
+        if self.verdict == 'higher' and self.beyond(margin):
+            found = 'beyond'
+        elif self.ratio is not None or self.ci95[1] <= 1.0 + margin:
+            found = 'within'
+        args = reference, self.axis, self.quantity, self.first, found, self.ci95[0], self.tau
+        return Comparison(*args)
 
 
 @dataclass(frozen=True)
@@ -200,18 +210,54 @@ class DeviationCurve:
     ci_high: Floats
 
 
-def coefficient_differences(
-    axis: str, first: Mapping[str, Coefficient], second: Mapping[str, Coefficient]
-) -> Iterator[Difference]:
-    """Yield the difference of each of the five terms, its verdict still open."""
-    for term in TERMS:
-        ratio, ci95, p = _compare(first[term], second[term])
-        yield Difference(axis, term, None, ratio, ci95, p)
+class Measured(NamedTuple):
+    """What a run knows of one axis: its coefficients by term, its curve, or both."""
+
+    noise: Mapping[str, Coefficient] | None
+    curve: DeviationCurve | None
 
 
-def curve_differences(
-    axis: str, first: DeviationCurve, second: DeviationCurve
-) -> Iterator[Difference]:
+Run = Mapping[str, Measured]
+"""Axis -> what is measured."""
+
+
+def differences(
+    pairs: Iterable[tuple[Run, Run]], repeats: float = 1.0, family_error: float = FAMILY_ERROR
+) -> list[tuple[Difference, ...]]:
+    """Return how the second run of each pair differs from the first, in all that both have.
+
+    Parameters
+    ----------
+    pairs : iterable of (Run, Run)
+    repeats : float
+        How often such a comparison is made: 1 for one that stands alone. The k-th of an endless
+        series takes k (k + 1), so that the false detections of all of them stay below
+        ``family_error``.
+    family_error : float
+        Probability of any false detection.
+
+    Returns
+    -------
+    list of tuple of Difference
+        For each pair, by axis: the five terms, then the deviations at common averaging times.
+    """
+    found = [
+        [d for axis in first if axis in second for d in _of_axis(axis, first[axis], second[axis])]
+        for first, second in pairs
+    ]
+    settled = iter(_settled([d for of_pair in found for d in of_pair], family_error / repeats))
+    return [tuple(next(settled) for _ in of_pair) for of_pair in found]
+
+
+def _of_axis(axis: str, first: Measured, second: Measured) -> Iterator[Difference]:
+    if first.noise is not None and second.noise is not None:
+        for term in TERMS:
+            yield _of_coefficients(axis, term, first.noise[term], second.noise[term])
+    if first.curve is not None and second.curve is not None:
+        yield from _of_curves(axis, first.curve, second.curve)
+
+
+def _of_curves(axis: str, first: DeviationCurve, second: DeviationCurve) -> Iterator[Difference]:
     """Yield the difference of the deviations at common averaging times, verdicts still open.
 
     The times are a factor `TAU_RATIO` apart, from the shortest that both have to the longest at
@@ -225,25 +271,23 @@ def curve_differences(
         (da, va), (db, vb) = a.at(tau), b.at(tau)
         f = (db / da) ** 2
         low, high = (math.sqrt(f / fdtri(vb, va, q)) for q in (0.975, 0.025))
-        p = 2.0 * min(fdtr(vb, va, f), fdtrc(vb, va, f))
-        yield Difference(axis, 'adev', tau, db / da, (low, high), min(float(p), 1.0))
+        p = min(2.0 * float(min(fdtr(vb, va, f), fdtrc(vb, va, f))), 1.0)
+        yield Difference(axis, 'adev', tau, da, db / da, (low, high), p)
         tau *= TAU_RATIO
 
 
-def settle(
-    differences: Sequence[Difference], family_error: float = FAMILY_ERROR
-) -> list[Difference]:
+def _settled(found: Sequence[Difference], family_error: float) -> list[Difference]:
     """Return the differences with their verdicts, by Holm's procedure over all of them."""
-    decidable = sorted((d.p, i) for i, d in enumerate(differences) if d.p is not None)
+    decidable = sorted((d.p, i) for i, d in enumerate(found) if d.p is not None)
     beyond: set[int] = set()
     for rank, (p, i) in enumerate(decidable):
         if p > family_error / (len(decidable) - rank):
             break
         beyond.add(i)
-    return [replace(d, verdict=_verdict(d, i in beyond)) for i, d in enumerate(differences)]
+    return [replace(d, verdict=_change(d, i in beyond)) for i, d in enumerate(found)]
 
 
-def _verdict(difference: Difference, beyond: bool) -> Change:
+def _change(difference: Difference, beyond: bool) -> Change:
     if difference.p is None or difference.ci95 is None:
         return 'open'
     if not beyond:
@@ -252,18 +296,19 @@ def _verdict(difference: Difference, beyond: bool) -> Change:
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
 
-def _compare(
-    first: Coefficient, second: Coefficient
-) -> tuple[float | None, tuple[float, float] | None, float | None]:
-    """Return the ratio, its interval and the p value, each None where unknown."""
+def _of_coefficients(axis: str, term: str, first: Coefficient, second: Coefficient) -> Difference:
+    """Return the difference of one term, its verdict still open; None where unknown."""
     a, b = _estimate(first), _estimate(second)
+    before = _limit(first) if a is None else a[0]
+    unknown = Difference(axis, term, None, before, None, None, None)
     if a is not None and b is not None:
-        return _of_estimates(a, b)
+        ratio, ci95, p = _of_estimates(a, b)
+        return replace(unknown, ratio=ratio, ci95=ci95, p=p)
     if a is not None and (limit := _limit(second)) is not None:
-        return None, (0.0, limit / a[1]), _of_limit(a, limit)
+        return replace(unknown, ci95=(0.0, limit / a[1]), p=_of_limit(a, limit))
     if b is not None and (limit := _limit(first)) is not None:
-        return None, (b[1] / limit, math.inf), _of_limit(b, limit)
-    return None, None, None
+        return replace(unknown, ci95=(b[1] / limit, math.inf), p=_of_limit(b, limit))
+    return unknown
 
 
 def _estimate(c: Coefficient) -> tuple[float, float, float] | None:

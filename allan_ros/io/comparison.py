@@ -7,24 +7,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from ..core.compare import (
-    FAMILY_ERROR,
-    DeviationCurve,
-    Difference,
-    coefficient_differences,
-    curve_differences,
-    settle,
-)
+from ..core.compare import FAMILY_ERROR, Difference, differences
 from ..core.errors import AllanError, one_line
-from ..core.imu import AXES
-from .datasheet_comparison import DatasheetComparison, against_datasheet, comparison_to_document
-from .datasheets import Datasheet
-from .documents import RESULTS, SUMS, results_to_document
+from .datasheets import Datasheet, DatasheetComparison, against_datasheet, comparison_to_document
+from .documents import results_to_document
 from .format import significant
-from .results import AxisCurve, Results
+from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
 
@@ -59,7 +49,7 @@ class Pair:
     @property
     def beyond(self) -> tuple[Difference, ...]:
         """The significant differences."""
-        return tuple(d for d in self.differences if d.verdict in ('higher', 'lower'))
+        return tuple(d for d in self.differences if d.significant)
 
     def of(self, axis: str, quantity: str) -> Difference | None:
         """Return the difference of a term of an axis, where both runs have it."""
@@ -77,7 +67,7 @@ class RunComparison:
         The first is what the others are compared with.
     pairs : tuple of Pair
         One for each other run.
-    beside : tuple of (label, DatasheetComparison)
+    datasheets : tuple of (label, DatasheetComparison)
         The comparison of every run with every datasheet.
     family_error : float
         Probability of any false detection among all differences.
@@ -85,7 +75,7 @@ class RunComparison:
 
     runs: tuple[Subject, ...]
     pairs: tuple[Pair, ...]
-    beside: tuple[tuple[str, DatasheetComparison], ...]
+    datasheets: tuple[tuple[str, DatasheetComparison], ...]
     family_error: float = FAMILY_ERROR
 
     def __repr__(self) -> str:
@@ -95,7 +85,7 @@ class RunComparison:
     def differs(self) -> bool:
         """Whether any difference is significant, or a limit of a datasheet is exceeded."""
         return any(pair.beyond for pair in self.pairs) or any(
-            comparison.verdict == 'beyond' for _, comparison in self.beside
+            comparison.verdict == 'beyond' for _, comparison in self.datasheets
         )
 
 
@@ -112,31 +102,22 @@ def compare_runs(
     if len(runs) + len(datasheets) < 2 or not runs:
         raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
     first, *others = runs
-    found = [(other.label, d) for other in others for d in _differences(first, other)]
-    settled = settle([d for _, d in found])
-    by_label = [(label, d) for (label, _), d in zip(found, settled)]
+    for other in others:
+        if not set(first.results.axes) & set(other.results.axes):
+            raise AllanError(
+                f'{other.label} has {", ".join(other.results.axes)} where {first.label} has '
+                f'{", ".join(first.results.axes)}: they share no axis to compare'
+            )
+    found = differences((first.results.measured, other.results.measured) for other in others)
     return RunComparison(
         tuple(runs),
+        tuple(Pair(first.label, other.label, of) for other, of in zip(others, found)),
         tuple(
-            Pair(first.label, o.label, tuple(d for label, d in by_label if label == o.label))
-            for o in others
-        ),
-        tuple(
-            (run.label, against_datasheet(_noise(run.results), datasheet, margin))
+            (run.label, against_datasheet(run.results.noise, datasheet, margin))
             for datasheet in datasheets
             for run in runs
         ),
     )
-
-
-def labels_of(paths: Sequence[str]) -> list[str]:
-    """Return a short name for each path: its folder or stem if these differ."""
-    short = [
-        Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
-        for path in paths
-    ]
-    unique = len(set(short)) == len(short) and all(short)
-    return short if unique else [str(path) for path in paths]
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
@@ -158,7 +139,8 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             for pair in comparison.pairs
         ],
         'datasheets': [
-            {'run': label, **comparison_to_document(beside)} for label, beside in comparison.beside
+            {'run': label, **comparison_to_document(of_run)}
+            for label, of_run in comparison.datasheets
         ],
     }
 
@@ -174,28 +156,6 @@ def _difference_document(difference: Difference) -> dict[str, Any]:
         'p': difference.p,
         'verdict': difference.verdict,
     }
-
-
-def _differences(first: Subject, second: Subject) -> Iterator[Difference]:
-    axes = [a for a in AXES if a in first.results.axes and a in second.results.axes]
-    if not axes:
-        raise AllanError(
-            f'{second.label} has {", ".join(second.results.axes)} where {first.label} has '
-            f'{", ".join(first.results.axes)}: they share no axis to compare'
-        )
-    for axis in axes:
-        a, b = first.results.axes[axis], second.results.axes[axis]
-        yield from coefficient_differences(axis, a.fit.noise, b.fit.noise)
-        if a.curve is not None and b.curve is not None:
-            yield from curve_differences(axis, _deviations(a.curve), _deviations(b.curve))
-
-
-def _deviations(curve: AxisCurve) -> DeviationCurve:
-    return DeviationCurve(curve.tau, curve.adev, curve.ci_low, curve.ci_high)
-
-
-def _noise(results: Results) -> dict[str, Any]:
-    return {axis: result.fit.noise for axis, result in results.axes.items()}
 
 
 VERDICT_TEXT = {
@@ -215,8 +175,8 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
     """Yield one sentence per pair and datasheet: the largest difference, or that there is none."""
     for pair in comparison.pairs:
         yield _of_pair(pair, comparison.family_error)
-    for label, beside in comparison.beside:
-        yield _of_datasheet(label, beside)
+    for label, of_run in comparison.datasheets:
+        yield _of_datasheet(label, of_run)
 
 
 def ratio_text(difference: Difference) -> str:
@@ -294,14 +254,14 @@ def _interval(difference: Difference) -> str:
     return f'({significant(low, RATIO_DIGITS)}..{significant(high, RATIO_DIGITS)})'
 
 
-def _of_datasheet(label: str, beside: DatasheetComparison) -> str:
-    name = beside.datasheet.name
-    if not beside.held:
+def _of_datasheet(label: str, comparison: DatasheetComparison) -> str:
+    name, checks = comparison.datasheet.name, comparison.comparisons
+    if not checks:
         return f'the datasheet of {name} has no limit for the axes of {label}'
-    beyond = [h for h in beside.held if h.verdict == 'beyond']
+    beyond = [c for c in checks if c.verdict == 'beyond']
     if beyond:
-        what = ', '.join(f'{h.axis.replace("_", " ")} {h.term}' for h in beyond)
+        what = ', '.join(f'{c.axis.replace("_", " ")} {c.term}' for c in beyond)
         return f'{label} is beyond the datasheet of {name} in {what}'
-    still = sum(h.verdict == 'open' for h in beside.held)
-    rest = f'; {still} of {len(beside.held)} are not settled yet' if still else ''
+    unsettled = sum(c.verdict == 'open' for c in checks)
+    rest = f'; {unsettled} of {len(checks)} are not settled yet' if unsettled else ''
     return f'{label} is within the datasheet of {name}{rest}'

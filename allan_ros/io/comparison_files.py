@@ -36,7 +36,7 @@ from .comparison import (
     ratio_text,
     verdict_text,
 )
-from .datasheet_comparison import VERDICT_TEXT
+from .datasheets import VERDICT_TEXT
 from .files import write_together
 from .format import SENSOR_NAMES, interval_text, pretty_unit, shown_unit, value_text
 from .plot_style import (
@@ -251,9 +251,7 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
                 color=colour,
                 marker=marker,
                 markersize=4.0,
-                markerfacecolor=colour
-                if d.verdict in ('higher', 'lower')
-                else rcParams['axes.facecolor'],
+                markerfacecolor=colour if d.significant else rcParams['axes.facecolor'],
                 capsize=1.5,
                 linewidth=0.9,
             )
@@ -329,17 +327,15 @@ def _markdown_lines(comparison: RunComparison, units: str) -> Iterator[str]:
         for d in pair.differences:
             yield _markdown_row(comparison, pair, d, units)
         yield ''
-    for label, beside in comparison.beside:
-        yield f'## {_cell_text(label)} and the datasheet of {_cell_text(beside.datasheet.name)}\n'
+    for label, of_run in comparison.datasheets:
+        yield f'## {_cell_text(label)} and the datasheet of {_cell_text(of_run.datasheet.name)}\n'
         yield '| axis | term | limit | stated | |'
         yield '|---|---|---|---|---|'
-        for held in beside.held:
-            unit = shown_unit(held.axis, held.term, units)
-            limit = f'{held.limit.value * unit.factor:.3g} {unit.name}'
-            yield (
-                f'| {held.axis} | {held.term} | {limit} | {_cell_text(held.limit.stated)} '
-                f'| {VERDICT_TEXT[held.verdict]} |'
-            )
+        for c in of_run.comparisons:
+            unit = shown_unit(c.axis, c.term, units)
+            limit = f'{c.limit * unit.factor:.3g} {unit.name}'
+            stated = _cell_text(of_run.limit(c).stated)
+            yield f'| {c.axis} | {c.term} | {limit} | {stated} | {VERDICT_TEXT[c.verdict]} |'
         yield ''
 
 

@@ -15,14 +15,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
-from ..core.compare import Reference
+from ..core.compare import Comparison, Verdict, compare_with_limits
 from ..core.errors import AllanError
 from ..core.fields import Fields
+from ..core.findings import Finding, finding
+from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SI_UNITS, sensor_of, to_si
 from ..core.noise import FLICKER_FLOOR
 from .config_files import config_file, config_names, read_yaml
+from .format import interval_text, shown_unit, significant, value_text
 
 SCHEMA = 'allan_ros/sensor/1'
 
@@ -117,15 +121,153 @@ class Datasheet:
     remark: str = ''
     carries: str = ''
 
-    def reference(self) -> Reference:
-        """Return the limits that coefficients are compared with."""
-        return Reference(
-            self.name,
-            {
-                axis: {term: limit.value for term, limit in terms.items()}
-                for axis, terms in self.limits.items()
-            },
-        )
+    def values(self) -> dict[str, dict[str, float]]:
+        """Return axis -> term -> limit in SI."""
+        return {
+            axis: {term: limit.value for term, limit in terms.items()}
+            for axis, terms in self.limits.items()
+        }
+
+
+VERDICTS: tuple[Verdict, ...] = ('beyond', 'open', 'within')
+"""The worst first."""
+
+VERDICT_TEXT: dict[Verdict, str] = {
+    'within': 'within',
+    'open': 'not settled',
+    'beyond': 'beyond',
+}
+"""Verdict -> its text in tables; 'open' means that the interval contains the limit."""
+
+
+@dataclass(frozen=True)
+class DatasheetComparison:
+    """All coefficients that a datasheet has a limit for.
+
+    Attributes
+    ----------
+    datasheet : Datasheet
+    margin : float
+        Fraction by which a complete 95 % interval must lie above a limit to be beyond it.
+    comparisons : tuple of Comparison
+        By axis, then term.
+    """
+
+    datasheet: Datasheet
+    margin: float
+    comparisons: tuple[Comparison, ...]
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The worst verdict; None where nothing could be compared."""
+        verdicts = {c.verdict for c in self.comparisons}
+        return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
+
+    def of(self, axis: str, term: str) -> Comparison | None:
+        """Return the comparison of a coefficient, if it has a limit."""
+        return next((c for c in self.comparisons if (c.axis, c.term) == (axis, term)), None)
+
+    def limit(self, comparison: Comparison) -> Limit:
+        """Return the limit of one of the comparisons, as the datasheet states it."""
+        return self.datasheet.limits[comparison.axis][comparison.term]
+
+
+def against_datasheet(
+    noise: Mapping[str, Mapping[str, Coefficient]], datasheet: Datasheet, margin: float
+) -> DatasheetComparison:
+    """Return the comparison of axis -> term -> Coefficient with a datasheet."""
+    limits = datasheet.values()
+    found = (
+        compare_with_limits(datasheet.name, limits, axis, terms, margin)
+        for axis, terms in noise.items()
+    )
+    return DatasheetComparison(datasheet, margin, tuple(c for of_axis in found for c in of_axis))
+
+
+def datasheet_findings(
+    noise: Mapping[str, Mapping[str, Coefficient]], comparison: DatasheetComparison
+) -> tuple[Finding, ...]:
+    """Return a finding for each coefficient that is beyond its limit."""
+    return tuple(
+        beyond_limit(c, noise[c.axis][c.term], comparison.margin, (c.axis,))
+        for c in comparison.comparisons
+        if c.verdict == 'beyond'
+    )
+
+
+def beyond_limit(
+    comparison: Comparison, coefficient: Coefficient | None, margin: float, axes: tuple[str, ...]
+) -> Finding:
+    """Return the finding that a coefficient, or a deviation, lies above a limit."""
+    c = comparison
+    unit = shown_unit(c.axis, 'B' if c.tau is not None else c.term, 'datasheet')
+    term, interval = c.term, '95 %'
+    value = f'at least {significant(c.at_least * c.limit * unit.factor, 3)} {unit.name}'
+    if c.tau is not None:
+        term = f'The deviation at {significant(c.tau, 2)} s'
+    elif coefficient is not None:
+        value = f'{value_text(coefficient, unit)} {unit.name}'
+        interval = interval_text(coefficient, unit)
+    return finding(
+        'beyond_limit',
+        axes,
+        term=term,
+        value=value,
+        interval=interval,
+        limit=f'{significant(c.limit * unit.factor, 3)} {unit.name}',
+        reference=c.reference,
+        margin=margin,
+    )
+
+
+def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
+    """Return the comparison as the object ``datasheet`` of results.json."""
+    sheet = comparison.datasheet
+    axes: dict[str, dict[str, Any]] = {}
+    for c in comparison.comparisons:
+        limit = asdict(comparison.limit(c))
+        axes.setdefault(c.axis, {})[c.term] = {
+            'limit': limit.pop('value'),
+            'unit': SI_UNITS[sensor_of(c.axis)][c.term],
+            **limit,
+            'verdict': c.verdict,
+        }
+    return {
+        'name': sheet.name,
+        'maker': sheet.maker,
+        'remark': sheet.remark,
+        'margin': comparison.margin,
+        'verdict': comparison.verdict,
+        'sources': {key: asdict(source) for key, source in sheet.sources.items()},
+        'axes': axes,
+    }
+
+
+def comparison_from_document(
+    fields: Fields, noise: Mapping[str, Mapping[str, Coefficient]]
+) -> DatasheetComparison:
+    """Return the comparison of an object of `comparison_to_document` and the coefficients.
+
+    Raises
+    ------
+    AllanError
+        Naming the field that is missing or wrong.
+    """
+    sources = fields.fields('sources')
+    limits: dict[str, dict[str, Limit]] = {}
+    axes = fields.fields('axes')
+    for axis in axes:
+        terms = axes.fields(axis)
+        for term in terms:
+            if term not in TERMS:
+                raise AllanError(f'{terms.where}: {term!r} is unknown, use {", ".join(TERMS)}')
+            f = terms.fields(term)
+            texts = (f.text(key) for key in ('stated', 'note', 'condition', 'source'))
+            limits.setdefault(axis, {})[term] = Limit(f.number('limit'), *texts)
+    stated = {key: _source(sources.fields(key)) for key in sources}
+    name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
+    sheet = Datasheet(name, maker, stated, limits, {}, {}, remark)
+    return against_datasheet(noise, sheet, fields.number('margin'))
 
 
 def sensor_names() -> list[str]:
@@ -214,7 +356,7 @@ def _sources(fields: Fields) -> dict[str, Source]:
 
 def _source(fields: Fields) -> Source:
     _refuse_others(fields, ('title', 'revision', 'url', 'seen', 'via'))
-    seen = fields.choice('seen', SEEN) if 'seen' in fields else ''
+    seen = fields.choice('seen', ('', *SEEN)) if 'seen' in fields else ''
     revision, url, via = (fields.text(key, '') for key in ('revision', 'url', 'via'))
     return Source(fields.text('title'), revision, url, seen, via)
 

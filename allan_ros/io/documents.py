@@ -9,10 +9,12 @@ version is an error that names the place.
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from dataclasses import fields as fields_of
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,11 +30,11 @@ from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Proc
 from ..core.fit.regions import Region
 from ..core.imu import AXES, MAX_NAME, SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.health import Counts, Segment
-from .datasheet_comparison import comparison_from_document, comparison_to_document
+from .datasheets import comparison_from_document, comparison_to_document
 from .readers.recording import SourceInfo
-from .recorded import Provenance
-from .results import AxisCurve, AxisResult, Results
-from .verdict import Verdict
+from .recorded import Provenance, RecordingSums
+from .results import AxisCurve, AxisResult, Results, analyse_recorded
+from .text import read_json
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'
@@ -50,20 +52,9 @@ LISTED_SPANS = 1000
 """How many segments are listed, the longest; their number is always given."""
 
 
-def results_to_document(
-    results: Results, curves: bool = True, verdict: Verdict | None = None
-) -> dict[str, Any]:
-    """Return the results as ``allan_ros/results/1``; without the curves it is the noise model.
-
-    Parameters
-    ----------
-    results : Results
-    curves : bool
-        Whether curves and verdict are in it.
-    verdict : Verdict, optional
-        Given if it depends on more than the results (an earlier run).
-    """
-    judged = {'verdict': (verdict or results.verdict).to_document()} if curves else {}
+def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
+    """Return the results as ``allan_ros/results/1``; without curves it is the noise model."""
+    judged = {'verdict': results.verdict.to_document()} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
         'tool': _tool(),
@@ -96,8 +87,10 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     fields = Fields(document, where)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
-    axes = fields.fields('axes')
+    stated = fields.fields('axes')
+    axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
     datasheet = fields.optional_fields('datasheet')
+    noise = {name: axis.fit.noise for name, axis in axes.items()}
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
@@ -105,10 +98,10 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         fields.integer('samples', least=0),
         fields.number('duration_s', least=0.0),
         fields.integer('segment_count', least=0),
-        {name: _axis_from_document(name, axes.fields(name)) for name in _axes_of(axes)},
+        axes,
         provenance,
         provenance.findings,
-        None if datasheet is None else comparison_from_document(datasheet),
+        None if datasheet is None else comparison_from_document(datasheet, noise),
     )
 
 
@@ -140,6 +133,82 @@ def sums_file_from_document(
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
         _provenance_from_document(fields),
     )
+
+
+def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
+    """Return the results of a results.json, or of the folder of an analysis.
+
+    A sums.json or a checkpoint is fitted first. Results of a folder can be merged and saved, since
+    the folder holds their sums.
+
+    Raises
+    ------
+    AllanError
+        When the file is missing, or is no such document.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import allan_ros as ar
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = results.save(folder)
+    ...     ar.load(folder).samples == results.samples
+    True
+    """
+    place = Path(path)
+    if place.is_dir():
+        has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()
+        place = Path(file_in(path, RESULTS if has_results else SUMS))
+    document = read_json(place)
+    if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
+        sums, provenance = sums_file_from_document(document, str(place))
+        return analyse_recorded(RecordingSums(str(place), sums, provenance), method)
+    results = results_from_document(document, str(place))
+    if Path(path).is_dir() and (place.parent / SUMS).is_file():
+        return replace(results, recorded=load_sums(path))
+    return results
+
+
+def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
+    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
+
+    Raises
+    ------
+    AllanError
+        When the file is missing or is no such document.
+    """
+    path = file_in(path, SUMS)
+    sums, provenance = sums_file_from_document(read_json(path), path)
+    return RecordingSums(path, sums, provenance)
+
+
+def file_in(path: str | os.PathLike[str], name: str) -> str:
+    """Return the path itself, or if it is a folder the file of that name in it.
+
+    Raises
+    ------
+    AllanError
+        When the folder has no such file.
+    """
+    if not Path(path).is_dir():
+        return str(path)
+    inside = Path(path) / name
+    if not inside.is_file():
+        raise AllanError(
+            f'{path}: no {name} in this folder: give the folder of an analysis, or the file'
+        )
+    return str(inside)
+
+
+def labels_of(paths: Sequence[str]) -> list[str]:
+    """Return a short name for each path: its folder or stem if these differ."""
+    short = [
+        Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
+        for path in paths
+    ]
+    unique = len(set(short)) == len(short) and all(short)
+    return short if unique else [str(path) for path in paths]
 
 
 def _tool() -> dict[str, str]:

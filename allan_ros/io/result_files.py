@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from .report import ReportContext, render_report
 from .results import Results
 from .signal_summary import summarize_signal
 from .text import read_json, to_json
-from .verdict import comparisons_of, verdict_of
+from .verdict import verdict_of
 
 SIGNAL_BINS = 1000
 """Bins of the raw signal in pictures and page: about as many as a plot has pixels."""
@@ -41,8 +41,6 @@ def write_result_files(
     folder: str | os.PathLike[str],
     results: Results,
     *,
-    former: Mapping[str, Results] | None = None,
-    margin: float = 0.0,
     command: str = '',
     units: str = 'datasheet',
     targets: Sequence[str] = (),
@@ -55,10 +53,6 @@ def write_result_files(
     folder : path
     results : Results
         With the sums they were fitted to.
-    former : mapping of name to Results
-        Earlier runs that the report compares these results with.
-    margin : float
-        Fraction by which an interval must exceed an earlier run.
     command : str
         The command that repeats the analysis.
     units : 'datasheet' or 'si'
@@ -109,15 +103,16 @@ def write_result_files(
     context = ReportContext(
         summary,
         [density for density in densities if density is not None],
-        former or {},
-        margin,
         _repeat(command, to_json({'sums': sums_document['sums']})),
         others,
     )
     contents['report.html'] = render_report(results, context, units)
     files = sorted({*others, *contents})
-    verdict = verdict_of(results, comparisons_of(results, former, margin), units)
-    contents[RESULTS] = to_json({**results_to_document(results, verdict=verdict), 'files': files})
+    document = {
+        **results_to_document(results),
+        'verdict': verdict_of(results, units=units).to_document(),
+    }
+    contents[RESULTS] = to_json({**document, 'files': files})
     contents[SUMS] = to_json(sums_document)
     folder = made_folder(Path(folder))
     with _folder_locked(folder):

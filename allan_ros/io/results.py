@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
+from ..core.compare import MARGIN, Comparison, DeviationCurve, Measured, Run, differences
 from ..core.errors import AllanError
 from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
@@ -26,8 +27,13 @@ from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import AUTO
 from ..core.stream.findings import sums_findings
-from .datasheet_comparison import DatasheetComparison, against_datasheet, datasheet_findings
-from .datasheets import Datasheet
+from .datasheets import (
+    Datasheet,
+    DatasheetComparison,
+    against_datasheet,
+    datasheet_findings,
+    load_sensor,
+)
 from .recorded import Provenance, RecordingSums
 
 if TYPE_CHECKING:
@@ -125,6 +131,11 @@ class AxisCurve:
     adev: NDArray[np.float64]
     ci_low: NDArray[np.float64]
     ci_high: NDArray[np.float64]
+
+    @property
+    def limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """The deviation, and its lower and upper limit."""
+        return self.adev, self.ci_low, self.ci_high
 
 
 @dataclass(frozen=True)
@@ -232,6 +243,10 @@ class Results:
         Of the recording, of the fit, and of the comparison with a datasheet.
     datasheet : DatasheetComparison or None
         The comparison with a datasheet, if one was named.
+    baselines : mapping of name to Results
+        Earlier runs of this IMU that it is compared with.
+    margin : float
+        Fraction by which a complete interval must exceed a limit or an earlier run.
     recorded : RecordingSums or None
         The sums that were fitted; None for results that were read from a file.
 
@@ -255,6 +270,8 @@ class Results:
     provenance: Provenance
     findings: tuple[Finding, ...]
     datasheet: DatasheetComparison | None = None
+    baselines: Mapping[str, Results] = field(default_factory=dict, repr=False, compare=False)
+    margin: float = field(default=MARGIN, repr=False, compare=False)
     recorded: RecordingSums | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -265,9 +282,45 @@ class Results:
     @property
     def verdict(self) -> Verdict:
         """Whether the IMU is healthy, why, and what to do next."""
-        from .verdict import comparisons_of, verdict_of
+        from .verdict import verdict_of
 
-        return verdict_of(self, comparisons_of(self))
+        return verdict_of(self)
+
+    @property
+    def noise(self) -> dict[str, Mapping[str, Coefficient]]:
+        """The coefficients: axis -> term -> Coefficient."""
+        return {name: axis.fit.noise for name, axis in self.axes.items()}
+
+    @property
+    def measured(self) -> Run:
+        """The coefficients and the curve of each axis, as `core.compare.differences` takes them."""
+        return {
+            name: Measured(
+                axis.fit.noise,
+                None if (c := axis.curve) is None else DeviationCurve(c.tau, *c.limits),
+            )
+            for name, axis in self.axes.items()
+        }
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """The comparisons with the datasheet and with the earlier runs.
+
+        The deviations of an axis are tested too; the largest excess is among the comparisons if no
+        coefficient of the axis exceeds the earlier run.
+        """
+        found = list(self.datasheet.comparisons) if self.datasheet else []
+        pairs = [(earlier.measured, self.measured) for earlier in self.baselines.values()]
+        for name, of_run in zip(self.baselines, differences(pairs)):
+            known = [c for d in of_run if (c := d.against(name, self.margin)) is not None]
+            found += [c for c in known if c.tau is None]
+            explained = {c.axis for c in found if c.reference == name and c.verdict == 'beyond'}
+            excess: dict[str, Comparison] = {}
+            for c in sorted(known, key=lambda c: c.at_least):
+                if c.tau is not None and c.verdict == 'beyond' and c.axis not in explained:
+                    excess[c.axis] = c
+            found += excess.values()
+        return tuple(found)
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:
@@ -381,12 +434,60 @@ class Results:
 
         return write_result_files(folder, self, **options)[1]
 
+    def check(
+        self,
+        sensor: Datasheet | str = '',
+        baseline: Results | str | os.PathLike[str] = '',
+        margin: float = MARGIN,
+    ) -> Verdict:
+        """Return whether the IMU is as good as its datasheet and as it was before.
+
+        Parameters
+        ----------
+        sensor : str or Datasheet
+            A name of `allan sensors`, or the path of a .yaml file.
+        baseline : Results or path
+            An earlier run: results, a document, or the folder of an analysis.
+        margin : float
+            Fraction by which a complete interval must exceed the datasheet or the earlier run.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> may, june = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
+        >>> june.check(baseline=may).level
+        'healthy'
+        >>> worn = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+        >>> worn.check(baseline=may).level
+        'failed'
+        """
+        return self.compared(sensor, baseline, margin).verdict
+
+    def compared(
+        self,
+        sensor: Datasheet | str = '',
+        baseline: Results | str | os.PathLike[str] = '',
+        margin: float = MARGIN,
+    ) -> Results:
+        """Return the same, compared with a datasheet and an earlier run, as `check` does."""
+        from .documents import labels_of, load
+
+        results = replace(self, margin=margin)
+        if isinstance(baseline, Results):
+            results = replace(results, baselines={'the earlier run': baseline})
+        elif str(baseline):
+            (label,) = labels_of([str(baseline)])
+            results = replace(results, baselines={label: load(baseline)})
+        if not sensor:
+            return results
+        sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(sensor)
+        return results.against_datasheet(sheet, margin)
+
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
         """Return the same with the comparison with a datasheet, and a finding for each excess."""
-        noise = {name: axis.fit.noise for name, axis in self.axes.items()}
-        comparison = against_datasheet(noise, datasheet, margin)
-        found = datasheet_findings(noise, comparison)
-        return replace(self, datasheet=comparison, findings=(*self.findings, *found))
+        comparison = against_datasheet(self.noise, datasheet, margin)
+        found = datasheet_findings(self.noise, comparison)
+        return replace(self, datasheet=comparison, margin=margin, findings=(*self.findings, *found))
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:

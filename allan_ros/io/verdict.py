@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from ..core.compare import MARGIN, Comparison, compare, reference_of_run
+from ..core.compare import Comparison
 from ..core.findings import Finding, grouped
 from ..core.fit.duration import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.fit.findings import about
@@ -69,54 +69,23 @@ class Verdict:
 
 
 def verdict_of(
-    results: Results, comparisons: Sequence[Comparison] = (), units: str = 'datasheet'
+    results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'datasheet'
 ) -> Verdict:
     """Return the verdict on an IMU and its record.
 
     Parameters
     ----------
     results : Results
-    comparisons : sequence of Comparison
-        With its datasheet and earlier runs, as `comparisons_of` returns them.
+    comparisons : sequence of Comparison, optional
+        By default those of the results, with its datasheet and earlier runs.
     units : 'datasheet' or 'si'
     """
+    comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
     summary = _summary(level, results, comparisons, units)
     reasons = (*_axes_alike(results), *_duration(results), *_warnings(results))
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
     return Verdict(level, summary, reasons, steps)
-
-
-def comparisons_of(
-    results: Results, baselines: Mapping[str, Results] | None = None, margin: float = MARGIN
-) -> list[Comparison]:
-    """Return the comparisons with the datasheet of the results and with earlier runs.
-
-    Parameters
-    ----------
-    results : Results
-    baselines : mapping of name to Results, optional
-        Earlier runs.
-    margin : float
-        Fraction by which an interval must exceed an earlier run to be beyond it.
-    """
-    found = list(results.datasheet.comparisons) if results.datasheet else []
-    for run, baseline in (baselines or {}).items():
-        found += compare_with_run(results, run, baseline, margin)
-    return found
-
-
-def compare_with_run(
-    results: Results, name: str, baseline: Results, margin: float
-) -> list[Comparison]:
-    """Return the comparisons of all coefficients with those of one earlier run."""
-    noise = {axis: result.fit.noise for axis, result in baseline.axes.items()}
-    reference = reference_of_run(name, noise)
-    return [
-        comparison
-        for axis, result in results.axes.items()
-        for comparison in compare(axis, result.fit.noise, reference, margin)
-    ]
 
 
 def measured(results: Results) -> bool:
@@ -186,18 +155,18 @@ def _references(comparisons: Sequence[Comparison]) -> str:
 
 def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
     """Yield by how much the numbers of each sensor and term exceed each limit."""
-    groups: dict[tuple[str, str], list[Comparison]] = {}
+    groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
-        groups.setdefault((sensor_of(c.axis), c.term), []).append(c)
-    for (sensor, term), group in groups.items():
-        noise = (results.axes[c.axis].fit.noise[term] for c in group)
-        ratios = [((n.ci95 or (n.value, 0.0))[0] or 0.0) / c.limit for n, c in zip(noise, group)]
-        unit = shown_unit(sensor, term, units)
+        groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
+    for (sensor, term, tau), group in groups.items():
+        unit = shown_unit(sensor, 'B' if tau else term, units)
         where = _axes_text([c.axis for c in group], results)
+        ratios = [c.at_least for c in group]
         times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
         limit = significant(max(c.limit for c in group) * unit.factor, 3)
         shown = f'{limit} {pretty_unit(unit.name)}'
-        yield f'{term} of {where} (at least {" to ".join(times)} times {shown})'
+        what = f'deviation at {significant(tau, 2)} s' if tau else term
+        yield f'{what} of {where} (at least {" to ".join(times)} times {shown})'
 
 
 def _axes_alike(results: Results) -> Iterator[str]:
@@ -258,8 +227,8 @@ def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
     longest = max((span.duration_s for span in results.provenance.spans), default=0.0)
     limits: dict[str, dict[str, float]] = {}
     if results.datasheet is not None:
-        for held in results.datasheet.held:
-            limits.setdefault(held.axis, {})[held.term] = held.limit.value
+        for c in results.datasheet.comparisons:
+            limits.setdefault(c.axis, {})[c.term] = c.limit
     return longest_recommended(
         recommended_duration(axis.fit, longest or results.duration_s, limits.get(name))
         for name, axis in results.axes.items()

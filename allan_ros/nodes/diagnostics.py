@@ -22,7 +22,7 @@ from ..core.fit.findings import about
 from ..core.fit.model import TERMS, Coefficient
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
-from ..io.datasheet_comparison import beyond_limit
+from ..io.datasheets import beyond_limit
 from ..io.format import (
     LIMIT_DIGITS,
     ShownUnit,
@@ -224,7 +224,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         ('longest averaging time [s]', _longest_tau(view.sums) if view.sums else None),
     ]
     for c in view.comparisons:
-        unit = shown_unit(view.axis, c.term, 'datasheet')
+        unit = shown_unit(view.axis, 'B' if c.tau is not None else c.term, 'datasheet')
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
     pairs += _recent_pairs(view)
@@ -283,10 +283,7 @@ def _limit_findings(view: AxisView) -> list[Finding]:
     for c in view.comparisons:
         if c.verdict != 'beyond' or view.result is None:
             continue
-        coefficient = view.result.fit.noise[c.term]
-        found.append(
-            beyond_limit(view.axis, c.term, coefficient, c.limit, c.reference, view.margin)
-        )
+        found.append(beyond_limit(c, view.result.fit.noise.get(c.term), view.margin, ()))
     return found
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 import json
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,15 +19,14 @@ from std_srvs.srv import Trigger
 
 from ..core.allan.recent import Change, RecentCurve, RecentView
 from ..core.allan.sums import AllanSums
-from ..core.compare import Reference, compare, reference_of_run
+from ..core.compare import Comparison
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
 from ..core.imu import SI_UNITS, sensor_of
-from ..io.datasheets import load_sensor
-from ..io.documents import results_from_document, results_to_document
+from ..io.datasheets import Datasheet, load_sensor
+from ..io.documents import load, results_to_document
 from ..io.results import Results, analyse_sums
-from ..io.text import read_json
 from .allan_plot import AllanPlot
 from .bias import BiasPublisher
 from .diagnostics import (
@@ -59,23 +58,27 @@ ALONE_S = 5.0
 """Sums that nobody publishes are reported as missing after this time; less is discovery."""
 
 
-def load_references(settings: EstimatorSettings) -> tuple[Reference, ...]:
-    """Return the datasheet and the former results that coefficients are compared with.
+@dataclass(frozen=True)
+class References:
+    """What coefficients are compared with: a datasheet, and earlier results by name."""
+
+    datasheet: Datasheet | None
+    baselines: Mapping[str, Results]
+
+
+def load_references(settings: EstimatorSettings) -> References:
+    """Return the datasheet and the earlier results that coefficients are compared with.
 
     Raises
     ------
     AllanError
         When one of them cannot be read.
     """
-    references = []
-    if settings.sensor:
-        references.append(load_sensor(settings.sensor).reference())
-    if settings.baseline:
-        path = str(Path(settings.baseline).expanduser())
-        former = results_from_document(read_json(path), path)
-        noise = {name: axis.fit.noise for name, axis in former.axes.items()}
-        references.append(reference_of_run(path, noise))
-    return tuple(references)
+    path = settings.baseline and str(Path(settings.baseline).expanduser())
+    return References(
+        load_sensor(settings.sensor) if settings.sensor else None,
+        {path: load(path)} if path else {},
+    )
 
 
 class ImuEstimate:
@@ -90,7 +93,7 @@ class ImuEstimate:
     label : str
         '' where the node has only this IMU.
     settings : ParameterGroup of EstimatorSettings
-    references : sequence of Reference
+    references : References
     worker : Worker
         Where fits are computed.
     listener : callable, optional
@@ -102,7 +105,7 @@ class ImuEstimate:
         node: AllanNode,
         label: str,
         settings: ParameterGroup[EstimatorSettings],
-        references: Sequence[Reference],
+        references: References,
         worker: Worker,
         listener: Callable[[Results], None] | None = None,
     ) -> None:
@@ -115,6 +118,7 @@ class ImuEstimate:
         self._withdrawn: Finding | None = None
         self._fitting: Future[tuple[Results, float]] | None = None
         self._outdated = False  # whether the fit in progress is of sums that were replaced
+        self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
         self._recent: dict[tuple[str, ...], RecentView] = {}
         self._curves: dict[tuple[str, ...], RecentCurve | None] = {}
@@ -173,12 +177,23 @@ class ImuEstimate:
         ]
         return [self._axis_status(now, *each) for each in known or waiting]
 
+    def _comparisons(self, margin: float) -> tuple[Comparison, ...]:
+        """Return the comparisons of the latest results, computed once for each fit and margin."""
+        results, references = self._results, self._references
+        if results is None:
+            return ()
+        if self._compared[0] is not results or self._compared[1] != margin:
+            if references.datasheet is not None:
+                results = results.against_datasheet(references.datasheet, margin)
+            results = replace(results, baselines=references.baselines, margin=margin)
+            self._compared = self._results, margin, results.comparisons
+        return self._compared[2]
+
     def _axis_status(
         self, now: float, axis: str, sums: AllanSums | None, frame_id: str, hardware_id: str
     ) -> DiagnosticStatus:
         margin = self._settings.value.margin
         fit = self._results.axes.get(axis) if self._results else None
-        noise = fit.fit.noise if fit else {}
         change = self._changes.get(axis)
         view = AxisView(
             axis=axis,
@@ -187,9 +202,7 @@ class ImuEstimate:
             method=self._results.method if self._results else '',
             fit_age_s=now - self._fit_ended if fit else None,
             problems=tuple(f for f in (self._failed, self._withdrawn) if f is not None),
-            comparisons=tuple(
-                c for r in self._references if fit for c in compare(axis, noise, r, margin)
-            ),
+            comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
             recent=self._curves.get(sums.axes) if sums is not None else None,
             change=change if change and change.beyond(margin) else None,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from allan_ros.core.compare import Reference, compare, reference_of_run, verdict
+from allan_ros.core.compare import compare_with_limits, verdict
 from allan_ros.core.fit.model import TERMS, Coefficient
 
 NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
@@ -30,20 +30,11 @@ def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expecte
     assert verdict(coefficient, 1.0, 0.2) == expected
 
 
-def test_only_what_the_reference_knows_is_compared():
+def test_only_what_has_a_limit_is_compared():
     noise = {term: Coefficient(1.0, (0.9, 1.1)) for term in TERMS}
-    sheet = Reference('sheet', {'gyro_x': {'N': 0.5, 'B': 2.0}})
-    found = compare('gyro_x', noise, sheet, 0.2)
-    assert [(c.term, c.verdict) for c in found] == [('N', 'beyond'), ('B', 'within')]
-    assert compare('accel_x', noise, sheet, 0.2) == ()
-
-
-def test_a_run_is_never_beyond_itself():
-    noise = {'Q': NOT_OBSERVABLE, 'N': Coefficient(1.0, (0.9, 1.1)), 'B': Coefficient(2.0)}
-    noise |= {'K': Coefficient(None), 'R': Coefficient(1.0, (0.1, 2.0))}
-    reference = reference_of_run('last month', {'gyro_x': noise})
-    assert set(reference.limits['gyro_x']) == {'Q', 'N', 'B', 'R'}
-    assert all(c.verdict != 'beyond' for c in compare('gyro_x', noise, reference, 0.0))
-    worse = {**noise, 'N': Coefficient(1.5, (1.4, 1.6))}
-    found = {c.term: c.verdict for c in compare('gyro_x', worse, reference, 0.2)}
-    assert found['N'] == 'beyond'
+    limits = {'gyro_x': {'N': 0.5, 'B': 2.0}}
+    found = compare_with_limits('sheet', limits, 'gyro_x', noise, 0.2)
+    assert [(c.term, c.verdict, c.at_least) for c in found] == [
+        ('N', 'beyond', 1.8), ('B', 'within', 0.45),
+    ]  # fmt: skip
+    assert compare_with_limits('sheet', limits, 'accel_x', noise, 0.2) == ()

@@ -14,9 +14,9 @@ from allan_ros.core.compare import (
     FAMILY_ERROR,
     DeviationCurve,
     Difference,
-    coefficient_differences,
-    curve_differences,
-    settle,
+    Measured,
+    _settled,
+    differences,
 )
 from allan_ros.core.fit.model import TERMS, Coefficient
 
@@ -26,8 +26,14 @@ UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
 def compare(first: Coefficient, second: Coefficient) -> Difference:
     """Return the difference of N, alone in its family."""
     others = {term: Coefficient(None) for term in TERMS}
-    found = coefficient_differences('gyro_x', others | {'N': first}, others | {'N': second})
-    return next(d for d in settle(list(found)) if d.quantity == 'N')
+    runs = ({'gyro_x': Measured(others | {'N': c}, None)} for c in (first, second))
+    [found] = differences([tuple(runs)])
+    return next(d for d in found if d.quantity == 'N')
+
+
+def of_curves(*curves: DeviationCurve, repeats: float = 1.0) -> tuple[Difference, ...]:
+    [found] = differences([tuple({'gyro_x': Measured(None, c)} for c in curves)], repeats)
+    return found
 
 
 def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> DeviationCurve:
@@ -85,17 +91,19 @@ def test_a_limit_leaves_the_ratio_open_at_one_end():
 
 def test_holm_by_hand():
     """p of 0.01, 0.03, 0.04 and 0.005 at 5 %: limits are 0.05/4, /3, /2, /1."""
-    raw = [Difference('gyro_x', 'N', None, 2.0, (1.5, 3.0), p) for p in (0.01, 0.03, 0.04, 0.005)]
-    assert [d.verdict for d in settle(raw)] == ['higher', 'alike', 'alike', 'higher']
-    assert [d.verdict for d in settle(raw, 0.2)] == ['higher'] * 4
-    assert settle([]) == []
+    raw = [
+        Difference('gyro_x', 'N', None, 1.0, 2.0, (1.5, 3.0), p) for p in (0.01, 0.03, 0.04, 0.005)
+    ]
+    assert [d.verdict for d in _settled(raw, 0.05)] == ['higher', 'alike', 'alike', 'higher']
+    assert [d.verdict for d in _settled(raw, 0.2)] == ['higher'] * 4
+    assert differences([]) == []
 
 
 def test_curves_are_compared_where_both_have_data():
     tau = np.geomspace(0.01, 100.0, 60)
     edf = 1000.0 / tau
     a, b = curve(tau**-0.5, edf, tau), curve(2.0 * tau[10:] ** -0.5, edf[10:], tau[10:])
-    found = settle(list(curve_differences('gyro_x', a, b)))
+    found = of_curves(a, b)
     times = [d.tau for d in found]
     assert times[0] == pytest.approx(tau[10])
     assert times[-1] <= tau[-1] and np.diff(np.log(times)) == pytest.approx(math.log(4.0))
@@ -103,7 +111,7 @@ def test_curves_are_compared_where_both_have_data():
     assert all(d.ci95[0] < 2.0 < d.ci95[1] for d in found)
     assert found[0].verdict == 'higher'
     nothing = curve(np.full(60, np.nan), edf, tau)
-    assert list(curve_differences('gyro_x', a, nothing)) == []
+    assert of_curves(a, nothing) == ()
 
 
 def test_runs_of_equal_noise_seldom_differ():
@@ -114,8 +122,56 @@ def test_runs_of_equal_noise_seldom_differ():
     alarms = 0
     for _ in range(400):
         a, b = (curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau) for _ in range(2))
-        found = settle(list(curve_differences('gyro_x', a, b)))
+        found = of_curves(a, b)
         assert len(found) == 20
         alarms += any(d.verdict != 'alike' for d in found)
     assert 5 <= alarms <= 35
     assert FAMILY_ERROR == 0.05
+
+
+def test_all_pairs_are_one_family():
+    """A p of 1 % is significant alone, and not among those of ten pairs."""
+    tau = np.array([1.0, 4.0])
+    edf = np.array([200.0, 200.0])
+    a, b = curve(np.ones(2), edf, tau), curve(np.array([1.2, 1.0]), edf, tau)
+    assert [d.verdict for d in of_curves(a, b)] == ['higher', 'alike']
+    pair = {'gyro_x': Measured(None, a)}, {'gyro_x': Measured(None, b)}
+    assert {d.verdict for of_pair in differences([pair] * 10) for d in of_pair} == {'alike'}
+    assert {d.verdict for d in of_curves(a, b, repeats=10.0)} == {'alike'}
+
+
+def test_an_endless_series_of_comparisons_seldom_alarms():
+    """At most 5 % of 300 series alarm: more than 27 have a probability of 0.1 %."""
+    rng = np.random.default_rng(9)
+    tau, edf = 4.0 ** np.arange(8), np.geomspace(1e4, 4.0, 8)
+    alarms = 0
+    for _ in range(300):
+        before = curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau)
+        recent = (curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau) for _ in range(5))
+        alarms += any(
+            d.significant
+            for k, now in enumerate(recent, 1)
+            for d in of_curves(before, now, repeats=k * (k + 1))
+        )
+    assert alarms <= 27
+
+
+@pytest.mark.parametrize(
+    'second, expected',
+    [
+        (Coefficient(1.0, (0.95, 1.05)), 'within'),
+        (Coefficient(1.15, (1.13, 1.17)), 'within'),  # significant, within the margin
+        (Coefficient(1.5, (1.45, 1.55)), 'beyond'),
+        (Coefficient(0.5, (0.45, 0.55)), 'within'),
+        (Coefficient(1.5, (0.8, 2.2)), 'within'),  # not significant
+        (Coefficient(None, None, 0.9, 'not_observable'), 'within'),
+        (Coefficient(None, None, 5.0, 'not_observable'), 'open'),
+    ],
+)
+def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second, expected):
+    found = compare(Coefficient(1.0, (0.98, 1.02)), second).against('May', 0.2)
+    assert (found.reference, found.term, found.verdict) == ('May', 'N', expected)
+
+
+def test_what_cannot_be_compared_is_no_comparison():
+    assert compare(UNSEEN, UNSEEN).against('May', 0.2) is None

@@ -19,7 +19,6 @@ from allan_ros.io.comparison import (
     compare_runs,
     comparison_document,
     comparison_headline,
-    labels_of,
 )
 from allan_ros.io.comparison_files import (
     CSV_COLUMNS,
@@ -29,6 +28,7 @@ from allan_ros.io.comparison_files import (
     write_comparison,
 )
 from allan_ros.io.datasheets import Datasheet, Limit, Source
+from allan_ros.io.documents import labels_of
 from allan_ros.io.plot_style import STYLES, PictureSettings
 from allan_ros.io.results import Results
 
@@ -71,7 +71,7 @@ def test_every_run_is_held_against_the_first_and_every_datasheet(small_results: 
     runs = [Subject(label, small_results) for label in 'abc']
     comparison = compare_runs(runs, [sheet])
     assert [(p.first, p.second) for p in comparison.pairs] == [('a', 'b'), ('a', 'c')]
-    assert [(label, b.verdict) for label, b in comparison.beside] == [
+    assert [(label, b.verdict) for label, b in comparison.datasheets] == [
         ('a', 'beyond'), ('b', 'beyond'), ('c', 'beyond'),
     ]  # fmt: skip
     assert comparison.differs

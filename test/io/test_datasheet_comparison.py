@@ -31,7 +31,7 @@ def test_the_whole_interval_decides(small_results: Results, share: float, verdic
     against = held(small_results, N=n.value * share)
     assert against.datasheet is not None
     assert against.datasheet.verdict == verdict
-    [entry] = against.datasheet.held
+    [entry] = against.datasheet.comparisons
     assert (entry.axis, entry.term, entry.verdict) == ('gyro_x', 'N', verdict)
     new = against.findings[len(small_results.findings) :]
     assert [f.id for f in new] == ['beyond_limit'] * (verdict == 'beyond')
@@ -41,7 +41,7 @@ def test_the_whole_interval_decides(small_results: Results, share: float, verdic
 def test_the_worst_verdict_is_that_of_all(small_results: Results) -> None:
     against = held(small_results, N=1e-9, B=1.0).datasheet
     assert against is not None
-    assert [h.verdict for h in against.held] == ['beyond', 'within']
+    assert [c.verdict for c in against.comparisons] == ['beyond', 'within']
     assert against.verdict == 'beyond'
     nothing = held(small_results).datasheet
     assert nothing is not None

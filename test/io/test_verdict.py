@@ -6,29 +6,42 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from allan_ros.core.compare import Comparison, compare, reference_of_run
+import numpy as np
+
+from allan_ros.core.compare import Comparison, compare_with_limits
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.imu import AXES
+from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.results import Results
-from allan_ros.io.verdict import comparisons_of, verdict_of
+from allan_ros.io.verdict import verdict_of
 
 
 def against_itself(results: Results, factor: float) -> list[Comparison]:
-    """Return the comparison with a run whose limits are so many times its own."""
-    own = reference_of_run('May', {name: a.fit.noise for name, a in results.axes.items()})
+    """Return the comparison with limits so many times the upper ends of its own N and B."""
     limits = {
-        axis: {t: factor * v for t, v in terms.items() if t in 'NB'}
-        for axis, terms in own.limits.items()
+        axis: {t: factor * (terms[t].ci95 or (0.0, terms[t].upper95))[1] for t in 'NB'}
+        for axis, terms in results.noise.items()
     }
-    reference = replace(own, limits=limits)
     return [
-        c for name, a in results.axes.items() for c in compare(name, a.fit.noise, reference, 0.0)
+        c
+        for axis, terms in results.noise.items()
+        for c in compare_with_limits('May', limits, axis, terms, 0.0)
     ]
 
 
 def calm(results: Results) -> Results:
     return replace(results, findings=tuple(f for f in results.findings if f.severity == 'info'))
+
+
+def scaled(results: Results, factor: float) -> Results:
+    """Return the results with N of gyro z changed by a factor."""
+    axis = results.axes['gyro_z']
+    n = axis.fit.noise['N']
+    low, high = n.ci95
+    noise = {**axis.fit.noise, 'N': Coefficient(n.value * factor, (low * factor, high * factor))}
+    changed = replace(axis, fit=replace(axis.fit, noise=noise))
+    return replace(results, axes={**results.axes, 'gyro_z': changed})
 
 
 def with_noise(results: Results, **noise: Coefficient) -> Results:
@@ -134,6 +147,35 @@ def test_a_method_without_intervals_is_named(small_results: Results) -> None:
 
 
 def test_comparisons_are_with_every_baseline(small_results: Results) -> None:
-    comparisons = comparisons_of(small_results, {'May': small_results, 'June': small_results}, 0.0)
+    runs = {'May': small_results, 'June': small_results}
+    comparisons = replace(small_results, baselines=runs, margin=0.0).comparisons
     assert {c.reference for c in comparisons} == {'May', 'June'}
     assert not any(c.verdict == 'beyond' for c in comparisons)
+
+
+def test_an_earlier_run_and_compare_agree(small_results: Results) -> None:
+    """What `compare` calls higher by more than the margin is beyond the earlier run."""
+    louder = scaled(small_results, 1.5)
+    comparisons = louder.compared(baseline=small_results, margin=0.2).comparisons
+    [pair] = compare_runs([Subject('a', small_results), Subject('b', louder)]).pairs
+    beyond = [(c.axis, c.term) for c in comparisons if c.verdict == 'beyond']
+    assert beyond == [(d.axis, d.quantity) for d in pair.beyond] == [('gyro_z', 'N')]
+    assert louder.check(baseline=small_results).summary.startswith(
+        'Above the earlier run: N of gyro z (at least 1.5 times '
+    )
+
+
+def test_a_curve_that_rose_fails_although_no_coefficient_changed(small_results: Results) -> None:
+    """A vibration that is fitted as a process of its own changes only the curve."""
+    axis = small_results.axes['accel_x']
+    curve = axis.curve
+    assert curve is not None
+    rise = np.where(curve.tau < 1.0, 1.0, 2.0)
+    risen = replace(
+        curve, adev=rise * curve.adev, ci_low=rise * curve.ci_low, ci_high=rise * curve.ci_high
+    )
+    axes = {**small_results.axes, 'accel_x': replace(axis, curve=risen)}
+    verdict = replace(small_results, axes=axes).check(baseline=small_results)
+    assert verdict.level == 'failed'
+    assert verdict.summary.startswith('Above the earlier run: deviation at ')
+    assert ' s of accel x (at least 1.' in verdict.summary

@@ -15,10 +15,10 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.allan.spectrum import Spectrum
-from ...core.compare import Reference
 from ...core.fit import TERMS, Coefficient
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
+from ..datasheets import DatasheetComparison
 from ..format import (
     READ_AT,
     SENSOR_NAMES,
@@ -183,8 +183,6 @@ SYSTEMS = ('datasheet', 'si')
 def sensor_charts(
     results: Results,
     sensor: str,
-    references: Sequence[Reference],
-    former: Mapping[str, Results],
     spectra: Sequence[Spectrum],
     summary: SignalSummary | None,
 ) -> dict[str, Any]:
@@ -194,10 +192,6 @@ def sensor_charts(
     ----------
     results : Results
     sensor : 'gyro' or 'accel'
-    references : sequence of Reference
-        Datasheets: their N and B make a curve.
-    former : mapping of name to Results
-        Earlier runs: their curves are drawn.
     spectra : sequence of Spectrum
     summary : SignalSummary or None
     """
@@ -210,8 +204,8 @@ def sensor_charts(
         'tau': _rounded(tau),
         'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
         'references': [
-            *_datasheet_curves(axes, references, tau),
-            *_former_curves(axes, former, tau),
+            *_datasheet_curves(axes, results.datasheet, tau),
+            *_former_curves(axes, results.baselines, tau),
         ],
         'spectrum': _spectrum(axes, spectra),
         'signal': None if summary is None else _signal(axes, summary),
@@ -286,16 +280,16 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 
 
 def _datasheet_curves(
-    axes: Mapping[str, AxisResult], references: Sequence[Reference], tau: Sequence[float]
+    axes: Mapping[str, AxisResult], comparison: DatasheetComparison | None, tau: Sequence[float]
 ) -> Iterable[dict[str, Any]]:
-    """Yield the curve that the stated terms of each datasheet make."""
-    for reference in references:
-        for name, axis in axes.items():
-            limits = reference.limits.get(name, {})
-            if limits and tau:
-                factors = np.asarray(tau) / axis.tau0
-                adev = np.sqrt(term_avar(factors, axis.tau0, NoiseTerms(**limits)).sum(axis=1))
-                yield {'name': reference.name, 'axis': name, 'adev': _rounded(adev)}
+    """Yield the curve that the stated terms of a datasheet make."""
+    stated = comparison.datasheet.values() if comparison else {}
+    for name, axis in axes.items():
+        limits = stated.get(name, {})
+        if comparison and limits and tau:
+            factors = np.asarray(tau) / axis.tau0
+            adev = np.sqrt(term_avar(factors, axis.tau0, NoiseTerms(**limits)).sum(axis=1))
+            yield {'name': comparison.datasheet.name, 'axis': name, 'adev': _rounded(adev)}
 
 
 def _former_curves(

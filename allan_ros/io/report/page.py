@@ -28,7 +28,7 @@ from ...core.imu import AXES, SENSORS
 from ..format import SENSOR_NAMES, duration_text, significant, text_in_units
 from ..results import AxisResult, Results
 from ..signal_summary import SignalSummary
-from ..verdict import WORDS, Verdict, comparisons_of, finding_text, verdict_of
+from ..verdict import WORDS, Verdict, finding_text, verdict_of
 from .chart_data import in_units, sensor_charts, temperature_chart, to_script
 from .tables import baseline_table, coefficient_table, datasheet_table, headline_table
 
@@ -158,10 +158,6 @@ class ReportContext:
     signal : SignalSummary or None
         The raw signal.
     spectra : sequence of Spectrum
-    baselines : mapping of name to Results
-        Earlier runs, or other IMUs: their curves are drawn over these.
-    margin : float
-        Fraction by which an interval must exceed an earlier run to be beyond it.
     method : mapping of str to str
         What is needed to repeat the analysis.
     files : sequence of str
@@ -170,8 +166,6 @@ class ReportContext:
 
     signal: SignalSummary | None = None
     spectra: Sequence[Spectrum] = ()
-    baselines: Mapping[str, Results] = field(default_factory=dict)
-    margin: float = 0.0
     method: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[str] = ()
 
@@ -187,7 +181,6 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
         Those shown first.
     """
     name = results.identity.label or 'IMU'
-    comparisons = comparisons_of(results, context.baselines, context.margin)
     sensors = {
         sensor: axes
         for sensor, where in SENSORS.items()
@@ -196,7 +189,7 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
     body = [
         *_header(results, name, sensors, units),
         '<main>',
-        *_verdict_section(results, verdict_of(results, comparisons, units), sensors),
+        *_verdict_section(results, verdict_of(results, units=units), sensors),
         *_findings_section(results),
     ]
     for sensor, axes in sensors.items():
@@ -204,8 +197,8 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
             *_sensor_section(sensor, axes),
             *(datasheet_table(sensor, axes, results.datasheet) if results.datasheet else ()),
         ]
-        for run, baseline in context.baselines.items():
-            compared = [c for c in comparisons if c.reference == run]
+        for run, baseline in results.baselines.items():
+            compared = [c for c in results.comparisons if c.reference == run]
             body += baseline_table(sensor, axes, run, baseline, compared)
         body.append(f'<div class="charts rest" data-sensor="{sensor}" hidden></div></section>')
     links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
@@ -245,13 +238,7 @@ def _digest(script: str) -> str:
 
 
 def _data(results: Results, context: ReportContext, sensors: Sequence[str], units: str) -> str:
-    references = [] if results.datasheet is None else [results.datasheet.datasheet.reference()]
-    charts = [
-        sensor_charts(
-            results, sensor, references, context.baselines, context.spectra, context.signal
-        )
-        for sensor in sensors
-    ]
+    charts = [sensor_charts(results, sensor, context.spectra, context.signal) for sensor in sensors]
     return to_script(
         {'units': units, 'temperature': temperature_chart(context.signal), 'sensors': charts}
     )

@@ -12,7 +12,7 @@ import numpy as np
 from ...core.compare import Comparison, Verdict
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.duration import ADVISED_TERMS
-from ..datasheet_comparison import VERDICT_TEXT, DatasheetComparison
+from ..datasheets import VERDICT_TEXT, DatasheetComparison
 from ..format import (
     NOTHING_KNOWN,
     SENSOR_NAMES,
@@ -81,16 +81,16 @@ def datasheet_table(
     """Yield the comparison with a datasheet; nothing where it states nothing about the sensor."""
     rows, notes = [], []
     for term in TERMS:
-        held = {axis: h for axis in axes if (h := comparison.of(axis, term)) is not None}
-        if not held:
+        checks = {axis: c for axis in axes if (c := comparison.of(axis, term)) is not None}
+        if not checks:
             continue
-        limits = [h.limit for h in held.values()]
+        limits = [comparison.limit(c) for c in checks.values()]
         stated = ' / '.join(dict.fromkeys(pretty_unit(limit.stated) for limit in limits))
         said = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
         notes += [f'{term}: {note}' for note in said]
         cells = ''.join(
-            _verdict_cell(axis, term, axes[axis].fit.noise[term], h.limit.value, h.verdict)
-            if (h := held.get(axis)) is not None
+            _verdict_cell(axis, term, axes[axis].fit.noise[term], c.limit, c.verdict)
+            if (c := checks.get(axis)) is not None
             else '<td></td>'
             for axis in axes
         )
@@ -115,8 +115,8 @@ def baseline_table(
     """Yield the comparison with an earlier run; nothing where the two share no term."""
     rows = []
     for term in TERMS:
-        held = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
-        if not held:
+        checks = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
+        if not checks:
             continue
         cells = ''.join(
             _verdict_cell(
@@ -127,7 +127,7 @@ def baseline_table(
                 c.verdict,
                 _then(axis, term, baseline),
             )
-            if (c := held.get(axis)) is not None
+            if (c := checks.get(axis)) is not None
             else '<td></td>'
             for axis in axes
         )
@@ -135,8 +135,8 @@ def baseline_table(
     if rows:
         yield from _comparison_table(f'Compared with {name}', axes, rows)
         yield (
-            '<p class="note">"Within" is not above the upper end of what the earlier run allowed; '
-            '"beyond" is a complete interval above it.</p>'
+            '<p class="note">"Within" is not significantly above the earlier run; "beyond" is '
+            'significantly above it and its margin.</p>'
         )
 
 

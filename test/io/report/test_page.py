@@ -85,8 +85,6 @@ def everything(results: Results) -> ReportContext:
     return ReportContext(
         summarize_signal([a_signal()], (), 1000),
         [spectrum],
-        {'last month': results},
-        0.1,
         {'command': 'allan analyze my_bag'},
         ['results.json'],
     )
@@ -123,9 +121,8 @@ def test_whatever_a_recording_says_stays_text(small_results: Results) -> None:
         provenance=provenance,
         method=HOSTILE,
     )
-    beside = replace(
-        everything(results), baselines={HOSTILE: small_results}, method={HOSTILE: HOSTILE}
-    )
+    results = replace(results, baselines={HOSTILE: small_results})
+    beside = replace(everything(results), method={HOSTILE: HOSTILE})
     plain = Page(render_report(small_results, everything(small_results), 'datasheet'))
     page = Page(render_report(results, beside, 'datasheet'))
     assert len(page.scripts) == len(plain.scripts)
@@ -167,7 +164,7 @@ def test_an_absent_sensor_and_an_empty_curve_leave_the_page_whole(small_results:
 
 
 def test_charts_are_in_si_beside_their_factors(small_results: Results) -> None:
-    chart = sensor_charts(small_results, 'accel', (), {}, (), None)
+    chart = sensor_charts(small_results, 'accel', (), None)
     curve = small_results.axes['accel_y'].curve
     assert curve is not None
     assert np.allclose(chart['tau'], curve.tau, rtol=1e-4)

@@ -50,9 +50,8 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     )
     spans = [Segment(int(stamps[5000]), 15_000, 300.0, 'motion')]
     summary = summarize_signal([envelope], spans, 1000, {}, [temperature])
-    context = ReportContext(
-        summary, [spectrum], {'May': small_results}, 0.1, {'command': 'x'}, ['results.json']
-    )
+    results = replace(results, baselines={'May': small_results})
+    context = ReportContext(summary, [spectrum], {'command': 'x'}, ['results.json'])
     path = tmp_path_factory.mktemp('page') / 'report.html'
     path.write_text(render_report(results, context, 'datasheet'), encoding='utf-8')
     return path
