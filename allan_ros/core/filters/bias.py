@@ -21,6 +21,7 @@ from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..noise import ProcessModel
 from .growth import predicted_growth
+from .noise_parameters import NORMAL_LIMIT
 from .reductions import drift_model
 from .state_space import StateSpace, state_space, with_slope
 
@@ -39,8 +40,7 @@ KEPT_MEANS = 600
 """Means of an axis that a changed model starts from."""
 
 NORMAL_95 = 1.959963984540054
-NORMAL_LIMIT = 1.6448536269514722
-"""Standard deviations within which 95 % (two-sided), and below which 95 %, of errors lie."""
+"""Standard deviations within which 95 % of the errors lie."""
 
 
 @dataclass(frozen=True)

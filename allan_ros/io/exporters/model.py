@@ -200,10 +200,12 @@ class FilterNoise:
             raise AllanError(f'no {sensor} in these results: this file needs gyro and accel')
         return {name: self.results.axes[name] for name in names}
 
-    def reduction(self, axis: str, states: States = 'walk') -> AxisReduction:
+    def reduction(
+        self, axis: str, states: States = 'walk', expect_walk: bool = False
+    ) -> AxisReduction:
         """Return the reduction of one axis over the horizons of the file."""
         fit = self.results.axes[axis].fit
-        return reduce_axis(axis, fit, states, self.horizons, self.options.strict)
+        return reduce_axis(axis, fit, states, self.horizons, self.options.strict, expect_walk)
 
     def _axis_level(self, axis: str, term: str) -> Level:
         reduces = term == 'K' or (term == 'N' and self.convention.walk)

@@ -57,7 +57,7 @@ def _document(noise: FilterNoise) -> Iterator[Entry]:
     yield Entry(('schema',), SCHEMA)
     yield Entry(('rate_hz',), noise.rate)
     for axis in noise.results.axes:
-        reduced = noise.reduction(axis, 'processes')
+        reduced = noise.reduction(axis, 'processes', expect_walk=True)
         yield Entry(('axes', axis), _axis(noise, axis, reduced), is_limit=_limited(reduced))
 
 
@@ -118,7 +118,7 @@ def _module(noise: FilterNoise) -> Iterator[Entry]:
     axes = {}
     limited = False
     for axis in noise.results.axes:
-        reduced = noise.reduction(axis, 'processes')
+        reduced = noise.reduction(axis, 'processes', expect_walk=True)
         limited = limited or _limited(reduced)
         space = _space(reduced, noise.options.inflate)
         axes[axis] = {
@@ -207,7 +207,8 @@ STATE_SPACES = {
         JsonForm(),
         notes=(
             'walk is a state even if it is 0: it holds the turn-on bias',
-            'walk covers a ramp over the horizon, because a ramp has no state of its own',
+            'walk covers a ramp over the horizon, because a ramp has no state of its own; where K is '
+            'not resolved it contains a quarter of the expected K^2',
         ),
     ),
     'state_space_python': _python(

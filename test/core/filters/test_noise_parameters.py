@@ -17,6 +17,8 @@ from allan_ros.core.filters.noise_parameters import (
     RULES,
     Level,
     axis_level,
+    expected_variance,
+    growth_table,
     madgwick_drift_gain,
     madgwick_gain,
     madgwick_ramp_gain,
@@ -164,6 +166,41 @@ def test_drift_that_is_quick_counts_as_white_and_k_as_its_limit() -> None:
     assert reduced.white.value == pytest.approx(math.hypot(1e-3, 3e-3 * math.sqrt(0.04)))
     assert reduced.white.raised_from == 1e-3
     assert reduced.walk == Level('gyro_x', 'K', 1e-5, is_limit=True)
+
+
+def test_the_expected_variance_lies_between_estimate_and_limit() -> None:
+    # with an estimate of 0 the limit is 1.645 standard deviations, the mean of half a normal 0.798
+    assert expected_variance(hidden(1e-5)) == pytest.approx(0.79788 / 1.64485 * 1e-10, rel=1e-4)
+    known = Coefficient(0.9e-5, None, 1e-5, 'not_observable')
+    assert expected_variance(known) == pytest.approx(0.81e-10, rel=1e-2)
+    assert expected_variance(Coefficient(None, None, None, 'not_observable')) == 0.0
+
+
+def test_a_filter_with_all_states_allows_for_a_walk_that_is_not_resolved() -> None:
+    fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=hidden(1e-5))
+    bare, careful = (
+        reduce_axis('gyro_x', fit, 'processes', expect_walk=expect).reduction.walk
+        for expect in (False, True)
+    )
+    expected = 0.25 * expected_variance(hidden(1e-5))
+    assert careful**2 == pytest.approx(bare**2 + expected, rel=1e-3)
+    found = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=resolved(1e-5))
+    same = [
+        reduce_axis('gyro_x', found, 'processes', expect_walk=expect).reduction
+        for expect in (False, True)
+    ]
+    assert same[0] == same[1]
+
+
+def test_the_predicted_growth_has_an_interval() -> None:
+    fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-5), R=hidden(1e-9))
+    for growth in growth_table(fit):
+        assert growth.ci95 is not None
+        low, high = growth.ci95
+        assert low < growth.std < high
+    # of white noise, B and K alone, after 100 s: only the limit of K widens it to one side
+    assert high / growth.std > growth.std / low
+    assert growth_table(fit_with(N=resolved(1e-3), B=Coefficient(1e-4)))[0].ci95 is None
 
 
 def test_the_ends_of_the_reduction_contain_it() -> None:
