@@ -25,6 +25,7 @@ from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
+from ..core.filters.bias import TurnOnBias
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from ..core.fit.regions import Region
@@ -309,6 +310,9 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
         'sample_std': _finite(axis.sample_std),
+        'rounding': _finite(axis.rounding),
+        'turn_on': asdict(axis.turn_on) if axis.turn_on else None,
+        'growth': [asdict(growth) for growth in axis.growth],
         'gauss_markov': asdict(fit.gauss_markov) if fit.gauss_markov else None,
         'sinusoid': asdict(fit.sinusoid) if fit.sinusoid else None,
         'processes': _processes_to_document(fit.processes),
@@ -345,6 +349,19 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         ),
         fields.optional_number('sample_std', least=0.0),
         name,
+        fields.optional_number('rounding', least=0.0),
+        _turn_on_from_document(fields.optional_fields('turn_on')),
+    )
+
+
+def _turn_on_from_document(fields: Fields | None) -> TurnOnBias | None:
+    if fields is None:
+        return None
+    return TurnOnBias(
+        fields.integer('recordings', least=2),
+        fields.number('mean'),
+        fields.number('std', least=0.0),
+        fields.interval('ci95'),
     )
 
 

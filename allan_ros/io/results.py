@@ -18,9 +18,11 @@ from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, DeviationCurve, Measured, Run, differences
 from ..core.errors import AllanError
-from ..core.filters.noise_parameters import sample_variance
+from ..core.filters.bias import TurnOnBias, turn_on_bias
+from ..core.filters.noise_parameters import Growth, growth_table, sample_variance
 from ..core.findings import Finding
 from ..core.fit import AxisFit, Coefficient, NoiseModel
+from ..core.fit.findings import rounding_step
 from ..core.fit.regions import Region, read_curve
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
@@ -155,6 +157,11 @@ class AxisResult:
         Standard deviation of the samples about their mean of up to a second, as measured.
     name : str
         Name of the axis.
+    rounding : float or None
+        Step to which the samples are rounded, where this makes more than a tenth of their white
+        noise; else None.
+    turn_on : TurnOnBias or None
+        Scatter of the bias between recordings; None of fewer than two.
 
     Examples
     --------
@@ -170,6 +177,8 @@ class AxisResult:
     regions: tuple[Region, ...] = ()
     sample_std: float | None = None
     name: str = ''
+    rounding: float | None = None
+    turn_on: TurnOnBias | None = None
 
     @property
     def Q(self) -> Quantity:
@@ -195,6 +204,11 @@ class AxisResult:
     def R(self) -> Quantity:
         """Rate or acceleration ramp."""
         return self.quantity('R')
+
+    @property
+    def growth(self) -> tuple[Growth, ...]:
+        """Predicted growth of the error without correction, with intervals."""
+        return growth_table(self.fit)
 
     def quantity(self, term: str) -> Quantity:
         """Return the coefficient of a term (Q, N, B, K or R) in SI."""
@@ -503,7 +517,7 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
     sums, fits = [s for s, _ in fitted], [fit for _, fit in fitted]
     curves = [allan_curve(s) for s in sums]
-    axes = dict(_axis_results(zip(curves, fits)))
+    axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')
     findings = (
@@ -540,11 +554,13 @@ def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str 
 
 
 def _axis_results(
-    fitted: Iterable[tuple[AllanCurve, NoiseModel]],
+    fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
-    for curve, fit in fitted:
+    for sums, curve, fit in fitted:
+        means = np.array([one.mean for one in sums.history.recordings])
         for i, name in enumerate(curve.axes):
             variance = sample_variance(curve.m, curve.adev[:, i], fit.tau0)
+            white = (fit.axes[name].noise['N'].value or 0.0) ** 2 / fit.tau0
             yield (
                 name,
                 AxisResult(
@@ -561,5 +577,7 @@ def _axis_results(
                     tuple(read_curve(curve, name, fit.axes[name])),
                     None if variance is None else math.sqrt(variance),
                     name,
+                    rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,
+                    turn_on_bias(means[:, i]) if len(means) else None,
                 ),
             )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 
-from ..core.filters.bias import AxisBias, BiasModel, BiasTracker
+from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.imu import AXES
 from ..io.results import Results
 from .node import AllanNode
@@ -39,6 +39,7 @@ class BiasPublisher:
         self._tracker = BiasTracker(tolerance)
         self._publisher = node.create_publisher(TwistWithCovarianceStamped, f'{home}bias', 10)
         self._last_ns = 0
+        self._turn_on: dict[str, TurnOnBias] = {}
 
     def take(self, snapshot: Snapshot) -> None:
         """Take the means of a snapshot, and publish the bias if some are new."""
@@ -54,6 +55,7 @@ class BiasPublisher:
     def use(self, results: Results | None) -> None:
         """Use the models of these results."""
         axes = results.axes if results is not None else {}
+        self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.use({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
@@ -62,11 +64,16 @@ class BiasPublisher:
         if bias is None:
             return []
         low, high = bias.estimate.ci95
+        turn_on = self._turn_on.get(axis)
+        scatter = (
+            f'bias scatter between {turn_on.recordings} recordings [{unit}]' if turn_on else ''
+        )
         return [
             (f'bias at rest [{unit}]', bias.estimate.value),
             (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
             ('bias optimal averaging time [s]', bias.optimal_s),
             (f'bias stays within +-{bias.tolerance:.3g} {unit} for [s]', bias.within_s),
+            *([(scatter, turn_on.std)] if turn_on else []),
         ]
 
     def document(self) -> dict[str, dict[str, object]]:

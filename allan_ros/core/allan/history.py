@@ -229,6 +229,13 @@ class Recording:
         return (-self.samples, self.start_ns)
 
     @property
+    def mean(self) -> Floats:
+        """Mean of the samples in the segments, (axes,)."""
+        weights = self.cell_samples / max(int(self.cell_samples.sum()), 1)
+        mean: Floats = self.reference + weights @ self.cell_means
+        return mean
+
+    @property
     def level_m(self) -> Ints:
         """Averaging factors of the levels, (levels,)."""
         return 4 ** np.arange(self.level_count.shape[1])

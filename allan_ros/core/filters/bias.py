@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from ..errors import AllanError
 from ..fit.model import AxisFit
@@ -41,6 +42,44 @@ KEPT_MEANS = 600
 
 NORMAL_95 = 1.959963984540054
 """Standard deviations within which 95 % of the errors lie."""
+
+
+@dataclass(frozen=True)
+class TurnOnBias:
+    """Repeatability of the bias of one axis from one recording to the next.
+
+    Attributes
+    ----------
+    recordings : int
+        Number of recordings.
+    mean : float
+        Mean over them of the means of the recordings, in the unit of the samples.
+    std : float
+        Standard deviation of the means of the recordings.
+    ci95 : (low, high)
+        95 % interval of ``std``, for normally distributed means.
+    """
+
+    recordings: int
+    mean: float
+    std: float
+    ci95: tuple[float, float]
+
+
+def turn_on_bias(means: Floats) -> TurnOnBias | None:
+    """Return the scatter of the means of recordings; None for fewer than two.
+
+    Parameters
+    ----------
+    means : (recordings,) float64 array
+        Mean of the samples of each recording.
+    """
+    free = len(means) - 1
+    if free < 1:
+        return None
+    std = float(np.std(means, ddof=1))
+    low, high = (std * math.sqrt(free / quantile) for quantile in chi2.ppf([0.975, 0.025], free))
+    return TurnOnBias(len(means), float(np.mean(means)), std, (low, high))
 
 
 @dataclass(frozen=True)

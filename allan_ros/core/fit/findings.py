@@ -104,6 +104,20 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(out.values())
 
 
+def rounding_step(phase: Floats, white: float) -> float | None:
+    """Return the step to which samples are rounded, or None if it is small beside their noise.
+
+    Parameters
+    ----------
+    phase : (points,) float64 array
+        Coarse phase record of one axis.
+    white : float
+        Variance of the white noise per sample.
+    """
+    step = lattice_step(phase, math.sqrt(max(white, 0.0)))
+    return step if step is not None and step * step / 12.0 > ROUNDING_SHARE * white else None
+
+
 def explain_nothing(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
     """Return the finding on an axis without coefficients."""
     name = (pooled.sums.axes[axis],)
@@ -125,10 +139,9 @@ def explain(
     name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']
     found = [*_shape_findings(name, unit, selected, fit, tau0)]
-    phase = pooled.segments[0].phase[:, axis]
     white = float(selected.fit.power[N])
-    step = lattice_step(phase, math.sqrt(max(white, 0.0)))
-    if step is not None and step * step / 12.0 > ROUNDING_SHARE * white:
+    step = rounding_step(pooled.segments[0].phase[:, axis], white)
+    if step is not None:
         share = step * step / 12.0 / white
         found.append(finding('rounding', name, step=step, unit=unit, share=min(share, 1.0)))
     if ramp is not None and not ramp.shared:

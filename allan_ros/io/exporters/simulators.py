@@ -27,28 +27,42 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
     """Yield the noise elements of SDF's <imu>.
 
     Gazebo steps the bias with the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)): its stationary
-    standard deviation is sigma_b sqrt(tau/2).
+    standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it rounds the sample to
+    multiples of the precision, which adds precision^2/12 to the variance.
     """
     for element, sensor in SDF_SENSORS.items():
         unit = SI_UNITS[sensor]['B']
         (white,) = noise.keyed({'stddev': (sensor, 'N')}, 'std')
         bias = noise.process(sensor)
-        for i, axis in enumerate('xyz'):
-            path = ('imu', element, axis, 'noise')
-            yield Entry((*path, '@type'), 'gaussian')
-            yield Entry((*path, 'mean'), 0.0)
+        driving_words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
+        for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
+            path = ('imu', element, name[-1], 'noise')
             said = i == 0  # the words are about all three axes
+            step, turn_on = axis.rounding, axis.turn_on
+            yield Entry((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
+            yield Entry((*path, 'mean'), 0.0)
+            # at least half of the variance, lest rounding stops the noise altogether
+            variance = white.value[i] ** 2
+            stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
             words = f'of {sensor} {white.words}' if said else ''
-            yield Entry((*path, 'stddev'), white.value[i], words, white.is_limit)
-            words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
+            yield Entry((*path, 'stddev'), rounded(stddev), words, white.is_limit)
+            if turn_on:
+                words = (
+                    f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
+                )
+                sigma = rounded(noise.options.inflate * turn_on.std)
+                yield Entry((*path, 'bias_stddev'), sigma, words)
             driving = rounded(bias.sigma[i] * math.sqrt(2.0 / bias.tau[i]))
             yield Entry(
                 (*path, 'dynamic_bias_stddev'),
                 driving,
-                words if said else '',
+                driving_words if said else '',
                 findings=bias.findings,
             )
             yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
+            if step:
+                words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
+                yield Entry((*path, 'precision'), rounded(step), words)
 
 
 def _px4_sitl(noise: FilterNoise) -> Iterator[Entry]:
@@ -63,7 +77,11 @@ def _px4_sitl(noise: FilterNoise) -> Iterator[Entry]:
         words = f'[{SI_UNITS[sensor]["K"]}] = sigma sqrt(2 / tau): {bias.words}'
         yield Entry(('plugin', f'{name}RandomWalk'), walk, words, findings=bias.findings)
         yield Entry(('plugin', f'{name}BiasCorrelationTime'), rounded(bias.tau[0]), '[s]')
-        yield Entry(('plugin', f'{name}TurnOnBiasSigma'), 0.0)
+        known = [a.turn_on for a in noise.axes_of(sensor).values() if a.turn_on]
+        turn_on = max((one.std for one in known), default=0.0)
+        words = f'[{SI_UNITS[sensor]["B"]}]: worst scatter of the means of recordings'
+        sigma = rounded(noise.options.inflate * turn_on)
+        yield Entry(('plugin', f'{name}TurnOnBiasSigma'), sigma, words if known else '')
 
 
 AIRSIM_TAU_S = {'gyro': 500.0, 'accel': 800.0}
@@ -125,7 +143,8 @@ SIMULATORS = {
         XmlForm(),
         notes=(
             'put it into <sensor type="imu">; f must be its update_rate',
-            'bias_mean and bias_stddev (turn-on bias) and precision (LSB) are not measured here',
+            'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
+            'where rounding makes more than a tenth of the white noise',
         ),
     ),
     'px4_sitl': Target(

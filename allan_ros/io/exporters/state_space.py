@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.filters.growth import predicted_growth
-from ...core.filters.noise_parameters import AxisReduction, reduce_axis
+from ...core.filters.noise_parameters import AxisReduction, Growth, reduce_axis
 from ...core.filters.reductions import STATES, Horizons, Reduction
 from ...core.filters.state_space import StateSpace
 from ...core.imu import SI_UNITS, sensor_of
@@ -27,9 +26,6 @@ from .target import Target
 from .text_forms import PythonForm
 
 SCHEMA = 'allan_ros/state_space/1'
-
-GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
-"""Horizons of the predicted growth of the error."""
 
 CONTENT = 'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978)'
 
@@ -76,14 +72,6 @@ def _axis(noise: FilterNoise, axis: str, reduced: AxisReduction) -> dict[str, An
         for horizon in dict.fromkeys((VIO_HORIZON_S, INS_HORIZON_S, noise.horizons.high))
         for states in STATES
     ]
-    growth = [
-        {
-            'horizon': horizon,
-            'window': noise.horizons.high,
-            'std': rounded(float(predicted_growth(fit.selected, horizon, noise.horizons.high))),
-        }
-        for horizon in GROWTH_S
-    ]
     return {
         'unit': SI_UNITS[sensor_of(axis)]['B'],
         'white': space.white,
@@ -99,8 +87,13 @@ def _axis(noise: FilterNoise, axis: str, reduced: AxisReduction) -> dict[str, An
             'R': rounded(space.sample_variance(noise.rate)),
         },
         'reductions': reductions,
-        'growth': growth,
+        'growth': [_growth(one) for one in noise.results.axes[axis].growth],
     }
+
+
+def _growth(one: Growth) -> dict[str, Any]:
+    ends = one.ci95 and [rounded(end) for end in one.ci95]
+    return {'horizon': one.horizon, 'window': one.window, 'std': rounded(one.std), 'ci95': ends}
 
 
 def _reduction(one: Reduction) -> dict[str, Any]:
@@ -207,8 +200,8 @@ STATE_SPACES = {
         JsonForm(),
         notes=(
             'walk is a state even if it is 0: it holds the turn-on bias',
-            'walk covers a ramp over the horizon, because a ramp has no state of its own; where K is '
-            'not resolved it contains a quarter of the expected K^2',
+            'walk covers a ramp over the horizon, because a ramp has no state of its own; where K '
+            'is not resolved it contains a quarter of the expected K^2',
         ),
     ),
     'state_space_python': _python(

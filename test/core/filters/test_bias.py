@@ -16,6 +16,7 @@ from allan_ros.core.filters.bias import (
     BiasTracker,
     optimal_window,
     time_within,
+    turn_on_bias,
 )
 from allan_ros.core.fit.model import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
@@ -161,3 +162,15 @@ def test_a_tolerance_can_be_given() -> None:
     assert found is not None
     assert found.tolerance == 20.0 * HOUR_BIAS
     assert found.within_s == time_within(MODEL, 20.0 * HOUR_BIAS)
+
+
+def test_the_interval_of_the_turn_on_bias_covers_its_std() -> None:
+    # 1900 +- 9.7 of 2000 intervals: outside of 4.1 standard deviations with a chance of 4e-5.
+    rng = np.random.default_rng(9)
+    hits = 0
+    for means in rng.normal(3.0, 2.0, size=(2000, 5)):
+        found = turn_on_bias(means)
+        assert found is not None
+        hits += found.ci95[0] < 2.0 < found.ci95[1]
+    assert 1860 <= hits <= 1940
+    assert turn_on_bias(np.array([1.0])) is None

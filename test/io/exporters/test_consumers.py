@@ -1,20 +1,26 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files in the hands of those who read them: OpenCV's FileStorage and GTSAM itself.
+"""The files in the hands of those who read them: OpenCV's FileStorage, GTSAM and libsdformat.
 
-Both come with the extra ``consumers``, which `make venv` installs.
+The first two come with the extra ``consumers``, which `make venv` installs; libsdformat-dev and a
+C++ compiler are packages of the system.
 """
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.fit import Coefficient
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
@@ -155,3 +161,75 @@ def test_gtsam_expects_the_growth_that_a_simulated_imu_shows(known_results: Resu
         (14, bias),  # bias of the gyro
     ):
         assert shown[:, -1].var() == pytest.approx(expected[place], rel=0.05), place
+
+
+SDF_READER = """
+#include <iomanip>
+#include <iostream>
+#include <sdf/Imu.hh>
+#include <sdf/Link.hh>
+#include <sdf/Model.hh>
+#include <sdf/Noise.hh>
+#include <sdf/Root.hh>
+#include <sdf/Sensor.hh>
+
+int main(int, char **argv) {
+  sdf::Root root;
+  for (const auto &error : root.Load(argv[1])) {
+    std::cout << error.Message() << std::endl;
+    return 1;
+  }
+  const auto *imu = root.Model()->LinkByIndex(0)->SensorByIndex(0)->ImuSensor();
+  std::cout << std::setprecision(9);
+  for (const auto &n : {imu->AngularVelocityXNoise(), imu->LinearAccelerationZNoise()})
+    std::cout << (n.Type() == sdf::NoiseType::GAUSSIAN_QUANTIZED) << " " << n.StdDev() << " "
+              << n.BiasStdDev() << " " << n.Precision() << " " << n.DynamicBiasStdDev() << " "
+              << n.DynamicBiasCorrelationTime() << std::endl;
+}
+"""
+"""Prints the noise of gyro x and accelerometer z as libsdformat reads it."""
+
+SDF_MODEL = """<?xml version="1.0"?>
+<sdf version="1.9"><model name="m"><link name="l"><sensor name="s" type="imu">
+<update_rate>200</update_rate>
+{imu}
+</sensor></link></model></sdf>
+"""
+
+
+def sdformat_flags() -> list[str]:
+    """Return the flags of an installed libsdformat, or [] where there is none."""
+    if not (shutil.which('pkg-config') and shutil.which('g++')):
+        return []
+    for version in range(15, 8, -1):
+        command = ['pkg-config', '--cflags', '--libs', f'sdformat{version}']
+        found = subprocess.run(command, capture_output=True, text=True)
+        if found.returncode == 0:
+            return found.stdout.split()
+    return []
+
+
+def test_libsdformat_reads_the_noise_of_gazebo(known_results: Results, tmp_path: Path) -> None:
+    flags = sdformat_flags()
+    if not flags:
+        pytest.skip('needs libsdformat-dev, pkg-config and g++')
+    source, reader, model = (tmp_path / name for name in ('read.cc', 'read', 'model.sdf'))
+    source.write_text(SDF_READER)
+    subprocess.run(['g++', '-std=c++17', str(source), '-o', str(reader), *flags], check=True)
+    axes = {
+        name: replace(axis, rounding=0.01, turn_on=TurnOnBias(3, 0.0, 2e-3, (1e-3, 1e-2)))
+        for name, axis in known_results.axes.items()
+    }
+    imu = make_export(replace(known_results, axes=axes), 'gazebo').text
+    model.write_text(SDF_MODEL.format(imu=imu))
+    ran = subprocess.run([str(reader), str(model)], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stdout
+    assert not ran.stderr, ran.stderr  # warnings about unknown elements
+    rows = [[float(word) for word in line.split()] for line in ran.stdout.splitlines()]
+    for row, axis in zip(rows, ('angular_velocity/x', 'linear_acceleration/z')):
+        noise = ElementTree.fromstring(imu).find(f'{axis}/noise')
+        assert noise is not None
+        keys = ('stddev', 'bias_stddev', 'precision', 'dynamic_bias_stddev')
+        written = [float(noise.findtext(key) or '') for key in keys]
+        written.append(float(noise.findtext('dynamic_bias_correlation_time') or ''))
+        assert row == pytest.approx([1.0, *written])

@@ -24,6 +24,7 @@ import yaml
 import allan_ros
 from allan_ros.core.allan.engine import allan_table
 from allan_ros.core.errors import AllanError
+from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import STATES
 from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
@@ -490,6 +491,34 @@ def test_a_fitted_process_is_the_bias_of_a_simulator(known_results: Results) -> 
     assert sitl['gyroscopeRandomWalk'] == near(1.05409e-5)
     assert sitl['accelerometerBiasCorrelationTime'] == near(180.0)
     assert numbers(known, 'gnss_ins_sim')['gyro_b_stability'] == near([20.6265] * 3)
+
+
+def with_rounding(results: Results) -> Results:
+    """Return results of samples in steps of 0.02, with a turn-on bias on gyro_x."""
+    turn_on = TurnOnBias(3, 0.0, 2e-3, (1e-3, 1e-2))
+    axes = {name: replace(axis, rounding=0.02) for name, axis in results.axes.items()}
+    return replace(results, axes={**axes, 'gyro_x': replace(axes['gyro_x'], turn_on=turn_on)})
+
+
+def test_gazebo_rounds_and_turns_on_like_the_sensor(known_results: Results) -> None:
+    known = with_rounding(with_one_process(known_results))
+    text = make_export(known, 'gazebo', ExportOptions(inflate=2.0)).text
+    imu = ElementTree.fromstring(text)
+    noise = imu.find('angular_velocity/x/noise')
+    assert noise is not None
+    read = {element.tag: float(element.text or '') for element in noise}
+    assert noise.get('type') == 'gaussian_quantized'
+    assert read['precision'] == 0.02
+    # N = 0.6e-3 at 200 Hz, twice: the variance 2.88e-4 less 0.02^2 / 12
+    assert read['stddev'] == near((2.88e-4 - 0.02**2 / 12.0) ** 0.5)
+    assert read['bias_stddev'] == 4e-3
+    assert imu.find('angular_velocity/y/noise/bias_stddev') is None
+    assert numbers(known, 'px4_sitl')['gyroscopeTurnOnBiasSigma'] == 2e-3
+    coarse = replace(known.axes['gyro_x'], rounding=1.0)
+    known = replace(known, axes={**known.axes, 'gyro_x': coarse})
+    stddev = ElementTree.fromstring(make_export(known, 'gazebo').text).find('.//x/noise/stddev')
+    assert stddev is not None
+    assert float(stddev.text or '') == near(0.6e-3 * 200**0.5 / 2**0.5)
 
 
 def test_a_bias_without_a_fitted_process_is_explained(known_results: Results) -> None:
