@@ -28,15 +28,22 @@ from .core.fit.curve_fit import fit_curve
 from .core.imu import AXES, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import simulate_imu
-from .io.comparison import RunComparison, Subject, compare_runs
+from .io.comparison import Inflation, RunComparison, Subject, compare_runs
+from .io.comparison import inflate as inflation_of
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
-from .io.inflation import Inflation
-from .io.inflation import inflate as inflation_of
 from .io.readers.memory import recording_in_memory, without_absent
 from .io.readers.recording import SI, ReadOptions
-from .io.reading import Observer, Silent, add_recordings, read_in_processes, read_in_turn
-from .io.recorded import ReadJob, RecordingSums, read_recording
+from .io.recorded import (
+    Observer,
+    ReadJob,
+    RecordingSums,
+    Silent,
+    add_recordings,
+    read_in_processes,
+    read_in_turn,
+    read_recording,
+)
 from .io.results import AxisCurve, AxisResult, Results, analyse_recorded
 from .io.truth import stated_noise
 

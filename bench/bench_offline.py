@@ -170,8 +170,7 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 def spread(path: Path, processes: int) -> None:
     """Read a bag `RECORDINGS` times, as ``allan analyze --jobs`` reads as many bags."""
-    from allan_ros.io.reading import read_in_processes, read_in_turn
-    from allan_ros.io.recorded import ReadJob
+    from allan_ros.io.recorded import ReadJob, read_in_processes, read_in_turn
 
     jobs = [ReadJob(str(path))] * RECORDINGS
     for _ in read_in_turn(jobs) if processes == 1 else read_in_processes(jobs, processes):

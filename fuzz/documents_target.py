@@ -26,10 +26,10 @@ from allan_ros.io.documents import (
     sums_file_to_document,
 )
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
+from allan_ros.io.files import parse_json, read_json, to_json
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import analyse_sums
-from allan_ros.io.text import parse_json, read_json, to_json
 
 from .damage import any_bytes, as_utf8, damaged_json
 from .harness import BrokenRule, Target, check_document, check_line, refused_or_valid

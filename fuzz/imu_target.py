@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
+from allan_ros.io.files import to_json
 from allan_ros.io.readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.text import to_json
 
 from .damage import any_bytes, floats, texts
 from .harness import BrokenRule, Target, check_document, check_line

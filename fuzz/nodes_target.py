@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.documents import results_from_document, sums_file_from_document
+from allan_ros.io.files import parse_json
 from allan_ros.io.readers.cdr import MalformedMessage, decode_imus
-from allan_ros.io.text import parse_json
 
 from .damage import ODD_TEXTS, any_bytes, as_utf8, damaged_json, floats
 from .documents_target import seeds

@@ -23,9 +23,9 @@ from demo_online import play
 from allan_ros.cli.main import main as allan
 from allan_ros.core.fit import TERMS, Coefficient
 from allan_ros.io.documents import results_from_document
+from allan_ros.io.files import read_json
 from allan_ros.io.format import interval_text, shown_unit, significant, value_text
 from allan_ros.io.results import Results
-from allan_ros.io.text import read_json
 from allan_ros.io.truth import AxesNoise, read_noise, truth_path
 
 CONFIDENCE = 0.95

@@ -55,7 +55,7 @@ def test_the_scan_sees_what_is_forbidden(tmp_path: Path) -> None:
 def test_the_loader_of_yaml_is_a_safe_one() -> None:
     import yaml
 
-    from allan_ros.io.text import parse_yaml
+    from allan_ros.io.files import parse_yaml
 
     with pytest.raises(yaml.YAMLError):
         parse_yaml('!!python/object/apply:os.getcwd []')

@@ -27,8 +27,7 @@ from ..core.settings import SegmenterSettings
 from ..io.documents import load
 from ..io.plot_style import PictureSettings, load_style
 from ..io.readers.recording import ReadOptions
-from ..io.reading import add_recordings, read_in_processes, read_in_turn
-from ..io.recorded import ReadJob, RecordingSums
+from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
 from ..io.verdict import Verdict, verdict_of
 from .batch import recordings_in, run_batch

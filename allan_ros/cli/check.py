@@ -20,7 +20,7 @@ from pathlib import Path
 from ..api import ResultSettings, fit_recorded
 from ..io.datasheets import load_sensor
 from ..io.documents import load
-from ..io.reading import add_recordings, read_in_turn
+from ..io.recorded import add_recordings, read_in_turn
 from ..io.results import Results
 from ..io.verdict import verdict_of
 from .analyze import EXIT_FAILED, add_fail_on, add_reading_arguments, fails, read_jobs

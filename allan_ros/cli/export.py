@@ -20,8 +20,7 @@ from pathlib import Path
 
 from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
-from ..io.files import read_bounded
-from ..io.text import MAX_BYTES
+from ..io.files import MAX_BYTES, read_bounded
 from .console import Console
 from .options import add_settings, settings_of
 

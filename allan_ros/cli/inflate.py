@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read both, show the factors, and write the files."""
     from ..api import inflate
-    from ..io.inflation import inflation_document
+    from ..io.comparison import inflation_document
 
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
@@ -61,8 +61,7 @@ def run(args: argparse.Namespace) -> int:
         print(inflation)
     if args.output:
         from ..io.comparison_files import write_comparison
-        from ..io.files import write_atomic
-        from ..io.text import to_json
+        from ..io.files import to_json, write_atomic
 
         pictures = settings_of(PictureSettings, args)
         written = write_comparison(args.output, inflation.comparison, args.units, pictures)

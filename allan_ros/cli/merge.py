@@ -16,7 +16,7 @@ import argparse
 from ..api import ResultSettings
 from ..io.documents import load_sums
 from ..io.plot_style import PictureSettings
-from ..io.reading import add_recordings
+from ..io.recorded import add_recordings
 from .analyze import EXITS, add_fail_on, check_result_arguments, show_results
 from .options import add_settings
 

@@ -11,9 +11,16 @@ from ..core.allan.sums import AllanSums, add_sums, check_same_imu
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
-from .files import check_replaceable, read_bounded, remove_drafts, write_atomic
+from .files import (
+    MAX_BYTES,
+    check_replaceable,
+    parse_json,
+    read_bounded,
+    remove_drafts,
+    to_json,
+    write_atomic,
+)
 from .recorded import Provenance
-from .text import MAX_BYTES, parse_json, to_json
 
 
 class Checkpoint:

@@ -37,7 +37,7 @@ from .comparison import (
     verdict_text,
 )
 from .datasheets import VERDICT_TEXT
-from .files import write_together
+from .files import to_json, write_together
 from .format import SENSOR_NAMES, interval_text, pretty_unit, shown_unit, value_text
 from .plot_style import (
     FOOT_IN,
@@ -54,7 +54,6 @@ from .plot_style import (
 )
 from .result_files import made_folder
 from .results import AxisCurve
-from .text import to_json
 
 RUN_STYLES = (
     ('', 'o', '-'),

@@ -20,8 +20,7 @@ import yaml
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
-from .files import read_bounded
-from .text import parse_yaml
+from .files import parse_yaml, read_bounded
 
 MAX_BYTES = 100_000
 """Largest size of such a file in bytes."""

@@ -1,18 +1,24 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write files safely: regular files only, bounded, never half written."""
+"""Read and write files safely: regular files only, bounded, never half written, and locked.
+
+JSON and YAML are strict in both directions and bounded when read.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import stat
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from uuid import uuid4
+
+import yaml
 
 from ..core.errors import AllanError
 
@@ -178,3 +184,218 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+MAX_BYTES = 16 * 2**20
+"""Longest document that is read; real ones are far smaller."""
+
+
+MAX_DIGITS = 20
+"""Most digits of an integer: one of a million digits takes minutes to read."""
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Return the document as text; a NaN in it is a bug and raises ValueError."""
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
+
+
+def parse_json(text: str, where: str) -> object:
+    """Return the value of a JSON text.
+
+    Raises
+    ------
+    AllanError
+        When it is too long, too deep or not JSON; NaN and infinity, half surrogates and numbers
+        beyond the bounds are rejected.
+    """
+    if len(text) > MAX_BYTES:
+        raise AllanError(
+            f'{where}: has more than {MAX_BYTES} bytes: it is not a document of allan_ros'
+        )
+    try:
+        document: object = json.loads(text, parse_constant=_refuse, parse_int=_integer)
+        if '\\ud' in text.lower():  # half a surrogate pair, which no file can contain
+            json.dumps(document, ensure_ascii=False).encode()
+    except (ValueError, RecursionError) as error:
+        raise AllanError(f'{where}: is not JSON ({error}): write it again') from None
+    return document
+
+
+def read_json(path: str | os.PathLike[str]) -> object:
+    """Return the value of a JSON file.
+
+    Raises
+    ------
+    AllanError
+        When it is missing, or `parse_json` rejects it.
+    """
+    path = Path(path)
+    try:
+        text = read_bounded(path, MAX_BYTES).decode('utf-8')
+    except FileNotFoundError:
+        raise AllanError(f'{path}: no such file: check the path') from None
+    except OSError as error:
+        raise AllanError(f'{path}: cannot be read ({error.strerror})') from error
+    except ValueError as error:
+        raise AllanError(f'{path}: is not JSON ({error}): write it again') from None
+    return parse_json(text, str(path))
+
+
+def _refuse(name: str) -> object:
+    raise ValueError(f'{name} is not a number')
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > MAX_DIGITS:
+        raise ValueError(f'an integer of {len(digits)} digits')
+    return int(digits)
+
+
+MOST_BRACKETS = 50
+"""Deepest nesting that is read: the time of the scanner grows with the square of the depth."""
+
+
+MERGE = 'tag:yaml.org,2002:merge'
+"""Tag of the key ``<<``: nested merges are copied, so a short file of them can fill the memory."""
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+    def fetch_flow_collection_start(self, token: Any) -> None:
+        if self.flow_level >= MOST_BRACKETS:
+            raise yaml.YAMLError(f'more than {MOST_BRACKETS} brackets one in another')
+        super().fetch_flow_collection_start(token)
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        if any(key.tag == MERGE for key, _ in node.value):
+            raise yaml.YAMLError('it has a key "<<", which is not followed')
+
+
+# YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
+)
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the value of a YAML (or JSON) text.
+
+    Raises
+    ------
+    yaml.YAMLError
+        When it is invalid, nests too deep, or has merge keys.
+    """
+    loader = _Loader(text)
+    try:
+        return loader.get_single_data()
+    except RecursionError:
+        raise yaml.YAMLError('it nests too deep') from None
+    finally:
+        loader.dispose()
+
+
+OWNER_BYTES = 20
+"""Longest process number that is read from a lock file."""
+
+LOCKED_BYTE = 2**30
+"""Offset of the byte that is locked on Windows: beyond the text, which stays readable."""
+
+
+class PathLock:
+    """Marks a path as owned by one process, with a lock on a hidden file next to it.
+
+    The path itself cannot be locked, because it is replaced whenever it is written.
+
+    Parameters
+    ----------
+    path : Path
+        What one process owns; it need not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle: int | None = None
+
+    @property
+    def _mark(self) -> Path:
+        return self._path.with_name(f'.{self._path.name}.lock')
+
+    def acquire(self) -> str:
+        """Acquire the lock. Return '' on success, else the owner.
+
+        Raises
+        ------
+        AllanError
+            When the folder is missing or not writable, or the lock file is no regular file.
+        """
+        while self._handle is None:
+            handle = self._open_mark()
+            if not _try_to_lock(handle):
+                os.lseek(handle, 0, os.SEEK_SET)
+                owner = os.read(handle, OWNER_BYTES).decode(errors='replace').strip()
+                os.close(handle)
+                return f'process {owner}' if owner.isdigit() else 'another process'
+            if not _is_at(handle, self._mark):
+                os.close(handle)  # released, and removed, before it was locked
+                continue
+            self._handle = handle
+            with contextlib.suppress(OSError):  # a full disk: then the owner has no name
+                self._mark.write_text(f'{os.getpid()}\n')
+        return ''
+
+    def release(self) -> None:
+        """Release the lock and remove the lock file."""
+        handle, self._handle = self._handle, None
+        if handle is not None:
+            with contextlib.suppress(OSError):
+                self._mark.unlink()
+            os.close(handle)
+
+    def _open_mark(self) -> int:
+        # not for writing: that would keep a file system from being remounted read-only
+        flags = os.O_CREAT | os.O_RDONLY
+        for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC'):  # a FIFO must not block the call
+            flags |= getattr(os, name, 0)
+        try:
+            handle = os.open(self._mark, flags, 0o644)
+        except OSError as error:
+            raise unwritable(self._path, error) from error
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise AllanError(f'{self._mark}: is not a regular file, as a lock must be: remove it')
+        return handle
+
+
+def _try_to_lock(handle: int) -> bool:
+    """Lock an open file for this process; return False if another process has locked it."""
+    try:
+        import fcntl
+    except ImportError:
+        return _try_to_lock_on_windows(handle)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # a file system without locks: other owners cannot be detected
+    return True
+
+
+def _try_to_lock_on_windows(handle: int) -> bool:
+    try:
+        import msvcrt
+    except ImportError:
+        return True  # no locks on this system: other owners cannot be detected
+    os.lseek(handle, LOCKED_BYTE, os.SEEK_SET)
+    try:
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except OSError:
+        return False
+    return True
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Return whether the open file is the one that is at the path now."""
+    try:
+        return os.path.samestat(os.fstat(handle), os.stat(path))
+    except FileNotFoundError:
+        return False

@@ -18,13 +18,11 @@ from ..core.findings import finding
 from ..core.imu import SENSORS
 from .documents import RESULTS, SUMS, results_to_document, sums_file_to_document
 from .exporters import TARGETS, make_export, target_of
-from .files import write_together
-from .locks import PathLock
+from .files import PathLock, read_json, to_json, write_together
 from .plot_style import FORMATS, PictureSettings, load_style
 from .report import ReportContext, render_report
 from .results import Results
 from .signal_summary import summarize_signal
-from .text import read_json, to_json
 from .verdict import verdict_of
 
 SIGNAL_BINS = 1000

@@ -14,7 +14,7 @@ from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..io.checkpoint import Checkpoint
-from ..io.locks import PathLock
+from ..io.files import PathLock
 from ..io.recorded import Provenance
 from .snapshot import Total
 

@@ -30,9 +30,9 @@ from ..core.filters.noise_parameters import Variances, measured_variances, white
 from ..core.findings import Finding, finding
 from ..core.imu import SENSORS, ImuIdentity
 from ..io.documents import results_from_document
+from ..io.files import parse_json
 from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, without_gyro_bias
 from ..io.results import Results
-from ..io.text import parse_json
 from .diagnostics import key_values, message_of, status_name, worst_level
 from .imu_input import DrainedGroup, full_name
 from .node import AllanNode

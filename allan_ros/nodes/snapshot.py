@@ -17,8 +17,8 @@ from ..core.fields import Fields
 from ..core.imu import AXES
 from ..core.stream.means import Means
 from ..io.documents import sums_file_from_document, sums_file_to_document
+from ..io.files import parse_json
 from ..io.recorded import Provenance
-from ..io.text import parse_json
 
 Total = tuple[tuple[AllanSums, ...], Provenance]
 """Sums of an IMU over all runs of the node, and their provenance."""

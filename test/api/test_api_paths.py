@@ -11,8 +11,8 @@ import pytest
 from allan_ros.api import load, load_sums, results_of
 from allan_ros.core.errors import AllanError
 from allan_ros.io.documents import results_to_document, sums_file_to_document
+from allan_ros.io.files import to_json
 from allan_ros.io.results import Results
-from allan_ros.io.text import to_json
 
 
 def written(results: Results, folder: Path) -> Path:

@@ -18,8 +18,13 @@ from allan_ros.cli.main import main
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
-from allan_ros.io.reading import read_in_processes, read_in_turn
-from allan_ros.io.recorded import ReadJob, RecordingSums, read_recording
+from allan_ros.io.recorded import (
+    ReadJob,
+    RecordingSums,
+    read_in_processes,
+    read_in_turn,
+    read_recording,
+)
 
 
 @pytest.fixture(scope='module')

@@ -24,9 +24,9 @@ from allan_ros.io.documents import (
     sums_file_to_document,
 )
 from allan_ros.io.exporters import make_export
+from allan_ros.io.files import to_json
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums
-from allan_ros.io.text import to_json
 from allan_ros.io.verdict import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]

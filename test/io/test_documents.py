@@ -25,9 +25,9 @@ from allan_ros.io.documents import (
     sums_file_from_document,
     sums_file_to_document,
 )
+from allan_ros.io.files import read_json, to_json
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results
-from allan_ros.io.text import read_json, to_json
 
 
 def through_text(document: dict[str, Any]) -> dict[str, Any]:

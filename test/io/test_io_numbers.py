@@ -18,10 +18,10 @@ from allan_ros.io.documents import (
     sums_file_to_document,
 )
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
+from allan_ros.io.files import parse_json, to_json
 from allan_ros.io.plots import sensor_figure, to_png
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums
-from allan_ros.io.text import parse_json, to_json
 from fuzz.harness import check_line
 
 SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}

@@ -15,12 +15,12 @@ from types import SimpleNamespace
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.locks import PathLock
+from allan_ros.io.files import PathLock
 
 HOLD = """
 import sys
 from pathlib import Path
-from allan_ros.io.locks import PathLock
+from allan_ros.io.files import PathLock
 lock = PathLock(Path(sys.argv[1]))
 assert lock.acquire() == ''
 print('held', flush=True)

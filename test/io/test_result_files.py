@@ -14,7 +14,7 @@ import pytest
 
 import allan_ros as ar
 from allan_ros.core.errors import AllanError
-from allan_ros.io.locks import PathLock
+from allan_ros.io.files import PathLock
 from allan_ros.io.result_files import write_result_files
 
 FILTERS = ('imu.yaml', 'kalibr_imu_chain.yaml')

@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from allan_ros.core.errors import AllanError
+from allan_ros.io.files import MOST_BRACKETS, parse_yaml
 from allan_ros.io.readers.open import open_recordings
-from allan_ros.io.text import MOST_BRACKETS, parse_yaml
 
 LETTERS = 'abcdefghi'
 

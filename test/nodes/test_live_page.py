@@ -18,7 +18,7 @@ from rclpy.node import Node
 from support.chromium import Chromium, find_chromium
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.text import to_json
+from allan_ros.io.files import to_json
 from allan_ros.nodes.live_page import REFRESH_S, LivePage
 from allan_ros.nodes.snapshot import Snapshot
 

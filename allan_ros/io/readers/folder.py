@@ -114,7 +114,7 @@ def _described(path: Path) -> BagFiles:
     """Return what metadata.yaml states."""
     import yaml
 
-    from ..text import parse_yaml
+    from ..files import parse_yaml
 
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     first_bytes(path / METADATA)

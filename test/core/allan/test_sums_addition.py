@@ -13,8 +13,7 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums, add_sums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuIdentity
-from allan_ros.io.reading import add_recordings
-from allan_ros.io.recorded import RecordingSums
+from allan_ros.io.recorded import RecordingSums, add_recordings
 
 
 def sums(seed: int, axes: tuple[str, ...] = AXES, frame: str = 'imu', start: int = 0) -> AllanSums:
