@@ -30,6 +30,13 @@ RELIABLE = (
 """Parameters with which a played recording comes whole, at any speed."""
 
 
+def use_udp() -> None:
+    """Let all nodes of this run talk over UDP: a killed one may leave shared memory locked."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'  # as the profile has it
+    for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+        os.environ[variable] = str(ROOT / 'config' / 'fastdds' / 'loopback_udp.xml')
+
+
 class Process:
     """A Python process, with what it costs.
 
@@ -154,7 +161,7 @@ class Client:
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL) if keep_all else QoSProfile(depth=1000)
         publisher = self.node.create_publisher(Imu, 'imu/data', qos)
         handshake = Handshake(self.node, publisher, wanted)
-        while not handshake.update():
+        while not (handshake.update() and not handshake.silent()):
             self.spin(0.1)
         handshake.close()
         return publisher

@@ -81,9 +81,11 @@ class Handshake:
         """Return True once every subscriber has answered or timed out; ask the others again."""
         now = time.monotonic()
         known = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        done = True
-        for subscriber in known:
-            asked = self._asked.setdefault(bytes(subscriber.endpoint_gid), _Asked(now))
+        done, gids = True, [bytes(subscriber.endpoint_gid) for subscriber in known]
+        for gone in self._asked.keys() - gids:
+            self._remove(gone)
+        for gid, subscriber in zip(gids, known):
+            asked = self._asked.setdefault(gid, _Asked(now))
             if not asked.answered:
                 if subscriber.node_name != NAMELESS:
                     asked.name = f'{subscriber.node_namespace.rstrip("/")}/{subscriber.node_name}'
@@ -99,16 +101,20 @@ class Handshake:
                 asked.answered, asked.since, asked.last = False, time.monotonic(), float('-inf')
 
     def silent(self) -> tuple[str, ...]:
-        """Return the nodes that have not answered."""
+        """Return the nodes that subscribe and have not answered."""
         silent = (a.name or 'a nameless node' for a in self._asked.values() if not a.answered)
         return tuple(sorted(silent))
 
     def close(self) -> None:
         """Destroy the clients."""
-        for asked in self._asked.values():
-            if asked.client is not None:
-                self._node.destroy_client(asked.client)
-        self._asked = {}
+        for gid in list(self._asked):
+            self._remove(gid)
+
+    def _remove(self, gid: bytes) -> None:
+        """Remove a subscriber and destroy its client."""
+        client = self._asked.pop(gid).client
+        if client is not None:
+            self._node.destroy_client(client)
 
     def _ask(self, asked: _Asked, now: float) -> None:
         if asked.client is None:

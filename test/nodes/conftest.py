@@ -1,6 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real nodes in real processes over real DDS, each test in a ROS domain of its own."""
+"""Real nodes in real processes over real DDS, each test in a ROS domain of its own.
+
+Messages go over UDP on the loopback interface, not through shared memory: what a killed process
+leaves in ``/dev/shm`` stays there, Fast DDS names it by port, and its readers of
+``ros_discovery_info`` use the ports from 7000 in every domain. So tests that kill nodes could
+disturb other tests.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +66,7 @@ def _domains_of_processes() -> set[int]:
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Hold a ROS domain that nothing else on this machine uses, and keep to this machine."""
+    """Hold a ROS domain that nothing else on this machine uses, and keep to its loopback."""
     taken = _domains_of_processes()
     for domain in (d for d in itertools.islice(_ROUND, len(DOMAINS)) if d not in taken):
         lock = (Path(tempfile.gettempdir()) / f'allan_ros_test_domain_{domain}').open('w')
@@ -72,7 +78,9 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     else:
         raise RuntimeError('no free ROS domain')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SYSTEM_DEFAULT')  # as the profile has it
+    for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+        monkeypatch.setenv(variable, str(ROOT / 'config' / 'fastdds' / 'loopback_udp.xml'))
     yield domain
     lock.close()
 
