@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.compare import MARGIN
@@ -26,7 +24,7 @@ from .console import Console, width, wrapped
 from .options import add_settings, settings_of
 
 if TYPE_CHECKING:
-    from ..io.comparison import RunComparison, Subject
+    from ..io.comparison import RunComparison
 
 SENSOR_PREFIX = 'sensor:'
 
@@ -133,27 +131,13 @@ def run(args: argparse.Namespace) -> int:
     elif not (console.quiet and args.output):
         print('\n'.join(comparison_lines(comparison, args.units, width())))
     if args.output:
-        from ..io.comparison_files import write_comparison
+        from ..io.comparison_files import write_comparison, write_overlay
 
         written = write_comparison(args.output, comparison, args.units, pictures)
         if args.report:
-            written.append(_write_report(args.output, runs, args.margin, args.units))
+            written.append(write_overlay(args.output, runs, args.margin, args.units))
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
-
-
-def _write_report(folder: str, runs: Sequence[Subject], margin: float, units: str) -> Path:
-    """Write the report of the first run, with the curves of the other runs as overlays."""
-    from ..io.files import write_atomic
-    from ..io.report import ReportContext, render_report
-
-    first, *others = runs
-    others_by_label = {run.label: run.results for run in others}
-    results = replace(first.results, baselines=others_by_label, margin=margin)
-    context = ReportContext(method={'runs': ', '.join(run.label for run in runs)})
-    path = Path(folder) / 'report.html'
-    write_atomic(path, render_report(results, context, units))
-    return path
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:

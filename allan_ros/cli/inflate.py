@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '-o',
         '--output',
         metavar='DIR',
-        help='folder for inflation.json, and a table and pictures of both curves',
+        help='folder for inflation.json, report.html with both curves, and a table and pictures',
     )
     parser.add_argument(
         '--units',
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read both, show the factors, and write the files."""
     from ..api import inflate
-    from ..io.comparison import inflation_document
+    from ..io.comparison import inflation_document, inflation_facts
 
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
@@ -60,11 +60,14 @@ def run(args: argparse.Namespace) -> int:
     elif not (console.quiet and args.output):
         print(inflation)
     if args.output:
-        from ..io.comparison_files import write_comparison
+        from ..io.comparison_files import write_comparison, write_overlay
         from ..io.files import to_json, write_atomic
 
         pictures = settings_of(PictureSettings, args)
-        written = write_comparison(args.output, inflation.comparison, args.units, pictures)
+        comparison = inflation.comparison
+        written = write_comparison(args.output, comparison, args.units, pictures)
+        facts = dict(inflation_facts(inflation))
+        written.append(write_overlay(args.output, comparison.runs, units=args.units, facts=facts))
         path = written[0].parent / 'inflation.json'
         write_atomic(path, to_json(inflation_document(inflation)))
         names = ', '.join(one.name for one in (path, *written))

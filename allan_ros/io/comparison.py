@@ -355,6 +355,17 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
     }
 
 
+def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
+    """Yield the factor on N and K of each axis, and the values to use, as lines of a report."""
+    for name, axis in inflation.axes.items():
+        units = SI_UNITS[sensor_of(name)]
+        cells = [
+            f'{key} {significant(term.use, 4)} {units[key]} (x{term.factor:.2f})'
+            for key, term in (('N', axis.white), ('K', axis.walk))
+        ]
+        yield f'{name}, motors on', f'{"; ".join(cells)} over {inflation.horizons}'
+
+
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
     """Yield a table of N and K to use, then one of the ratio of the deviations over tau."""
     yield f'N and K for a filter, over {inflation.horizons}'

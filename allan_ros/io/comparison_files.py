@@ -12,7 +12,8 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from ..core.compare import Difference
+from ..core.compare import MARGIN, Difference
 from ..core.errors import one_line
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS, SI_UNITS, sensor_of
@@ -37,7 +38,7 @@ from .comparison import (
     verdict_text,
 )
 from .datasheets import VERDICT_TEXT
-from .files import to_json, write_together
+from .files import to_json, write_atomic, write_together
 from .format import SENSOR_NAMES, interval_text, pretty_unit, shown_unit, value_text
 from .plot_style import (
     FOOT_IN,
@@ -394,3 +395,37 @@ def _coefficients(comparison: RunComparison, pair: Pair, d: Difference) -> tuple
 
 def _cell(number: float | None) -> str:
     return '' if number is None or not math.isfinite(number) else repr(float(number))
+
+
+def write_overlay(
+    folder: str | os.PathLike[str],
+    runs: Sequence[Subject],
+    margin: float = MARGIN,
+    units: str = 'datasheet',
+    facts: Mapping[str, str] | None = None,
+) -> Path:
+    """Write report.html of the first run, with the curves of the others drawn over it.
+
+    Parameters
+    ----------
+    folder : path
+    runs : sequence of Subject
+    margin : float
+        As of `compare_runs`.
+    units : 'datasheet' or 'si'
+    facts : mapping, optional
+        Further lines about the comparison.
+
+    Returns
+    -------
+    Path
+    """
+    from .report import ReportContext, render_report
+
+    first, *others = runs
+    baselines = {run.label: run.results for run in others}
+    results = replace(first.results, baselines=baselines, margin=margin)
+    context = ReportContext(method={'runs': ', '.join(run.label for run in runs), **(facts or {})})
+    path = Path(folder) / 'report.html'
+    write_atomic(path, render_report(results, context, units))
+    return path
