@@ -5,10 +5,14 @@ PYTHON ?= python3
 PYTHON_FLOOR ?= python3.10
 DISTRO ?= jazzy
 VENV ?= .venv
-JOBS ?= 2
-
+# Two processes compute; the third runs the tests of the nodes, which wait most of the time.
+JOBS ?= 3
+HOURS ?= 2
+# Filters and another DDS, to read with them what is written; empty to leave them out.
+CONSUMERS ?= consumers
 TESTS ?= test
 
+PIP_OPTIONS := --quiet --no-compile --prefer-binary --disable-pip-version-check
 FLOOR := .venv-floor
 LINT := .venv-lint
 SITE := .venv-site
@@ -24,6 +28,9 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
+# pip leaves the compilation of modules to their first import, which has to keep its result.
+unexport PYTHONDONTWRITEBYTECODE
+
 # The matrices of a fit are small: more threads per process only cost time.
 export OPENBLAS_NUM_THREADS ?= 1
 
@@ -35,8 +42,8 @@ help:  ## show this help
 
 venv: $(VENV)/.ready  ## create the environment, with rclpy wheels where they exist
 
-demo: $(VENV)/.ready  ## simulate the paper's IMU, analyse it, show found against true
-	$(VENV)/bin/python scripts/demo.py demo
+demo: $(VENV)/.ready  ## simulate the IMU of a paper (HOURS=2), analyse it, show found against true
+	$(VENV)/bin/python scripts/demo.py demo --hours $(HOURS)
 
 test: unit lint  ## run all tests, then check style and types
 
@@ -66,7 +73,7 @@ soak: $(VENV)/.ready  ## a month as fast as it goes, half an hour as it comes
 	$(VENV)/bin/python bench/bench_soak.py
 
 audit: $(VENV)/.ready  ## list what is installed with its licences, ask PyPI for vulnerabilities
-	$(VENV)/bin/python -m pip install --quiet --editable '.[audit]'
+	$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable '.[audit]'
 	$(VENV)/bin/python scripts/audit.py
 
 docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
@@ -98,28 +105,28 @@ $(foreach each,$(VENV) $(LINT) $(SITE),$(eval $(call runs,$(each))))
 $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO)) && \
-		$(VENV)/bin/python -m pip install --quiet --editable ".[$$extras]"
+	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO) $(CONSUMERS)) && \
+		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".[$$extras]"
 	touch $@
 
 # Types of a numpy that is newer than the oldest Python are only read, never run.
 $(LINT)/.ready: Makefile
 	rm -rf $(LINT)
 	$(PYTHON) -m venv $(LINT)
-	$(LINT)/bin/python -m pip install --quiet $(LINT_PINS)
+	$(LINT)/bin/python -m pip install $(PIP_OPTIONS) $(LINT_PINS)
 	packages=$$($(LINT)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') && \
-		$(LINT)/bin/python -m pip install --quiet --target "$$packages" --no-deps \
+		$(LINT)/bin/python -m pip install $(PIP_OPTIONS) --target "$$packages" --no-deps \
 		--ignore-requires-python --only-binary=:all: --python-version 3.11 $(LINT_TYPES)
 	touch $@
 
 $(SITE)/.ready: Makefile
 	rm -rf $(SITE)
 	$(PYTHON) -m venv $(SITE)
-	$(SITE)/bin/python -m pip install --quiet 'mkdocs-material>=9.5,<10'
+	$(SITE)/bin/python -m pip install $(PIP_OPTIONS) 'mkdocs-material>=9.5,<10'
 	touch $@
 
 $(FLOOR)/.ready: setup.py pyproject.toml
 	rm -rf $(FLOOR)
 	$(PYTHON_FLOOR) -m venv $(FLOOR)
-	$(FLOOR)/bin/python -m pip install --quiet --editable '.[test]' $(FLOOR_PINS)
+	$(FLOOR)/bin/python -m pip install $(PIP_OPTIONS) --editable '.[test]' $(FLOOR_PINS)
 	touch $@

@@ -1,8 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Prints the extras that `make venv` installs on this machine: ROS wheels where they exist.
+"""Print the extras that `make venv` installs on this machine: ROS wheels where they exist.
 
-usage: venv_extras.py DISTRO
+usage: venv_extras.py DISTRO [EXTRA ...]
+
+The given extras are added where there are ROS wheels.
 """
 
 import importlib.util
@@ -12,7 +14,7 @@ import sys
 
 def main() -> None:
     """Print the extras on stdout, and on stderr why the nodes cannot run if they cannot."""
-    distro = sys.argv[1]
+    distro, *more = sys.argv[1:]
     extras = ['test']
     if importlib.util.find_spec('rclpy'):
         print('rclpy of the sourced ROS installation is used', file=sys.stderr)
@@ -22,7 +24,7 @@ def main() -> None:
         and sys.platform == 'linux'
         and platform.machine() == 'x86_64'
     ):
-        extras += [distro, 'consumers']
+        extras += [distro, *more]
     else:
         print(
             f'no rclpy wheels for {platform.python_implementation()} '

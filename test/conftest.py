@@ -1,16 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What tests of all rooms share."""
+"""Fixtures that tests of several packages share."""
 
 from __future__ import annotations
 
 import os
+import pickle
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.fit import NoiseModel
+from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
@@ -18,12 +22,22 @@ from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums
 
-# How long an example takes says something of the machine, nothing of the law.
+# The time an example takes depends on the machine, not on the law that is tested.
 settings.register_profile('allan_ros', deadline=None)
 settings.load_profile('allan_ros')
 
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run the tests of one file in one worker, which keeps its fixtures and fits.
+
+    All tests of ROS graphs run in one worker, too: two graphs at a time starve each other.
+    """
+    for item in items:
+        group = 'graphs' if item.path.parent.name == 'nodes' else str(item.path.relative_to(ROOT))
+        item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture(scope='session')
@@ -43,6 +57,27 @@ def shared_data() -> Path:
     if not (shared / 'data').is_dir():
         pytest.skip('skipped: no shared data')
     return shared / 'data'
+
+
+_fits: dict[bytes, tuple[AllanSums, NoiseModel]] = {}
+
+
+def fit_once(
+    sums: AllanSums, method: str = 'gls', settle: bool = True
+) -> tuple[AllanSums, NoiseModel]:
+    """Return `fit_stationary` of the arguments; equal arguments are fitted once per process."""
+    key = pickle.dumps((sums, method, settle))
+    if key not in _fits:
+        _fits[key] = fit_stationary(sums, method, settle)
+    return _fits[key]
+
+
+@pytest.fixture(autouse=True, scope='session')
+def each_fit_is_computed_once() -> Iterator[None]:
+    """Most tests analyse one of a few recordings, and most of their time would be the same fits."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('allan_ros.io.results.fit_stationary', fit_once)
+        yield
 
 
 GYRO = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6)
@@ -66,6 +101,6 @@ def small_run() -> tuple[AllanSums, Provenance]:
 
 @pytest.fixture(scope='session')
 def small_results(small_run: tuple[AllanSums, Provenance]) -> Results:
-    """Return what the default method says of `small_run`."""
+    """Return the results of `small_run` by the default method."""
     sums, provenance = small_run
     return analyse_sums([sums], provenance)

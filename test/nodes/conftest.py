@@ -45,13 +45,6 @@ PATIENCE_S = 60.0
 """How long anything may take before it counts as never: a loaded machine is slow."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run all tests of ROS graphs in one worker: two graphs at a time starve each other."""
-    for item in items:
-        if item.path.parent == Path(__file__).parent:
-            item.add_marker(pytest.mark.xdist_group('graphs'))
-
-
 def _domains_of_processes() -> set[int]:
     """Return the domains of running processes: nodes that a killed test run left behind, too."""
     found = set()
