@@ -12,9 +12,9 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ..core.allan.recent import Change, RecentCurve
+from ..core.allan.recent import RecentNoise
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison
+from ..core.compare import Comparison, Difference
 from ..core.errors import one_line
 from ..core.findings import Finding, finding
 from ..core.fit.duration import recommended_duration
@@ -182,8 +182,8 @@ class AxisView:
     """What the status of one axis shows.
 
     ``sums`` is None before there are any, ``result`` before the first fit; ``problems`` are a
-    failed fit and a withdrawn model; ``change`` is None unless the noise changed by more than the
-    margin; ``noted`` are findings of the fit that do not change the level.
+    failed fit and a withdrawn model; ``changes`` are the differences of the recent noise from the
+    former; ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -194,8 +194,8 @@ class AxisView:
     problems: tuple[Finding, ...]
     comparisons: tuple[Comparison, ...]
     margin: float
-    recent: RecentCurve | None
-    change: Change | None
+    recent: RecentNoise | None
+    changes: tuple[Difference, ...]
     noted: tuple[Finding, ...] = ()
 
 
@@ -263,19 +263,19 @@ def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, 
 
 def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
     """Return the ratio of recent to former deviation at a few averaging times."""
-    curve = view.recent
-    if curve is None:
-        return []
-    column = curve.axes.index(view.axis)
     pairs: list[tuple[str, object]] = []
-    for row in sorted({int(np.abs(np.log(curve.tau / tau)).argmin()) for tau in RECENT_TAUS_S}):
-        ratio, low, high = (
-            a[row, column] for a in (curve.ratio, curve.ratio_low, curve.ratio_high)
-        )
-        if np.isfinite(ratio):
-            key = f'recent / former deviation at {significant(float(curve.tau[row]), 2)} s'
-            pairs.append((key, f'{ratio:.3f} ({low:.3f}..{high:.3f})'))
-    return pairs
+    for tau in RECENT_TAUS_S:
+        d = _nearest(view.changes, tau)
+        if d is not None and d.tau and d.ci95:
+            key = f'recent / former deviation at {significant(d.tau, 2)} s'
+            pairs.append((key, f'{d.ratio:.3f} ({d.ci95[0]:.3f}..{d.ci95[1]:.3f})'))
+    return list(dict(pairs).items())
+
+
+def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
+    """Return the difference of deviations at the averaging time nearest to ``tau``."""
+    known = [d for d in changes if d.tau and d.ratio]
+    return min(known, key=lambda d: abs(math.log((d.tau or tau) / tau)), default=None)
 
 
 def _limit_findings(view: AxisView) -> list[Finding]:
@@ -288,37 +288,44 @@ def _limit_findings(view: AxisView) -> list[Finding]:
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
-    change = view.change
-    if change is None:
+    """Return the finding of a step of the level that is significant and beyond the margin."""
+    recent = view.recent
+    if recent is None or recent.since_s is None:
         return []
-    term = _dominant_term(view.result, change.m)
+    step = _nearest(view.changes, recent.tau or 0.0)
+    if not step or not step.first or not step.ratio or not step.tau or not step.ci95:
+        return []
+    if not step.beyond(view.margin):
+        return []
+    term = _dominant_term(view, step.tau)
     if term in ('N', 'Q'):
+        # N = sigma sqrt(tau) and Q = sigma tau / sqrt(3): IEEE Std 952-1997, C.1.1 and C.1.2
+        factor = {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
         what, unit = term, shown_unit(view.axis, term, 'datasheet')
-        before, after = change.in_terms_of(term)
     else:  # the window is too short for K and R, and B has no averaging time of its own
-        what = f'the deviation at {significant(change.tau, 2)} s'
+        what, factor = f'the deviation at {significant(step.tau, 2)} s', 1.0
         unit = shown_unit(view.axis, 'B', 'datasheet')
-        before, after = change.before, change.after
-    low, high = change.ratio_ci95
+    before = step.first * factor * unit.factor
+    low, high = step.ci95
     return [
         finding(
             'noise_changed',
             what=what,
-            verb='rose' if change.after > change.before else 'fell',
-            before=f'{significant(before * unit.factor, 3)}',
-            after=f'{significant(after * unit.factor, 3)} {unit.name}',
-            ago=duration_text(change.since_s),
+            verb='rose' if step.ratio > 1.0 else 'fell',
+            before=f'{significant(before, 3)}',
+            after=f'{significant(before * step.ratio, 3)} {unit.name}',
+            ago=duration_text(recent.since_s),
             low=low,
             high=high,
         )
     ]
 
 
-def _dominant_term(result: AxisResult | None, m: int) -> str:
-    """Return the term that contributes most to the fitted curve at m; '' before a fit."""
-    if result is None:
+def _dominant_term(view: AxisView, tau: float) -> str:
+    """Return the term that contributes most to the fitted curve at tau; '' before a fit."""
+    if view.result is None or view.sums is None or not view.sums.tau0:
         return ''
-    parts = result.part_adev(np.array([m]))
+    parts = view.result.part_adev(np.array([max(1, round(tau / view.sums.tau0))]))
     return max(parts, key=lambda name: float(parts[name][0]), default='')
 
 

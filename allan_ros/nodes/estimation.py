@@ -17,9 +17,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ..core.allan.recent import Change, RecentCurve, RecentView
+from ..core.allan.curve import AllanCurve
+from ..core.allan.recent import RecentNoise, recent_noise
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison
+from ..core.compare import Comparison, DeviationCurve, Difference, Measured, differences
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
@@ -120,9 +121,8 @@ class ImuEstimate:
         self._outdated = False  # whether the fit in progress is of sums that were replaced
         self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
-        self._recent: dict[tuple[str, ...], RecentView] = {}
-        self._curves: dict[tuple[str, ...], RecentCurve | None] = {}
-        self._changes: dict[str, Change] = {}
+        self._recent: dict[str, RecentNoise] = {}
+        self._changes: dict[str, tuple[Difference, ...]] = {}
         home = f'~/{label}/' if label else '~/'
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
         self._bias = BiasPublisher(node, home, settings.value)
@@ -194,7 +194,6 @@ class ImuEstimate:
     ) -> DiagnosticStatus:
         margin = self._settings.value.margin
         fit = self._results.axes.get(axis) if self._results else None
-        change = self._changes.get(axis)
         view = AxisView(
             axis=axis,
             sums=sums,
@@ -204,8 +203,8 @@ class ImuEstimate:
             problems=tuple(f for f in (self._failed, self._withdrawn) if f is not None),
             comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
-            recent=self._curves.get(sums.axes) if sums is not None else None,
-            change=change if change and change.beyond(margin) else None,
+            recent=self._recent.get(axis),
+            changes=self._changes.get(axis, ()),
             noted=self._noted(axis),
         )
         name = status_name(self._node, self._label, frame_id, axis.replace('_', ' '))
@@ -270,20 +269,15 @@ class ImuEstimate:
 
     def _compare_recent(self, sums: tuple[AllanSums, ...]) -> None:
         """Compare the recent window with the time before it."""
-        now = self._node.get_clock().now().nanoseconds * 1e-9
-        self._recent = {s.axes: self._recent.get(s.axes) or self._new_recent() for s in sums}
-        self._curves, self._changes = {}, {}
-        for s in sums:
-            recent = self._recent[s.axes]
-            recent.update(s, now)
-            self._curves[s.axes] = recent.curve()
-            for change in recent.changes():
-                known = self._changes.get(change.axis)
-                if known is None or change.likelihood_ratio > known.likelihood_ratio:
-                    self._changes[change.axis] = change
-
-    def _new_recent(self) -> RecentView:
-        return RecentView(self._settings.value.recent_window)
+        window = self._settings.value.recent_window
+        self._recent = {axis: one for s in sums for axis, one in recent_noise(s, window).items()}
+        before, recent = (
+            {axis: _measured(getattr(one, side)) for axis, one in self._recent.items()}
+            for side in ('before', 'recent')
+        )
+        windows = 1.0 + max((s.elapsed_ns for s in sums), default=0) * 1e-9 / window
+        found = differences([(before, recent)], windows * (windows + 1.0))[0]
+        self._changes = {a: tuple(d for d in found if d.axis == a) for a in self._recent}
 
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._snapshot is None or not self._snapshot.sums:
@@ -353,6 +347,12 @@ class SumsInput:
             self._node.fault('sums', error)
         else:
             self._problem = ''
+
+
+def _measured(curve: AllanCurve) -> Measured:
+    """Return the curve of one axis as a quantity to compare."""
+    columns = (curve.adev, curve.ci_low, curve.ci_high)
+    return Measured(None, DeviationCurve(curve.tau, *(column[:, 0] for column in columns)))
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -15,7 +16,7 @@ from support.sums import sums_of
 
 from allan_ros.core.allan.curve import allan_curve, edf
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
-from allan_ros.core.allan.recent import RecentView
+from allan_ros.core.allan.recent import recent_noise
 from allan_ros.core.allan.sums import (
     LEAST_VARIANCE,
     MAX_LEVELS,
@@ -171,13 +172,14 @@ def test_degrees_of_freedom_do_not_wrap_round(exponent: int) -> None:
         assert edf(0, 1, 1, [each], [number]) == pytest.approx(2 / 3 * 10**exponent, rel=1e-5)
 
 
-def test_the_recent_view_after_decades_is_of_numbers() -> None:
-    view, sums = RecentView(100.0), sums_in_theory(DECADES)
-    view.update(sums, 0.0)
-    view.update(sums + sums_in_theory(10**6), 50.0)
-    curve = view.curve()
-    assert curve is not None and not np.any(curve.adev < 0.0)
-    assert view.changes() == []
+def test_the_recent_noise_after_decades_is_of_numbers() -> None:
+    sums = sums_of(np.random.default_rng(0).normal(size=(4000, 1)))
+    length = 1 << 50
+    one = sums.history.recordings[0]
+    long = replace(one, length=length, samples=length, period_begin=one.period_begin << 38)
+    history = replace(sums.history, recordings=(long,))
+    noise = recent_noise(replace(sums, history=history), 5e12)['gyro_x']
+    assert not np.any(noise.before.adev <= 0.0) and noise.since_s is None
 
 
 # --- exact arithmetic ---------------------------------------------------------------------------

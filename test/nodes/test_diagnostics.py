@@ -13,8 +13,8 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from allan_ros.core.allan.recent import Change
-from allan_ros.core.compare import Comparison
+from allan_ros.core.allan.recent import recent_noise
+from allan_ros.core.compare import Comparison, Difference
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
 from allan_ros.core.imu import ImuBatch
@@ -44,7 +44,7 @@ def fit(**noise: Coefficient) -> AxisResult:
 
 
 def status_of(sums, **changes) -> DiagnosticStatus:
-    view = AxisView('gyro_z', sums, fit(), 'gls', 3.0, (), (), 0.2, None, None)
+    view = AxisView('gyro_z', sums, fit(), 'gls', 3.0, (), (), 0.2, None, ())
     return axis_status('node: imu gyro z', 'imu', replace(view, **changes))
 
 
@@ -117,8 +117,10 @@ def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):
 
 def test_a_change_is_told_in_the_coefficient_that_rules_there(sums):
     tau = 0.04
-    change = Change('gyro_z', 8, tau, N / tau**0.5, 1.5 * N / tau**0.5, (1.48, 1.52), 2400.0, 99.0)
-    status = status_of(sums, change=change)
+    recent = replace(recent_noise(sums, 60.0)['gyro_z'], since_s=2400.0, tau=tau)
+    ratio = (1.48, 1.52)
+    step = Difference('gyro_z', 'adev', tau, N / tau**0.5, 1.5, ratio, 1e-20, 'higher')
+    status = status_of(sums, recent=recent, changes=(step,))
     assert status.level == DiagnosticStatus.WARN
     assert status.message.startswith(
         'N rose from 0.200 to 0.300 deg/sqrt(h) 40.0 min ago (ratio 1.48..1.52)'
@@ -126,8 +128,10 @@ def test_a_change_is_told_in_the_coefficient_that_rules_there(sums):
     flicker = Coefficient(1.0, (0.9, 1.1))
     assert (
         'the deviation at 0.040 s rose from'
-        in status_of(sums, change=change, result=fit(B=flicker)).message
+        in status_of(sums, recent=recent, changes=(step,), result=fit(B=flicker)).message
     )
+    for quiet in (replace(step, verdict='alike'), replace(step, ci95=(1.1, 1.9))):
+        assert status_of(sums, recent=recent, changes=(quiet,)).level == DiagnosticStatus.OK
 
 
 def view(**changes) -> InputView:

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus
 from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 
-from allan_ros.core.allan.recent import RecentView
+from allan_ros.core.allan.recent import recent_noise
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.transport import TransportStatistics
@@ -32,12 +32,10 @@ def check_status(status: DiagnosticStatus) -> None:
 def test_of_an_axis(make: Callable[[], AllanSums], method: str) -> None:
     sums = make()
     results = analyse_sums([sums], Provenance(), method)
-    recent = RecentView(10.0)
-    recent.update(sums, 0.0)
-    recent.update(sums + sums, 5.0)
+    recent = recent_noise(sums, 10.0)
     for axis, result in results.axes.items():
         for fitted in (None, result):
-            view = AxisView(axis, sums, fitted, method, 1e300, '', (), 0.2, recent.curve(), None)
+            view = AxisView(axis, sums, fitted, method, 1e300, '', (), 0.2, recent.get(axis), ())
             check_status(axis_status('node: imu', 'imu', view))
 
 
