@@ -58,8 +58,7 @@ class Receiver:
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import Imu
 
-        from allan_ros.nodes.imu_input import DrainedGroup
-        from allan_ros.nodes.qos import NO_CALLBACKS
+        from allan_ros.nodes.imu_input import NO_CALLBACKS, DrainedGroup
 
         self.latencies_ns: list[int] = []
         self._handle = client.node.create_subscription(

@@ -74,7 +74,7 @@ def _fit() -> None:
     from std_msgs.msg import String
     from std_srvs.srv import Trigger
 
-    from allan_ros.nodes.qos import LATCHED
+    from allan_ros.nodes.shell import LATCHED
 
     rclpy.init()
     node = rclpy.create_node('demo')

@@ -5,35 +5,27 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 
-EXECUTABLES = ('accumulator', 'estimator', 'monitor', 'relay', 'player', 'watch')
+EXECUTABLES = {
+    'accumulator': ('monitor', 'accumulator'),
+    'estimator': ('monitor', 'estimator'),
+    'monitor': ('monitor', 'main'),
+    'relay': ('monitor', 'relay'),
+    'player': ('player', 'main'),
+    'watch': ('watch', 'main'),
+}
+"""Name -> module and function."""
 
 
 def main() -> int:
     """Run the node that the first argument names."""
-    name = sys.argv[1] if len(sys.argv) > 1 else ''
-    if name not in EXECUTABLES:
+    if sys.argv[1:2] == [] or sys.argv[1] not in EXECUTABLES:
         print(f'usage: python -m allan_ros.nodes {{{",".join(EXECUTABLES)}}} ...', file=sys.stderr)
         return 2
-    args = sys.argv[2:]
-    if name == 'player':
-        from . import player
-
-        return player.main(args)
-    if name == 'watch':
-        from . import watch
-
-        return watch.main(args)
-    from . import monitor
-
-    if name == 'monitor':
-        return monitor.main(args)
-    run = {
-        'accumulator': monitor.accumulator,
-        'estimator': monitor.estimator,
-        'relay': monitor.relay,
-    }
-    return run[name](args)
+    module, function = EXECUTABLES[sys.argv[1]]
+    code: int = getattr(import_module(f'.{module}', __package__), function)(sys.argv[2:])
+    return code
 
 
 if __name__ == '__main__':

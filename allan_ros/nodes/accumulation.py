@@ -30,9 +30,8 @@ from .checkpointing import CheckpointKeeper
 from .diagnostics import InputView, input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
 from .node import AllanNode
-from .qos import LATCHED
 from .settings import CheckpointSettings, InputSettings
-from .shell import Periodic
+from .shell import LATCHED, Periodic
 from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
 
 LIVE_COUNTERPARTS = frozenset(('gaps',))

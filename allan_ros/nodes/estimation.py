@@ -28,8 +28,6 @@ from ..core.imu import SI_UNITS, sensor_of
 from ..io.datasheets import Datasheet, load_sensor
 from ..io.documents import load, results_to_document
 from ..io.results import Results, analyse_sums
-from .allan_plot import AllanPlot
-from .bias import BiasPublisher
 from .diagnostics import (
     NOTED,
     AxisView,
@@ -40,10 +38,10 @@ from .diagnostics import (
     worst_level,
 )
 from .node import AllanNode
+from .outputs import AllanPlot, BiasPublisher
 from .parameters import ParameterGroup
-from .qos import LATCHED
 from .settings import EstimatorSettings
-from .shell import Worker
+from .shell import LATCHED, Worker
 from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
 
 FIT_SHARE = 0.05

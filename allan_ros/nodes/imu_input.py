@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import (
     HistoryPolicy,
@@ -36,8 +37,20 @@ from ..core.imu import ImuBatch
 from ..core.stream.transport import TransportStatistics
 from ..io.readers.cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
 from ..io.readers.recording import ACCEL_UNITS, GYRO_UNITS
-from .qos import NO_CALLBACKS, QosEvents, qos_text
 from .settings import InputSettings
+
+try:
+    from rclpy.event_handler import (
+        QoSSubscriptionEventType,
+        SubscriptionEventCallbacks,
+        UnsupportedEventTypeError,
+    )
+except ImportError:  # Humble
+    from rclpy.qos_event import (
+        QoSSubscriptionEventType,
+        SubscriptionEventCallbacks,
+        UnsupportedEventTypeError,
+    )
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
@@ -54,6 +67,21 @@ FIRST_NUMBER = 1
 """Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
 
 
+EVENTS = {
+    'reported_lost': QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
+    'incompatible_qos': QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
+}
+"""Field of `TransportStatistics` -> the event that counts it."""
+
+NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""Keeps rclpy from adding events to the wait set."""
+
+_EVENT_HANDLE: Any = getattr(
+    rclpy_implementation, 'EventHandle', getattr(rclpy_implementation, 'QoSEvent', None)
+)
+"""rclpy's handle of an event; the second name is that of Humble."""
+
+
 class DrainedGroup(CallbackGroup):
     """A callback group that never executes, so its subscription stays out of the wait set."""
 
@@ -67,6 +95,44 @@ class DrainedGroup(CallbackGroup):
 
     def ending_execution(self, entity: Any) -> None:
         """Do nothing, because nothing is ever executed."""
+
+
+def qos_text(qos: QoSProfile) -> str:
+    """Return the reliability and history of a QoS profile, for the log."""
+    history = qos.history.name.lower()
+    depth = f' {qos.depth}' if history == 'keep_last' else ''
+    return f'{qos.reliability.name.lower()}, {history}{depth}'
+
+
+class QosEvents:
+    """Event totals of a subscription, polled; events that the middleware lacks stay zero.
+
+    With an event of a reader in its wait set, the executor wakes for every unread message in the
+    queue of that reader (Fast DDS), which is a busy loop where a timer drains the queue.
+    """
+
+    def __init__(self, subscription: Subscription) -> None:
+        self._events: dict[str, Any] = {}
+        for name, kind in EVENTS.items() if _EVENT_HANDLE is not None else ():
+            try:
+                with subscription.handle:
+                    self._events[name] = _EVENT_HANDLE(subscription.handle, kind)
+            except UnsupportedEventTypeError:
+                continue
+
+    def poll(self, statistics: TransportStatistics) -> None:
+        """Update the counts."""
+        for name, event in self._events.items():
+            with event:
+                data = event.take_event()
+            if data is not None:
+                setattr(statistics, name, data.total_count)
+
+    def destroy(self) -> None:
+        """Release the handles; call it before the subscription is destroyed."""
+        for event in self._events.values():
+            event.destroy_when_not_in_use()
+        self._events = {}
 
 
 class ImuInput:

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from ..core.errors import AllanError
 from ..io.report import ReportContext, render_report
 from ..io.results import analyse_sums
-from .qos import LATCHED
+from .shell import LATCHED
 from .snapshot import Snapshot
 
 HOST = '127.0.0.1'

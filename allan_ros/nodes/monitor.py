@@ -8,7 +8,7 @@ Each node is a list of parts; the monitor has all of them in one process, for on
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ..core.errors import AllanError
 from .accumulation import ImuWatch, Settings
@@ -98,37 +98,30 @@ class Monitor(AllanNode):
         self.begin([*parts, push], does, settings.input.value.drain_period)
 
 
-def accumulator(args: Sequence[str] | None = None) -> int:
-    """Run `allan_accumulator`."""
-    parser = ros_parser('allan_accumulator', 'Accumulate the Allan sums of one IMU.')
-    return run('allan_accumulator', lambda _stop, _options: Accumulator(), parser, args)
+def _executable(make: Callable[[], AllanNode], name: str, does: str) -> Callable[..., int]:
+    """Return the main function of a node that is configured by ROS arguments only."""
+
+    def main(args: Sequence[str] | None = None) -> int:
+        return run(name, lambda _stop, _options: make(), ros_parser(name, does), args)
+
+    return main
 
 
-def estimator(args: Sequence[str] | None = None) -> int:
-    """Run `allan_estimator`."""
-    parser = ros_parser(
-        'allan_estimator', 'Estimate noise coefficients from the sums of an allan_accumulator.'
-    )
-    return run('allan_estimator', lambda _stop, _options: Estimator(), parser, args)
-
-
-def relay(args: Sequence[str] | None = None) -> int:
-    """Run `allan_imu_relay`."""
-    parser = ros_parser(
-        'allan_imu_relay', 'Republish an Imu topic with covariances from its noise model.'
-    )
-    return run('allan_imu_relay', lambda _stop, _options: Relay(), parser, args)
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run `allan_monitor`."""
-    parser = ros_parser(
-        'allan_monitor',
-        'Accumulate the Allan sums of one or several IMUs, estimate their noise coefficients on '
-        '/diagnostics, and relay them with covariances if relay.enabled is true.',
-    )
-    return run('allan_monitor', lambda _stop, _options: Monitor(), parser, args)
-
+accumulator = _executable(Accumulator, 'allan_accumulator', 'Accumulate the Allan sums of one IMU.')
+estimator = _executable(
+    Estimator,
+    'allan_estimator',
+    'Estimate noise coefficients from the sums of an allan_accumulator.',
+)
+relay = _executable(
+    Relay, 'allan_imu_relay', 'Republish an Imu topic with covariances from its noise model.'
+)
+main = _executable(
+    Monitor,
+    'allan_monitor',
+    'Accumulate the Allan sums of one or several IMUs, estimate their noise coefficients on '
+    '/diagnostics, and relay them with covariances if relay.enabled is true.',
+)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -34,11 +34,11 @@ from ..io.files import parse_json
 from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, without_gyro_bias
 from ..io.results import Results
 from .diagnostics import key_values, message_of, status_name, worst_level
-from .imu_input import DrainedGroup, full_name
+from .imu_input import NO_CALLBACKS, DrainedGroup, full_name, qos_text
 from .node import AllanNode
 from .parameters import ParameterGroup
-from .qos import LATCHED, NO_CALLBACKS, qos_text
 from .settings import RelaySettings
+from .shell import LATCHED
 
 WAIT_NS = 100_000_000
 """How long the thread waits for a message before it checks whether it should end."""

@@ -20,6 +20,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
@@ -86,6 +87,9 @@ def _give_memory_back() -> None:
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Reliable, and late subscribers receive the last message: for sums and noise model."""
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """Clock of all timers: neither a paused ``/clock`` nor a wall-clock step stops them."""

@@ -68,7 +68,7 @@ def test_an_estimator_without_sums_says_so(graph):
 def test_sums_that_cannot_be_read_are_survived(graph):
     from std_msgs.msg import String
 
-    from allan_ros.nodes.qos import LATCHED
+    from allan_ros.nodes.shell import LATCHED
 
     graph.start('estimator', **{'publish.diagnostics_period': 0.2})
     publisher = graph.node.create_publisher(String, 'sums', LATCHED)
