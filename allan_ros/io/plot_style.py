@@ -191,10 +191,15 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
         )
 
 
+SUPERSCRIPT = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
+"""Digits of an exponent, which need no mathematical typesetting."""
+
+
 def tick_text(value: float) -> str:
     """Return the label of a tick: plain where that is short, else as a power of ten."""
     if 1e-3 <= value < 1e5:
         return f'{value:g}'
     exponent = int(np.floor(np.log10(value) + 1e-9))
     digit = round(value / 10.0**exponent)
-    return rf'$10^{{{exponent}}}$' if digit == 1 else rf'${digit}\cdot10^{{{exponent}}}$'
+    power = f'10{str(exponent).translate(SUPERSCRIPT)}'
+    return power if digit == 1 else f'{digit}·{power}'

@@ -91,12 +91,10 @@ def draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> N
         panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
     reach = ABOVE_SIGNAL * unit.factor * float(summary.reach[column])
     panel.set_ylim(-reach, reach)
-    panel.set_title(
-        f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
-        size=SMALL,
-        loc='left',
-        pad=2.0,
-    )
+    panel.text(  # a title would be moved around the tick labels, which takes time
+        0.0, 1.02, f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
+        size=SMALL, transform=panel.transAxes,
+    )  # fmt: skip
     panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
     panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
     panel.set_axisbelow(True)
@@ -126,6 +124,10 @@ LIMIT_ALPHA = 0.06
 
 PNG_DPI = 200
 """Dots per inch of the PNG: sharp on a page of print and on a screen."""
+
+
+PNG_LEVEL = 3
+"""Of zlib: a third of the time of its default for a file that is 7 % larger."""
 
 
 class _ShownFigure(Figure):
@@ -220,7 +222,8 @@ def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']
     file = io.BytesIO()
     with rc_context({**RC, **style}):
         dpi = rcParams['savefig.dpi'] if 'savefig.dpi' in style else PNG_DPI
-        figure.savefig(file, format=form, dpi=dpi, metadata=metadata[form])
+        quick = {'pil_kwargs': {'compress_level': PNG_LEVEL}} if form == 'png' else {}
+        figure.savefig(file, format=form, dpi=dpi, metadata=metadata[form], **quick)
     return file.getvalue()
 
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from ..errors import AllanError
 from ..noise import FLICKER_FLOOR, NoiseTerms, ProcessModel, gauss_markov_avar
@@ -156,6 +155,8 @@ def flicker_processes(
     taus = np.geomspace(shortest, LONGEST_FLICKER_S, FLICKER_PROCESSES)
     tau = np.geomspace(1.3 * taus[0], 2.0 * taus[-1], 40)
     columns = np.stack([gauss_markov_avar(tau, one) / FLICKER_FLOOR for one in taus], axis=1)
+    from scipy.optimize import nnls  # slow to import, and most targets do without
+
     weights, _ = nnls(columns, np.ones_like(tau))
     return tuple(
         (bias_instability * math.sqrt(weight), float(one)) for weight, one in zip(weights, taus)
