@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support.chromium import Chromium, find_chromium
 
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import NoiseModel
@@ -78,6 +79,17 @@ def each_fit_is_computed_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('allan_ros.io.results.fit_stationary', fit_once)
         yield
+
+
+@pytest.fixture(scope='session')
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    """Return a real browser; without one the test is skipped."""
+    found = find_chromium()
+    if found is None:
+        pytest.skip('skipped: no Chromium')
+    chromium = Chromium(found, tmp_path_factory.mktemp('chromium'))
+    yield chromium
+    chromium.close()
 
 
 GYRO = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6)

@@ -12,9 +12,11 @@ from ..core.compare import Comparison
 from ..core.compare import Verdict as LimitVerdict
 from ..core.findings import grouped
 from ..core.fit import TERMS
+from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
 from ..io.format import (
+    deviation_text,
     interval_text,
     region_text,
     shown_unit,
@@ -78,8 +80,8 @@ LABEL, GAP = 16, 2
 """Characters of the first column, and between the columns of two axes."""
 
 
-MISFIT, NOTHING = 'misfit', '-'
-"""Label of the last row, which is left out where the five terms describe every curve."""
+DEVIATION, NOTHING = 'deviation', '-'
+"""Label of the last row, which is left out where the model describes every curve well."""
 
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
@@ -171,7 +173,7 @@ def _legend(results: Results) -> str:
 
 def _labels(sensor: str, units: str) -> list[str]:
     terms = [f'{term} {shown_unit(sensor, term, units).name}' for term in TERMS]
-    return [sensor, *terms, MISFIT]
+    return [sensor, *terms, DEVIATION]
 
 
 def _column(results: Results, axis: str, units: str) -> list[str]:
@@ -180,7 +182,8 @@ def _column(results: Results, axis: str, units: str) -> list[str]:
     for term in TERMS:
         unit, coefficient = shown_unit(axis, term, units), fit.noise[term]
         cells.append(f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}')
-    return [*cells, f'{fit.misfit:.0%}' if fit.misfit > 0.0 else NOTHING]
+    large = fit.deviation is not None and abs(fit.deviation.relative) >= SMALL_DEVIATION
+    return [*cells, deviation_text(fit.deviation) if large else NOTHING]
 
 
 def table_lines(
@@ -193,7 +196,7 @@ def table_lines(
     for at in range(0, len(columns), across):
         yield ''
         for text, *row in zip(labels, *columns[at : at + across]):
-            if all(entry == NOTHING for entry in row) and text == MISFIT:
+            if all(entry == NOTHING for entry in row) and text == DEVIATION:
                 continue
             yield (f'{text:{label}}' + ''.join(f'{entry:{cell}}' for entry in row)).rstrip()
 

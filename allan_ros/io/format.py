@@ -8,7 +8,7 @@ import math
 import re
 from typing import NamedTuple
 
-from ..core.fit import Coefficient
+from ..core.fit import Coefficient, Deviation
 from ..core.fit.regions import Region
 from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
 
@@ -139,6 +139,13 @@ def region_text(region: Region) -> str:
     """Return which noise dominates in which range, and the slope of the curve there."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}-{high} s {region.term} (slope {region.slope:+.2f})'
+
+
+def deviation_text(deviation: Deviation | None) -> str:
+    """Return by how much the curve deviates most from the model, and where; '' for nowhere."""
+    if deviation is None:
+        return ''
+    return f'{deviation.relative:+.0%} at {significant(deviation.tau, 2)} s'
 
 
 def _shown(unit: str) -> ShownUnit:

@@ -80,6 +80,8 @@ class SignalSummary:
         Where each recording begins, in s.
     temperature : SignalTemperature or None
         None where no recording contains it.
+    first_ns : tuple of int
+        Stamp of the first sample of each recording.
     """
 
     time_s: Floats
@@ -91,6 +93,7 @@ class SignalSummary:
     gaps: tuple[tuple[float, float], ...]
     starts: tuple[float, ...]
     temperature: SignalTemperature | None = None
+    first_ns: tuple[int, ...] = ()
 
     @property
     def reach(self) -> Floats:
@@ -179,6 +182,7 @@ def summarize_signal(
         tuple(gaps),
         tuple(starts),
         _joined(warm),
+        tuple(int(signal.start_ns[0]) for signal, _ in some),
     )
 
 

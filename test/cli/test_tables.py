@@ -11,7 +11,7 @@ import pytest
 from allan_ros.cli.console import finding_lines
 from allan_ros.cli.tables import results_lines
 from allan_ros.core.findings import Finding
-from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.core.fit import TERMS, Coefficient, Deviation
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
 from allan_ros.io.summary import headline
@@ -58,13 +58,13 @@ def test_a_method_without_intervals_says_so(small_results: Results) -> None:
     assert 'method paper gives no intervals' in lines_of(results, 'si', 100)
 
 
-def test_misfit_is_shown_only_where_there_is_one(small_results: Results) -> None:
+def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Results) -> None:
     axis = small_results.axes['accel_z']
-    bent = replace(axis, fit=replace(axis.fit, misfit=0.123))
+    bent = replace(axis, fit=replace(axis.fit, deviation=Deviation(-0.123, 31.7)))
     results = replace(small_results, axes={**small_results.axes, 'accel_z': bent})
-    rows = [line for line in lines_of(results, 'si', 200) if line.startswith('misfit')]
+    rows = [line for line in lines_of(results, 'si', 200) if line.startswith('deviation')]
     assert len(rows) == 1
-    assert rows[0].endswith('12%')
+    assert rows[0].endswith('-12% at 32 s')
 
 
 def test_findings_are_coloured_only_when_asked() -> None:

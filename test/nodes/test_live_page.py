@@ -9,13 +9,12 @@ import os
 import socket
 import urllib.request
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from support.chromium import Chromium, find_chromium
+from support.chromium import Chromium
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import to_json
@@ -83,20 +82,15 @@ def test_a_port_in_use_is_one_line(node: Node) -> None:
 
 
 def test_a_browser_that_leaves_does_no_harm_and_another_draws(
-    page: LivePage, small_run, tmp_path: Path
+    page: LivePage, small_run, browser: Chromium
 ) -> None:
     sums, provenance = small_run
     page.take(TOPIC, to_json(Snapshot(((sums,), provenance)).to_document()))
     port = int(page.address.rsplit(':', 1)[1].strip('/'))
     with socket.create_connection(('127.0.0.1', port)) as leaving:
         leaving.sendall(b'GET / HTTP/1.0\r\nHost: localhost\r\n\r\n')
-    found = find_chromium()
-    if found is None:
-        pytest.skip('skipped: no Chromium')
-    browser = Chromium(found, tmp_path)
-    try:
-        browser.call('Page.navigate', url=page.address)
-        browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
-        assert browser.complaints == []
-    finally:
-        browser.close()
+    browser.complaints.clear()
+    browser.call('Page.navigate', url=page.address)
+    browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
+    assert browser.complaints == []
+    browser.call('Page.navigate', url='about:blank')

@@ -192,5 +192,65 @@ const OtherCharts = (() => {
     host.append(element('p', { class: 'note' }, `From ${temperatures.source}. It enters no number; a bias often follows it.`));
   }
 
-  return { spectrum, signal, temperature };
+  const COURSES = {
+    bias: ['Bias over time', 'bias'],
+    temperature: ['Bias against temperature', 'bias'],
+    noise: ['Noise over time', 'deviation'],
+  };
+
+  // The bias or the noise of all axes over time, or over temperature as single points.
+  function course(host, sensor, units, data) {
+    const [title, what] = COURSES[data.kind];
+    const points = data.kind === 'temperature';
+    const [scale, name] = points ? [1, '°C'] : clock(data.x);
+    const x = data.x.map((v) => v / scale);
+    const label = (line) => line.name.split('_').pop();
+    let system = units;
+    const unit = () => sensor.units[system].curve;
+    const columns = () => [x, ...data.lines.map(({ values }) => values.map((v) => (v === null ? null : v * unit()[1])))];
+    const axisName = () => `${what} [${unit()[0]}]`;
+    const caption = `${sensor.title}: ${title.toLowerCase()}`;
+    function rangeY() {
+      const known = columns().slice(1).flat().filter((v) => v !== null);
+      const [low, high] = [Math.min(...known), Math.max(...known)];
+      const room = 0.08 * (high - low) || 1e-9;
+      return [data.kind === 'noise' ? 0 : low - room, high + room];
+    }
+    const listed = (values) => {
+      const [of, factor] = unit();
+      const known = data.lines.map((line, i) => [label(line), values[i]]).filter(([, v]) => v !== null);
+      return `${known.map(([axis, v]) => `${axis} ${number(v * factor, 3)}`).join(', ')} ${of}`;
+    };
+    const notes = () => {
+      if (data.kind === 'noise') return `Allan deviation at ${number(data.span, 2)} s in each period: level if the noise is the same throughout.`;
+      const said = `Means of ${number(data.span, 3)} s at rest, less the mean of all.`;
+      if (data.kind === 'temperature') return `${said} Slope of a straight line, per °C: ${listed(data.slopes)}.`;
+      if (data.white.every((v) => v === null)) return said;
+      return `${said} White noise alone keeps 95 % of them within ± ${listed(data.white)}.`;
+    };
+    const heading = element('h3', {}, title);
+    host.append(heading);
+    const u = Chart.create(host, {
+      label: `${title} of the ${sensor.sensor}; arrow keys move from point to point`,
+      height: 230,
+      sync: points ? undefined : `course-${sensor.sensor}`,
+      x: { label: points ? 'temperature [°C]' : `time [${name}]` },
+      y: { full: rangeY, label: axisName() },
+      series: data.lines.map((line) => ({
+        label: label(line), stroke: () => colour(label(line)), width: points ? 0 : 1.3, dots: points, spanGaps: false,
+        ...(points ? { paths: () => null, points: { show: true, size: 5, fill: () => colour(label(line)) } } : { points: { show: false } }),
+      })),
+      describe: (chart, i) => [
+        [`${number(x[i])} ${name}`, null],
+        ...data.lines.filter((line) => line.values[i] !== null).map((line) => [`${label(line)}  ${number(line.values[i] * unit()[1])} ${unit()[0]}`, colour(label(line))]),
+      ],
+    }, columns());
+    heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => caption, `${data.kind}_${sensor.sensor}`));
+    const note = element('p', { class: 'note' }, notes());
+    host.append(note);
+    u.title = caption;
+    return { units(next) { system = next; note.textContent = notes(); u.axes[1].label = axisName(); u.setData(columns()); } };
+  }
+
+  return { course, spectrum, signal, temperature };
 })();

@@ -20,6 +20,7 @@
         return made;
       };
       charts.push(AllanChart.create(place('allan', 'curve'), sensor, chosen()));
+      for (const course of sensor.courses) charts.push(OtherCharts.course(place('course', 'rest'), sensor, chosen(), course));
       if (sensor.spectrum) charts.push(OtherCharts.spectrum(place('spectrum', 'rest'), sensor, chosen()));
       if (sensor.signal) {
         const { time } = sensor.signal;

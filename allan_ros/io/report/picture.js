@@ -82,6 +82,7 @@ const Picture = (() => {
         pen.stroke();
         pen.setLineDash([]);
       }
+      if (series.show && series.dots) dots(pen, u, u.data[i], series.stroke(u, i));
     });
     pen.restore();
     if (u.above) u.above({ ...facade(u), ctx: pen });
@@ -136,6 +137,16 @@ const Picture = (() => {
       if (open) pen.lineTo(x, y);
       else pen.moveTo(x, y);
       open = true;
+    });
+  }
+
+  function dots(pen, u, values, ink) {
+    pen.fillStyle = ink;
+    values.forEach((v, i) => {
+      if (v === null || v === undefined) return;
+      pen.beginPath();
+      pen.arc(u.valToPos(u.data[0][i], 'x', true), u.valToPos(v, 'y', true), 2.5 * devicePixelRatio, 0, 2 * Math.PI);
+      pen.fill();
     });
   }
 

@@ -16,6 +16,7 @@ from ..datasheets import VERDICT_TEXT, DatasheetComparison
 from ..format import (
     NOTHING_KNOWN,
     SENSOR_NAMES,
+    deviation_text,
     interval_text,
     pretty_unit,
     region_text,
@@ -40,16 +41,24 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
     for term in TERMS:
         cells = ''.join(_coefficient_cell(a, term, r.fit.noise[term]) for a, r in axes.items())
         yield f'<tr>{_term_heading(sensor, term)}{cells}</tr>'
-    if any(result.fit.misfit > 0.0 for result in axes.values()):
-        misfits = ''.join(f'<td>{result.fit.misfit:.1%}</td>' for result in axes.values())
-        yield f'<tr><th scope="row">misfit<small>of the model</small></th>{misfits}</tr>'
+    if any(result.fit.deviation for result in axes.values()):
+        cells = ''.join(
+            f'<td>{deviation_text(result.fit.deviation) or "–"}</td>' for result in axes.values()
+        )
+        yield f'<tr><th scope="row">largest deviation<small>from the model</small></th>{cells}</tr>'
     if any(result.regions for result in axes.values()):
         regions = ''.join(
             f'<td class="regions">{"<br>".join(region_text(r) for r in result.regions)}</td>'
             for result in axes.values()
         )
         yield f'<tr class="wide"><th scope="row">dominant noise</th>{regions}</tr>'
-    processes = [
+    also = [
+        f'{_letter(axis)}: {term}, likely but not resolved'
+        for axis, result in axes.items()
+        for term in result.part_adev(np.ones(1, int))
+        if term in TERMS and result.fit.noise[term].status != 'estimated'
+    ]
+    also += [
         f'{_letter(axis)}: {process}'
         for axis, result in axes.items()
         for process in result.part_adev(np.ones(1, int))
@@ -59,7 +68,7 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
         '</tbody></table></div><p class="note">95 % intervals below the values. "&lt;" is the 95 % '
         'upper limit of a term that is not resolved. B is the coefficient; the level part of the '
         'curve lies at 0.664 B.'
-        + (f' The model also has {escape("; ".join(processes))}.' if processes else '')
+        + (f' The model also has {escape("; ".join(also))}.' if also else '')
         + '</p>'
     )
 

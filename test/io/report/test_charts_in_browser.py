@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.chromium import Chromium, find_chromium
+from support.chromium import Chromium
 
 from allan_ros.core.allan.spectrum import spectrum_of
 from allan_ros.io.recorded import ReadJob, read_recording
@@ -53,16 +52,6 @@ def pages(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
         made[name] = folder / f'{name}.html'
         made[name].write_text(render_report(results, context, 'datasheet'), encoding='utf-8')
     return made
-
-
-@pytest.fixture(scope='module')
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    found = find_chromium()
-    if found is None:
-        pytest.skip('skipped: no Chromium')
-    chromium = Chromium(found, tmp_path_factory.mktemp('chromium'))
-    yield chromium
-    chromium.close()
 
 
 def opened(browser: Chromium, page: Path, width: int) -> None:
@@ -244,6 +233,6 @@ def test_printing_replaces_the_canvas_by_a_vector_picture(
 ) -> None:
     opened(browser, pages['adis16405'], 1280)
     browser.evaluate('dispatchEvent(new Event("beforeprint"))')
-    assert browser.evaluate('document.querySelectorAll("figure.paper svg").length') == 4
+    assert browser.evaluate('document.querySelectorAll("figure.paper svg").length') == 8
     browser.evaluate('dispatchEvent(new Event("afterprint"))')
     assert browser.evaluate('document.querySelectorAll("figure.paper").length') == 0

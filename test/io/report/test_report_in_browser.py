@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.chromium import Chromium, find_chromium
+from support.chromium import Chromium
 
 from allan_ros.core.allan.spectrum import RunningSpectrum, spectrum_of
 from allan_ros.core.imu import ImuBatch, ImuIdentity
@@ -57,16 +56,6 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return path
 
 
-@pytest.fixture(scope='module')
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    found = find_chromium()
-    if found is None:
-        pytest.skip('skipped: no Chromium')
-    chromium = Chromium(found, tmp_path_factory.mktemp('chromium'))
-    yield chromium
-    chromium.close()
-
-
 @pytest.mark.parametrize(('width', 'dark'), [(1280, False), (390, True)])
 def test_the_page_draws_and_nothing_leaves_it(
     browser: Chromium, page: Path, width: int, dark: bool
@@ -76,8 +65,9 @@ def test_the_page_draws_and_nothing_leaves_it(
     browser.requests.clear()
     browser.open(page, width, dark)
     canvases = browser.evaluate('document.querySelectorAll("canvas").length')
-    # of each sensor: curve, three signals, temperature, spectrum
-    assert canvases == 2 * (1 + 3 + 1 + 1)
+    # of each sensor: curve, bias and noise over time, bias against temperature, spectrum,
+    # temperature, three signals
+    assert canvases == 2 * (1 + 3 + 1 + 1 + 3)
     for i in range(canvases):
         browser.wait_for(
             INK.replace('CANVAS', f'document.querySelectorAll("canvas")[{i}]') + ' > 9'
