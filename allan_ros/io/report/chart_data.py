@@ -33,6 +33,7 @@ from ..format import (
 from ..plot_style import BELOW_CURVE
 from ..results import AxisResult, Results
 from ..signal_summary import SignalSummary
+from .courses import courses, rounded
 
 TERM_NAMES = {
     'gyro': {
@@ -101,9 +102,6 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
 COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
 """Of the table for spreadsheets."""
 
-
-CHART_DIGITS = 5
-"""Significant digits of a point of a chart: a tenth of a pixel on any screen."""
 
 DIGITS = 6
 """Significant digits of a copied number: more than any interval is known to."""
@@ -176,18 +174,6 @@ def _numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
     return tuple(None if n is None else float(f'{n * unit.factor:.{DIGITS}g}') for n in numbers)
 
 
-MEANS, PERIODS = 129, 65
-"""Means and noise levels of a recording are fewer than this in a chart."""
-
-LONGEST_NOISE_S = 1.0
-"""The noise over time is shown at the longest averaging time below this."""
-
-LEAST_COUNT, LEAST_POINTS = 4, 4
-"""Fewest differences of a level, and fewest points of a chart."""
-
-LEAST_RANGE_C = 0.5
-"""A bias is shown against a temperature that changes by more."""
-
 SYSTEMS = ('datasheet', 'si')
 """The systems of units that the page offers."""
 
@@ -213,7 +199,7 @@ def sensor_charts(
         'sensor': sensor,
         'title': f'{SENSOR_NAMES[sensor]} of {results.identity.label or "IMU"}',
         'units': {units: _units(sensor, units) for units in SYSTEMS},
-        'tau': _rounded(tau),
+        'tau': rounded(tau),
         'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
         'references': [
             *_datasheet_curves(axes, results.datasheet, tau),
@@ -263,7 +249,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
     def column(values: ArrayLike) -> list[float | None]:
         spread = np.full(len(tau), np.nan)
         spread[at] = values
-        return _rounded(spread)
+        return rounded(spread)
 
     positive = curve.adev[curve.adev > 0.0]
     floor = BELOW_CURVE * float(positive.min()) if len(positive) else math.inf
@@ -284,11 +270,11 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         'parts': {name: above_floor(adev) for name, adev in parts.items()},
         'upper': {name: above_floor(adev) for name, adev in axis.limit_adev(curve.m).items()},
         'read': {
-            term: _rounded([tau, float(np.sqrt(model.parts([tau])[term][0]))])
+            term: rounded([tau, float(np.sqrt(model.parts([tau])[term][0]))])
             for term, tau in READ_AT.items()
             if term in parts
         },
-        'regions': [[*_rounded([r.tau_low, r.tau_high]), r.term, r.slope] for r in axis.regions],
+        'regions': [[*rounded([r.tau_low, r.tau_high]), r.term, r.slope] for r in axis.regions],
     }
 
 
@@ -302,7 +288,7 @@ def _datasheet_curves(
         if comparison and limits and tau:
             factors = np.asarray(tau) / axis.tau0
             adev = np.sqrt(term_avar(factors, axis.tau0, NoiseTerms(**limits)).sum(axis=1))
-            yield {'name': comparison.datasheet.name, 'axis': name, 'adev': _rounded(adev)}
+            yield {'name': comparison.datasheet.name, 'axis': name, 'adev': rounded(adev)}
 
 
 def _former_curves(
@@ -318,7 +304,7 @@ def _former_curves(
             logs = np.interp(
                 np.log(tau), np.log(curve.tau[some]), np.log(curve.adev[some]), np.nan, np.nan
             )
-            yield {'name': run, 'axis': name, 'adev': _rounded(np.exp(logs))}
+            yield {'name': run, 'axis': name, 'adev': rounded(np.exp(logs))}
 
 
 def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
@@ -332,11 +318,9 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
             i = spectrum.axes.index(name)
             roots = (np.sqrt(a[:, i]) for a in (spectrum.psd, spectrum.low, spectrum.high))
             model = np.sqrt(model_density(axes[name], spectrum.frequency))
-            density, low, high, fit = (
-                _rounded(np.where(a > 0, a, np.nan)) for a in (*roots, model)
-            )
+            density, low, high, fit = (rounded(np.where(a > 0, a, np.nan)) for a in (*roots, model))
             shown.append({'name': name, 'density': density, 'low': low, 'high': high, 'fit': fit})
-        return {'frequency': _rounded(spectrum.frequency), 'axes': shown}
+        return {'frequency': rounded(spectrum.frequency), 'axes': shown}
     return None
 
 
@@ -350,100 +334,19 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str,
         shown.append(
             {
                 'name': name,
-                'middle': _rounded([middle])[0],
-                'reach': _rounded([summary.reach[i]])[0],
+                'middle': rounded([middle])[0],
+                'reach': rounded([summary.reach[i]])[0],
                 'low': _short(low),
                 'high': _short(high),
             }
         )
     return {
-        'time': _rounded(summary.time_s),
+        'time': rounded(summary.time_s),
         'axes': shown,
-        'leftOut': [[*_rounded([out.start, out.end]), out.why] for out in summary.left_out],
-        'gaps': [_rounded(span) for span in summary.gaps],
-        'starts': _rounded(summary.starts),
+        'leftOut': [[*rounded([out.start, out.end]), out.why] for out in summary.left_out],
+        'gaps': [rounded(span) for span in summary.gaps],
+        'starts': rounded(summary.starts),
     }
-
-
-def courses(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
-    """Return the charts of mean and noise over time, and of the mean against the temperature.
-
-    Parameters
-    ----------
-    results : Results
-    sensor : 'gyro' or 'accel'
-    summary : SignalSummary or None
-        Gives the time axis of the page; without it the recordings follow one another.
-    """
-    where = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
-    known_sums = () if results.recorded is None else results.recorded.sums
-    sums = next((s for s in known_sums if set(where) & set(s.axes)), None)
-    if sums is None or sums.tau0 is None:
-        return []
-    columns = [i for i, name in enumerate(sums.axes) if name in where]
-    names = [sums.axes[i] for i in columns]
-    tau0, offset = sums.tau0, 0.0
-    means, levels = [], []
-    recordings = sorted(sums.history.recordings, key=lambda r: r.start_ns)
-    for recording in (r.coarser(MEANS, PERIODS) for r in recordings):
-        starts = [] if summary is None else [
-            at + (recording.start_ns - first) * 1e-9
-            for at, first in zip(summary.starts, summary.first_ns)
-            if first <= recording.start_ns
-        ]  # fmt: skip
-        start = starts[-1] if starts else offset
-        offset += recording.length * tau0
-        known = recording.cell_samples > recording.step / 2
-        values = recording.cell_means[:, columns] + recording.reference[columns]
-        middles = (np.arange(len(values)) + 0.5) * recording.step * tau0 + start
-        means.append((middles, np.where(known[:, None], values, np.nan), recording.step * tau0))
-        level = np.flatnonzero(recording.level_m * tau0 <= LONGEST_NOISE_S)[-1:]
-        for m in recording.level_m[level]:
-            count = recording.level_count[:, level]
-            square = recording.level_sum_sq[:, level[0], columns]
-            with np.errstate(divide='ignore', invalid='ignore'):
-                adev = np.sqrt(square / (2.0 * count)) / m
-            middles = (np.arange(len(adev)) + 0.5) * recording.period * tau0 + start
-            levels.append((middles, np.where(count >= LEAST_COUNT, adev, np.nan), m * tau0))
-    charts = []
-    if sum(len(mean[0]) for mean in means) >= LEAST_POINTS:
-        time, values = _with_breaks(means)
-        values = values - np.nanmean(values, axis=0)
-        span = max(span for *_, span in means)
-        noise = [results.axes[name].fit.noise['N'] for name in names]
-        white = [n.value if n.status == 'estimated' and n.value else math.nan for n in noise]
-        white = [1.96 * density / math.sqrt(span) for density in white]
-        charts.append({**_course('bias', time, values, names, span), 'white': _rounded(white)})
-        if summary is not None and summary.temperature is not None:
-            warm = summary.temperature
-            some = np.isfinite(warm.celsius)
-            celsius = np.interp(time, warm.time_s[some], warm.celsius[some], np.nan, np.nan)
-            both = np.isfinite(celsius) & np.isfinite(values).all(axis=1)
-            if both.sum() >= LEAST_POINTS and np.ptp(celsius[both]) > LEAST_RANGE_C:
-                order = np.argsort(celsius[both], kind='stable')
-                x, y = celsius[both][order], values[both][order]
-                chart = _course('temperature', x, y, names, span)
-                charts.append({**chart, 'slopes': _rounded(np.polyfit(x, y, 1)[0])})
-    levels = [level for level in levels if level[2] == levels[0][2]]
-    if sum(len(level[0]) for level in levels) >= LEAST_POINTS:
-        charts.append(_course('noise', *_with_breaks(levels), names, levels[0][2]))
-    return charts
-
-
-def _with_breaks(parts: Sequence[tuple[Floats, Floats, float]]) -> tuple[Floats, Floats]:
-    """Return times and values of all recordings, with a NaN between two."""
-    times, values = [], []
-    for time, value, _ in parts:
-        times += [time, time[-1:] + 1e-3]
-        values += [value, np.full_like(value[:1], np.nan)]
-    return np.concatenate(times[:-1]), np.concatenate(values[:-1])
-
-
-def _course(
-    kind: str, x: Floats, values: Floats, names: Sequence[str], span: float
-) -> dict[str, Any]:
-    lines = [{'name': name, 'values': _rounded(v)} for name, v in zip(names, values.T)]
-    return {'kind': kind, 'x': _rounded(x), 'lines': lines, 'span': _rounded([span])[0]}
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
@@ -451,16 +354,8 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
     if summary is None or summary.temperature is None:
         return None
     temperature = summary.temperature
-    time, celsius = (_rounded(values) for values in (temperature.time_s, temperature.celsius))
+    time, celsius = (rounded(values) for values in (temperature.time_s, temperature.celsius))
     return {'source': temperature.source, 'time': time, 'celsius': celsius}
-
-
-def _rounded(values: ArrayLike) -> list[float | None]:
-    """Return numbers to `CHART_DIGITS` digits, None for what is not finite."""
-    return [
-        float(f'{v:.{CHART_DIGITS}g}') if math.isfinite(v) else None
-        for v in np.asarray(values, float).tolist()
-    ]
 
 
 def _short(values: ArrayLike) -> list[float | None]:

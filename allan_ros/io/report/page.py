@@ -30,7 +30,7 @@ from ..results import AxisResult, Results
 from ..signal_summary import SignalSummary
 from ..verdict import WORDS, Verdict, finding_text, verdict_of
 from .chart_data import in_units, sensor_charts, temperature_chart, to_script
-from .tables import baseline_table, coefficient_table, datasheet_table, headline_table
+from .tables import baseline_table, coefficient_table, datasheet_table, growth_table, headline_table
 
 EARLIEST_S = 978_307_200
 """2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""
@@ -200,6 +200,7 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
         for run, baseline in results.baselines.items():
             compared = [c for c in results.comparisons if c.reference == run]
             body += baseline_table(sensor, axes, run, baseline, compared)
+        body += growth_table(sensor, axes)
         body.append(f'<div class="charts rest" data-sensor="{sensor}" hidden></div></section>')
     links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
     body += [

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -16,11 +18,13 @@ from ..datasheets import VERDICT_TEXT, DatasheetComparison
 from ..format import (
     NOTHING_KNOWN,
     SENSOR_NAMES,
+    ShownUnit,
     deviation_text,
     interval_text,
     pretty_unit,
     region_text,
     shown_unit,
+    significant,
     value_text,
 )
 from ..results import AxisResult, Results
@@ -73,6 +77,61 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
     )
 
 
+ERRORS = {
+    'gyro': ('angle', {'datasheet': ('°', 180.0 / math.pi), 'si': ('rad', 1.0)}),
+    'accel': ('velocity', {'datasheet': ('m/s', 1.0), 'si': ('m/s', 1.0)}),
+}
+"""Sensor -> what grows without correction, and its unit and factor by system of units."""
+
+
+def growth_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
+    """Yield the predicted growth of the error, and the scatter of the bias between recordings."""
+    tables = {axis: result.growth for axis, result in axes.items()}
+    rows = []
+    quantity, units_of = ERRORS[sensor]
+    for row in zip(*tables.values()):
+        cells = ''.join(
+            f'<td>{in_units(partial(_size, growth.std, growth.ci95, units_of))}</td>'
+            for growth in row
+        )
+        rows.append(f'<tr><th scope="row">after {row[0].horizon:g} s</th>{cells}</tr>')
+    turned = {axis: result.turn_on for axis, result in axes.items() if result.turn_on}
+    if rows:
+        heading = in_units(lambda system: f'Predicted {quantity} error [{units_of[system][0]}]')
+        yield from _comparison_table(heading, axes, rows, 'time')
+        window = next(iter(tables.values()))[0].window
+        yield (
+            '<p class="note">One standard deviation without correction, with the 95 % interval, '
+            f'after the bias was averaged over {window:g} s.</p>'
+        )
+    for axis, bias in turned.items():
+        units = {s: _unit_of(shown_unit(axis, 'B', s)) for s in ('datasheet', 'si')}
+        size = in_units(partial(_size, bias.std, bias.ci95, units, in_line=True))
+        yield (
+            f'<p class="note">Bias of {_letter(axis)} between {bias.recordings} recordings: '
+            f'standard deviation {size}</p>'
+        )
+
+
+def _unit_of(unit: ShownUnit) -> tuple[str, float]:
+    return pretty_unit(unit.name), unit.factor
+
+
+def _size(
+    size: float,
+    interval: tuple[float, float] | None,
+    units: Mapping[str, tuple[str, float]],
+    system: str,
+    in_line: bool = False,
+) -> str:
+    """Return a standard deviation with its interval, below it or in the same line."""
+    name, factor = units[system]
+    ends = '..'.join(significant(end * factor, 2) for end in interval or ())
+    if in_line:
+        return escape(f'{significant(size * factor, 2)} {name}' + (f' ({ends})' if ends else ''))
+    return f'{escape(significant(size * factor, 2))}' + (f'<small>{ends}</small>' if ends else '')
+
+
 def headline_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
     """Yield the small table of N, B and K of the verdict section."""
     caption = f'<caption>{SENSOR_NAMES[sensor]}</caption>'
@@ -109,7 +168,7 @@ def datasheet_table(
         rows.append(f'<tr>{heading}{cells}</tr>')
     if rows:
         name = comparison.datasheet.name
-        yield from _comparison_table(f'Compared with the datasheet of {name}', axes, rows)
+        yield from _comparison_table(f'Compared with the datasheet of {escape(name)}', axes, rows)
         sources = '; '.join(str(source) for source in comparison.datasheet.sources.values())
         yield from (f'<p class="note">{escape(said)}</p>' for said in (*notes, sources))
 
@@ -142,7 +201,7 @@ def baseline_table(
         )
         rows.append(f'<tr>{_term_heading(sensor, term)}{cells}</tr>')
     if rows:
-        yield from _comparison_table(f'Compared with {name}', axes, rows)
+        yield from _comparison_table(f'Compared with {escape(name)}', axes, rows)
         yield (
             '<p class="note">"Within" is not significantly above the earlier run; "beyond" is '
             'significantly above it and its margin.</p>'
@@ -157,10 +216,10 @@ def _then(axis: str, term: str, baseline: Results) -> str:
 
 
 def _comparison_table(
-    caption: str, axes: Mapping[str, AxisResult], rows: Sequence[str]
+    caption: str, axes: Mapping[str, AxisResult], rows: Sequence[str], first: str = 'term'
 ) -> Iterator[str]:
-    yield f'<h3>{escape(caption)}</h3><div class="scroll"><table class="comparison"><thead><tr>'
-    yield '<th scope="col">term</th>'
+    yield f'<h3>{caption}</h3><div class="scroll"><table class="comparison"><thead><tr>'
+    yield f'<th scope="col">{first}</th>'
     yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
     yield from rows
     yield '</tbody></table></div>'
