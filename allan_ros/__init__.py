@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .api import adev, analyze, compare, fit, inflate, merge, simulate
     from .core.errors import AllanError
+    from .io.axis_result import AxisCurve, AxisResult, Quantity
     from .io.documents import load
-    from .io.results import AxisCurve, AxisResult, Quantity, Results
+    from .io.results import Results
 
 __version__ = '1.0.0'
 
@@ -41,7 +42,8 @@ __all__ = [
 _HOME = {
     'AllanError': 'core.errors',
     'load': 'io.documents',
-    **dict.fromkeys(('AxisCurve', 'AxisResult', 'Quantity', 'Results'), 'io.results'),
+    **dict.fromkeys(('AxisCurve', 'AxisResult', 'Quantity'), 'io.axis_result'),
+    'Results': 'io.results',
 }
 
 

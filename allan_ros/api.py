@@ -28,6 +28,7 @@ from .core.fit.curve_fit import fit_curve
 from .core.imu import AXES, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import simulate_imu
+from .io.axis_result import AxisCurve, AxisResult
 from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
 from .io.datasheets import load_sensor
@@ -44,7 +45,7 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import AxisCurve, AxisResult, Results, analyse_recorded
+from .io.results import Results, analyse_recorded
 from .io.truth import stated_noise
 
 T = TypeVar('T')

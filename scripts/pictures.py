@@ -21,16 +21,10 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from allan_ros.core.allan.engine import RunningAllan
-from allan_ros.core.faults import PRESETS, Faults
-from allan_ros.core.imu import AXES, UNITS, from_datasheet, sensor_of
+import allan_ros as ar
+from allan_ros.core.imu import UNITS
 from allan_ros.core.noise import NoiseTerms, term_avar
-from allan_ros.core.settings import SegmenterSettings
-from allan_ros.core.simulate import simulate_imu
-from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.plot_style import TERM_STYLES
-from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import AxisResult, Results, analyse_sums
 
 RATE = 100.0
 """Hz, of every picture."""
@@ -50,9 +44,6 @@ ON_WHITE = {'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}
 ALL_FIVE = NoiseTerms(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
 """A gyro on whose curve every term shows: an invented one."""
 
-CALM = SegmenterSettings(motion_gate=False)
-"""Nothing moves here but what a picture is to show."""
-
 
 @dataclass(frozen=True)
 class Shape:
@@ -60,66 +51,40 @@ class Shape:
 
     name: str
     axis: str
-    faults: Faults
+    faults: dict[str, float]
     hours: float
     says: str
 
 
 SHAPES = (
-    Shape('filtered', 'gyro_z', Faults(low_pass=15.0), 2.0, 'low-pass filter of 15 Hz'),
+    Shape('filtered', 'gyro_z', {'low_pass': 15.0}, 2.0, 'low-pass filter of 15 Hz'),
     Shape(
         'line',
         'gyro_z',
-        Faults(vibration_gyro=6e-5, vibration_frequency=0.05),
+        {'vibration_gyro': 6e-5, 'vibration_frequency': 0.05},
         2.0,
         'vibration at 0.05 Hz',
     ),
-    Shape('warm-up', 'gyro_z', Faults(warmup_gyro=3e-3, warmup_time=600.0), 2.0, 'warming up'),
+    Shape('warm-up', 'gyro_z', {'warmup_gyro': 3e-3, 'warmup_time': 600.0}, 2.0, 'warming up'),
     Shape(
         'correlated',
         'gyro_z',
-        Faults(gauss_markov_gyro=8e-5, gauss_markov_time=20.0),
+        {'gauss_markov_gyro': 8e-5, 'gauss_markov_time': 20.0},
         2.0,
         'bias that returns within 20 s',
     ),
-    Shape('rounded', 'gyro_z', Faults(lsb_gyro=1.75e-3), 2.0, 'values rounded to 0.1 deg/s'),
+    Shape('rounded', 'gyro_z', {'lsb_gyro': 1.75e-3}, 2.0, 'values rounded to 0.1 deg/s'),
 )
 
 
-def paper_noise() -> list[NoiseTerms]:
-    """Return the terms of the paper's IMU, in the order of the axes."""
-    return [
-        NoiseTerms(**{t: from_datasheet(t, sensor_of(axis), v) for t, v in terms.items()})
-        for axis, terms in ((axis, PRESETS['paper'][axis]) for axis in AXES)
-    ]
+def analysed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
+    """Return the results of the paper's IMU, where only what a picture shows moves."""
+    recording = ar.simulate(hours, RATE, seed=seed, **faults)
+    return ar.analyze(recording, rate=RATE, motion_gate=False)
 
 
-def analysed(hours: float, faults: Faults = Faults(), seed: int = 0) -> Results:
-    """Return what the tool says of the paper's IMU."""
-    accumulator = ImuStream(CALM)
-    noise = paper_noise()
-    for batch in simulate_imu(
-        hours * HOUR, RATE, noise[:3], noise[3:], seed=seed, faults=faults, frame_id='imu_link'
-    ):
-        accumulator.update(batch)
-    accumulator.end()
-    known = accumulator.result()
-    return analyse_sums(known.sums, Provenance(findings=known.findings, spans=known.spans))
-
-
-def as_it_came(hours: float, faults: Faults) -> Results:
-    """Return the same of all samples as they are, held ones included."""
-    engine, noise = RunningAllan(), paper_noise()
-    for batch in simulate_imu(hours * HOUR, RATE, noise[:3], noise[3:], faults=faults):
-        engine.update(batch.samples, int(batch.stamps_ns[0]), int(batch.stamps_ns[-1]))
-    engine.end_segment()
-    return analyse_sums([engine.sums], Provenance())
-
-
-def draw_measured(panel: Axes, result: AxisResult, factor: float, **style: object) -> None:
+def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: object) -> None:
     """Draw the points of a curve with their limits."""
-    curve = result.curve
-    assert curve is not None
     panel.fill_between(curve.tau, factor * curve.ci_low, factor * curve.ci_high, color='0.85', lw=0)
     panel.plot(
         curve.tau,
@@ -128,7 +93,7 @@ def draw_measured(panel: Axes, result: AxisResult, factor: float, **style: objec
     )
 
 
-def draw_parts(panel: Axes, result: AxisResult, factor: float, lowest: float) -> None:
+def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float) -> None:
     """Draw the fit and the parts it is made of."""
     curve = result.curve
     assert curve is not None
@@ -176,7 +141,7 @@ def paper_gyro() -> Figure:
     """Draw the z gyro of two simulated hours as the tool reads it, with its numbers."""
     result = analysed(2.0).axes['gyro_z']
     figure, (panel,) = new_figure(7.2, 4.0)
-    draw_measured(panel, result, DEG_H)
+    draw_measured(panel, result.curve, DEG_H)
     draw_parts(panel, result, DEG_H, 2.0)
     n, b, k = (result.fit.noise[term] for term in 'NBK')
     for c, name, unit, shown, x, y in (
@@ -200,12 +165,12 @@ def paper_gyro() -> Figure:
 
 def wrong_shape(shape: Shape) -> Figure:
     """Draw a curve with something wrong, over the same one without."""
-    bad, good = analysed(shape.hours, shape.faults), analysed(shape.hours)
+    bad, good = analysed(shape.hours, **shape.faults), analysed(shape.hours)
     figure, (panel,) = new_figure(5.2, 3.2)
     clean = good.axes[shape.axis].curve
     assert clean is not None
     panel.plot(clean.tau, DEG_H * clean.adev, color='#56B4E9', lw=1.2, label='without it')
-    draw_measured(panel, bad.axes[shape.axis], DEG_H)
+    draw_measured(panel, bad[shape.axis].curve, DEG_H)
     draw_parts(panel, bad.axes[shape.axis], DEG_H, 2.0)
     panel.set(ylabel='Allan deviation [deg/h]', ylim=(2.0, None))
     panel.legend(frameon=False, fontsize=8)
@@ -215,11 +180,11 @@ def wrong_shape(shape: Shape) -> Figure:
 
 def held_samples() -> Figure:
     """Draw an accelerometer read at 62.5 Hz whose samples are repeated at 100 Hz."""
-    faults = Faults(accel_rate=62.5)
+    faults = {'accel_rate': 62.5}
     figure, (panel,) = new_figure(5.2, 3.2)
-    held = as_it_came(0.5, faults).axes['accel_z']
-    fresh = analysed(0.5, faults).axes['accel_z']
-    draw_measured(panel, held, UG, label='every message counted')
+    repeated = ar.adev(ar.simulate(0.5, RATE, **faults).samples[:, 5], RATE)
+    fresh = analysed(0.5, **faults)['accel_z'].curve
+    draw_measured(panel, repeated, UG, label='every message counted')
     draw_measured(
         panel, fresh, UG, label='fresh samples only', mfc='#0072B2', mec='#0072B2', ms=2.5
     )
@@ -234,7 +199,7 @@ def more_time() -> Figure:
     figure, panels = new_figure(9.0, 3.1, 3)
     for panel, (hours, name) in zip(panels, ((1 / 6, '10 min'), (1.0, '1 h'), (8.0, '8 h'))):
         result = analysed(hours, seed=1).axes['gyro_z']
-        draw_measured(panel, result, DEG_H)
+        draw_measured(panel, result.curve, DEG_H)
         draw_parts(panel, result, DEG_H, 2.0)
         seen = ', '.join(t for t in 'QNBKR' if result.fit.noise[t].status == 'estimated')
         panel.set_title(f'{name}: shows {seen}', fontsize=9)

@@ -24,8 +24,7 @@ from ..io.format import (
     text_in_units,
     value_text,
 )
-from ..io.results import Results
-from ..io.summary import headline
+from ..io.results import Results, headline
 from ..io.verdict import WORDS, Level, Verdict, finding_text
 from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
 

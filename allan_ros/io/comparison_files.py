@@ -28,6 +28,7 @@ from ..core.compare import MARGIN, Difference
 from ..core.errors import one_line
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS, SI_UNITS, sensor_of
+from .axis_result import AxisCurve
 from .comparison import (
     Pair,
     RunComparison,
@@ -54,7 +55,6 @@ from .plot_style import (
     tick_text,
 )
 from .result_files import made_folder
-from .results import AxisCurve
 
 RUN_STYLES = (
     ('', 'o', '-'),

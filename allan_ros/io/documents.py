@@ -31,11 +31,12 @@ from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Proc
 from ..core.fit.regions import Region
 from ..core.imu import AXES, MAX_NAME, SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.health import Counts, Segment
+from .axis_result import AxisCurve, AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
 from .files import read_json
 from .readers.recording import SourceInfo
 from .recorded import Provenance, RecordingSums
-from .results import AxisCurve, AxisResult, Results, analyse_recorded
+from .results import Results, analyse_recorded
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS
+from .axis_result import AxisCurve, AxisResult
 from .format import (
     NOTHING_KNOWN,
     READ_AT,
@@ -43,7 +44,7 @@ from .plot_style import (
     TERM_STYLES,
     log_axes,
 )
-from .results import AxisCurve, AxisResult, Results
+from .results import Results
 from .signal_summary import SignalSummary
 
 HATCHES = {True: '///', False: 3 * '\\'}

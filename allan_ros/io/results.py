@@ -1,34 +1,27 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Results`: the coefficients, curves and findings of one analysis."""
+"""`Results`: the coefficients, curves and findings of one analysis, and how they are printed."""
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..core.allan.curve import AllanCurve, allan_curve
+from ..core.allan.curve import allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, DeviationCurve, Measured, Run, differences
 from ..core.errors import AllanError
-from ..core.filters.bias import TurnOnBias, turn_on_bias
-from ..core.filters.noise_parameters import Growth, growth_table, sample_variance
 from ..core.findings import Finding
-from ..core.fit import AxisFit, Coefficient, NoiseModel
-from ..core.fit.findings import rounding_step
-from ..core.fit.regions import Region, read_curve
+from ..core.fit import TERMS, Coefficient
 from ..core.fit.stationary import fit_stationary
-from ..core.imu import AXES, SI_UNITS, UNITS, ImuIdentity, sensor_of, to_si
-from ..core.noise import NoiseTerms, ProcessModel
+from ..core.imu import AXES, ImuIdentity, sensor_of
 from ..core.settings import AUTO
 from ..core.stream.findings import sums_findings
+from .axis_result import AxisResult, axis_results
 from .datasheets import (
     Datasheet,
     DatasheetComparison,
@@ -36,206 +29,11 @@ from .datasheets import (
     datasheet_findings,
     load_sensor,
 )
+from .format import duration_text, interval_text, pretty_unit, shown_unit, value_text
 from .recorded import Provenance, RecordingSums
 
 if TYPE_CHECKING:
     from .verdict import Verdict
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One coefficient of one axis with its unit.
-
-    Attributes
-    ----------
-    value : float or None
-        The estimate; None where the term is not resolved. The ramp R is given without its sign.
-    ci95 : (low, high) or None
-        95 % confidence interval.
-    upper95 : float or None
-        95 % upper limit of a term that is not resolved.
-    unit : str
-    sign : int
-        Sign of the ramp R, else 0.
-
-    Examples
-    --------
-    >>> Quantity(1e-4, (9e-5, 1.1e-4), None, 'rad/s/sqrt(Hz)').to('deg/sqrt(h)')
-    0.3438 (0.309..0.378) deg/sqrt(h)
-    >>> Quantity(None, None, 2e-5, 'rad/s').to('deg/h')
-    < 4.13 deg/h
-    """
-
-    value: float | None
-    ci95: tuple[float, float] | None
-    upper95: float | None
-    unit: str
-    sign: int = 0
-
-    def to(self, unit: str) -> Quantity:
-        """Return the same in another unit of the same quantity.
-
-        Raises
-        ------
-        AllanError
-            When the unit is unknown, or of another quantity; it lists the units that fit.
-        """
-        factor = to_si(1.0, self.unit, UNITS[self.unit].si) / to_si(1.0, unit, UNITS[self.unit].si)
-        low_high = self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor)
-        return replace(
-            self,
-            value=None if self.value is None else self.value * factor,
-            ci95=low_high,
-            upper95=None if self.upper95 is None else self.upper95 * factor,
-            unit=unit,
-        )
-
-    def __repr__(self) -> str:
-        from .format import ShownUnit, interval_text, value_text
-
-        known = Coefficient(
-            self.value,
-            self.ci95,
-            self.upper95,
-            'not_observable' if self.value is None else 'estimated',
-            self.sign,
-        )
-        unit = ShownUnit(self.unit, 1.0)
-        interval = interval_text(known, unit)
-        return f'{value_text(known, unit)}{f" ({interval})" if interval else ""} {self.unit}'
-
-
-@dataclass(frozen=True)
-class AxisCurve:
-    """Overlapping Allan deviation with its 68.3 % confidence limits.
-
-    Attributes
-    ----------
-    m : (factors,) int64 array
-        Averaging factors in samples.
-    tau : (factors,) float64 array
-        Averaging times in s.
-    n : (factors,) int64 array
-        Number of second differences in each point.
-    adev, ci_low, ci_high : (factors,) float64 arrays
-        Deviation and its limits in the unit of the samples; (factors, columns) of several columns.
-
-    Examples
-    --------
-    >>> import allan_ros as ar
-    >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).tau
-    array([0.5, 1. ])
-    """
-
-    m: NDArray[np.int64]
-    tau: NDArray[np.float64]
-    n: NDArray[np.int64]
-    adev: NDArray[np.float64]
-    ci_low: NDArray[np.float64]
-    ci_high: NDArray[np.float64]
-
-    @property
-    def limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The deviation, and its lower and upper limit."""
-        return self.adev, self.ci_low, self.ci_high
-
-
-@dataclass(frozen=True)
-class AxisResult:
-    """The results of one axis; ``axis.N``, ``.Q``, ``.B``, ``.K`` and ``.R`` are its coefficients.
-
-    Attributes
-    ----------
-    tau0 : float
-        Sample period in s.
-    fit : AxisFit
-    curve : AxisCurve or None
-        None where only the coefficients are known.
-    regions : tuple of Region
-        Which noise dominates in which range of tau.
-    sample_std : float or None
-        Standard deviation of the samples about their mean of up to a second, as measured.
-    name : str
-        Name of the axis.
-    rounding : float or None
-        Step to which the samples are rounded, where this makes more than a tenth of their white
-        noise; else None.
-    turn_on : TurnOnBias or None
-        Scatter of the bias between recordings; None of fewer than two.
-
-    Examples
-    --------
-    >>> import allan_ros as ar
-    >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
-    >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
-    ('accel_z', 20.0)
-    """
-
-    tau0: float
-    fit: AxisFit
-    curve: AxisCurve | None = None
-    regions: tuple[Region, ...] = ()
-    sample_std: float | None = None
-    name: str = ''
-    rounding: float | None = None
-    turn_on: TurnOnBias | None = None
-
-    @property
-    def Q(self) -> Quantity:
-        """Quantization noise."""
-        return self.quantity('Q')
-
-    @property
-    def N(self) -> Quantity:
-        """Angle or velocity random walk: the continuous density of the white noise."""
-        return self.quantity('N')
-
-    @property
-    def B(self) -> Quantity:
-        """Bias instability: the coefficient, i.e. the minimum of the curve / 0.664."""
-        return self.quantity('B')
-
-    @property
-    def K(self) -> Quantity:
-        """Rate or acceleration random walk."""
-        return self.quantity('K')
-
-    @property
-    def R(self) -> Quantity:
-        """Rate or acceleration ramp."""
-        return self.quantity('R')
-
-    @property
-    def growth(self) -> tuple[Growth, ...]:
-        """Predicted growth of the error without correction, with intervals."""
-        return growth_table(self.fit)
-
-    def quantity(self, term: str) -> Quantity:
-        """Return the coefficient of a term (Q, N, B, K or R) in SI."""
-        c = self.fit.noise[term]
-        value = c.value if c.status == 'estimated' else None
-        return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
-
-    def part_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of each part of the selected model at averaging factors m, SI."""
-        parts = self.fit.selected.parts(m * self.tau0, self.tau0)
-        return {name: np.sqrt(avar) for name, avar in parts.items()}
-
-    def limit_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of the terms outside the model at their 95 % upper limits, SI."""
-        model = self.fit.selected.terms
-        limits = {
-            term: c.upper95
-            for term, c in self.fit.noise.items()
-            if c.upper95 is not None and math.isfinite(c.upper95) and not getattr(model, term)
-        }
-        parts = ProcessModel(NoiseTerms(**limits)).parts(m * self.tau0, self.tau0)
-        return {name: np.sqrt(avar) for name, avar in parts.items()}
-
-    def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the deviation of the selected model at averaging factors m, (factors,), SI."""
-        total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(m * self.tau0, self.tau0))
-        return total
 
 
 @dataclass(frozen=True)
@@ -351,14 +149,10 @@ class Results:
         return axis in self.axes
 
     def __repr__(self) -> str:
-        from .summary import summary_text
-
-        return summary_text(self)
+        return '\n'.join(_summary_lines(self))
 
     def _repr_html_(self) -> str:
-        from .summary import summary_html
-
-        return summary_html(self)
+        return _html(self)
 
     def table(self, units: str = 'datasheet') -> Any:
         """Return all coefficients, one row each.
@@ -373,9 +167,7 @@ class Results:
             With axis, term, value, ci95_low, ci95_high, upper95, unit. A DataFrame if pandas is
             installed.
         """
-        from .summary import table_rows
-
-        rows = table_rows(self, units)
+        rows = [_table_row(axis, term, units) for axis in self.axes.values() for term in TERMS]
         try:
             import pandas
         except ImportError:
@@ -517,7 +309,7 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
     sums, fits = [s for s, _ in fitted], [fit for _, fit in fitted]
     curves = [allan_curve(s) for s in sums]
-    axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
+    axes = dict(axis_results(zip(recorded.sums, curves, fits)))
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')
     findings = (
@@ -553,31 +345,77 @@ def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str 
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
-def _axis_results(
-    fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
-) -> Iterable[tuple[str, AxisResult]]:
-    for sums, curve, fit in fitted:
-        means = np.array([one.mean for one in sums.history.recordings])
-        for i, name in enumerate(curve.axes):
-            variance = sample_variance(curve.m, curve.adev[:, i], fit.tau0)
-            white = (fit.axes[name].noise['N'].value or 0.0) ** 2 / fit.tau0
-            yield (
-                name,
-                AxisResult(
-                    fit.tau0,
-                    fit.axes[name],
-                    AxisCurve(
-                        curve.m,
-                        curve.tau,
-                        curve.n,
-                        curve.adev[:, i],
-                        curve.ci_low[:, i],
-                        curve.ci_high[:, i],
-                    ),
-                    tuple(read_curve(curve, name, fit.axes[name])),
-                    None if variance is None else math.sqrt(variance),
-                    name,
-                    rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,
-                    turn_on_bias(means[:, i]) if len(means) else None,
-                ),
-            )
+IN_SUMMARY = ('N', 'B', 'K')
+"""Terms of the text summary: those that filters take."""
+
+
+def headline(results: Results) -> str:
+    """Return one line: which IMU, how many samples, how long at rest."""
+    name = results.identity.label or 'IMU'
+    return (
+        f'{name}: {results.samples:,} samples at {results.rate_hz:.5g} Hz, '
+        f'{duration_text(results.duration_s)} of static data in {results.segments:,} '
+        f'segment{"" if results.segments == 1 else "s"}, fitted by {results.method}'
+    )
+
+
+def _summary_lines(results: Results, units: str = 'datasheet') -> Iterator[str]:
+    """Yield a headline, N, B and K of each axis, and the warnings."""
+    yield headline(results)
+    for name, axis in results.axes.items():
+        cells = []
+        for term in IN_SUMMARY:
+            unit = shown_unit(name, term, units)
+            cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
+        yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
+    for finding in _pressing(results):
+        yield f'  {finding.severity}: {finding}'
+
+
+def _html(results: Results, units: str = 'datasheet') -> str:
+    """Return the coefficients as an HTML table, with the verdict and the warnings."""
+    head = ''.join(f'<th>{term}</th>' for term in TERMS)
+    rows = ''.join(_html_row(results, name, units) for name in results.axes)
+    notes = ''.join(
+        f'<li><b>{escape(finding.severity)}</b> {escape(str(finding))}</li>'
+        for finding in _pressing(results)
+    )
+    from .verdict import WORDS
+
+    verdict = results.verdict
+    return (
+        f'<div><p><b>{WORDS[verdict.level]}.</b> {escape(verdict.summary)}</p>'
+        f'<p>{escape(headline(results))}</p>'
+        f'<table><thead><tr><th>axis</th>{head}</tr></thead><tbody>{rows}</tbody></table>'
+        f'{f"<ul>{notes}</ul>" if notes else ""}</div>'
+    )
+
+
+def _html_row(results: Results, name: str, units: str) -> str:
+    cells = ''
+    for term in TERMS:
+        unit, coefficient = shown_unit(name, term, units), results.axes[name].fit.noise[term]
+        interval = interval_text(coefficient, unit)
+        value = f'{value_text(coefficient, unit)} {pretty_unit(unit.name)}'
+        small = f'<br><small>{escape(interval)}</small>' if interval else ''
+        cells += f'<td>{escape(value)}{small}</td>'
+    return f'<tr><th>{escape(name)}</th>{cells}</tr>'
+
+
+def _table_row(axis: AxisResult, term: str, units: str) -> dict[str, Any]:
+    unit = shown_unit(axis.name, term, units).name
+    quantity = axis.quantity(term).to(unit)
+    low, high = quantity.ci95 or (None, None)
+    return {
+        'axis': axis.name,
+        'term': term,
+        'value': quantity.value,
+        'ci95_low': low,
+        'ci95_high': high,
+        'upper95': quantity.upper95,
+        'unit': unit,
+    }
+
+
+def _pressing(results: Results) -> list[Finding]:
+    return [finding for finding in results.findings if finding.severity != 'info']

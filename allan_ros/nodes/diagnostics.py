@@ -22,6 +22,7 @@ from ..core.fit.findings import about
 from ..core.fit.model import TERMS, Coefficient
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
+from ..io.axis_result import AxisResult
 from ..io.datasheets import beyond_limit
 from ..io.format import (
     LIMIT_DIGITS,
@@ -32,7 +33,6 @@ from ..io.format import (
     significant,
     value_text,
 )
-from ..io.results import AxisResult
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,

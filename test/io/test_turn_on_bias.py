@@ -8,10 +8,10 @@ import json
 
 import numpy as np
 import pytest
-from allan_ros.io.text import to_json
 
 import allan_ros as ar
 from allan_ros.io.documents import results_from_document, results_to_document
+from allan_ros.io.files import to_json
 
 OFFSETS = np.array([1e-3, -2e-3, 4e-3])
 WHITE, RATE, SAMPLES = 1e-3, 10.0, 6000

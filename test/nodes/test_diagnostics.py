@@ -21,7 +21,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
-from allan_ros.io.results import AxisResult
+from allan_ros.io.axis_result import AxisResult
 from allan_ros.nodes.diagnostics import AxisView, InputView, axis_status, input_status, key_values
 
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0

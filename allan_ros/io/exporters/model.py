@@ -25,8 +25,9 @@ from ...core.filters.reductions import Horizons, States, closest_process, common
 from ...core.findings import Finding, finding
 from ...core.imu import AXES, SENSORS, SI_UNITS, UNITS, sensor_of
 from ...core.noise import ProcessModel
+from ..axis_result import AxisResult
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from ..results import AxisResult, Results
+from ..results import Results
 from .convention import Convention, Entry
 from .options import AXIS_RULE, ExportOptions
 

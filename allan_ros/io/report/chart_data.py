@@ -18,6 +18,7 @@ from ...core.allan.spectrum import Spectrum
 from ...core.fit import TERMS, Coefficient
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
+from ..axis_result import AxisResult
 from ..datasheets import DatasheetComparison
 from ..format import (
     READ_AT,
@@ -31,7 +32,7 @@ from ..format import (
     value_text,
 )
 from ..plot_style import BELOW_CURVE
-from ..results import AxisResult, Results
+from ..results import Results
 from ..signal_summary import SignalSummary
 from .courses import courses, rounded
 

@@ -25,8 +25,9 @@ from ... import __version__
 from ...core.allan.spectrum import Spectrum
 from ...core.findings import Finding, grouped
 from ...core.imu import AXES, SENSORS
+from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, duration_text, significant, text_in_units
-from ..results import AxisResult, Results
+from ..results import Results
 from ..signal_summary import SignalSummary
 from ..verdict import WORDS, Verdict, finding_text, verdict_of
 from .chart_data import in_units, sensor_charts, temperature_chart, to_script

@@ -14,6 +14,7 @@ import numpy as np
 from ...core.compare import Comparison, Verdict
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.duration import ADVISED_TERMS
+from ..axis_result import AxisResult
 from ..datasheets import VERDICT_TEXT, DatasheetComparison
 from ..format import (
     NOTHING_KNOWN,
@@ -27,7 +28,7 @@ from ..format import (
     significant,
     value_text,
 )
-from ..results import AxisResult, Results
+from ..results import Results
 from .chart_data import TERM_NAMES, in_units
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}

@@ -11,11 +11,12 @@ import pytest
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.imu import AXES, ImuIdentity
 from allan_ros.core.stream.health import Segment
+from allan_ros.io.axis_result import AxisResult
 from allan_ros.io.documents import results_from_document, results_to_document
 from allan_ros.io.files import to_json
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import AxisResult, Results
+from allan_ros.io.results import Results
 
 RATE = 200.0
 SHARES = {'x': 0.6, 'y': 0.8, 'z': 1.0}

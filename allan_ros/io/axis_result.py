@@ -1,0 +1,283 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The results of one axis: coefficients with units, the curve, and the selected model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.allan.curve import AllanCurve
+from ..core.allan.sums import AllanSums
+from ..core.filters.bias import TurnOnBias, turn_on_bias
+from ..core.filters.noise_parameters import Growth, growth_table, reduce_axis, sample_variance
+from ..core.filters.state_space import StateSpace
+from ..core.fit import AxisFit, Coefficient, NoiseModel, Processes
+from ..core.fit.findings import rounding_step
+from ..core.fit.regions import Region, read_curve
+from ..core.imu import SI_UNITS, UNITS, sensor_of, to_si
+from ..core.noise import NoiseTerms, ProcessModel
+from .format import ShownUnit, interval_text, value_text
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One coefficient of one axis with its unit.
+
+    Attributes
+    ----------
+    value : float or None
+        The estimate; None where the term is not resolved. The ramp R is given without its sign.
+    ci95 : (low, high) or None
+        95 % confidence interval.
+    upper95 : float or None
+        95 % upper limit of a term that is not resolved.
+    unit : str
+    sign : int
+        Sign of the ramp R, else 0.
+
+    Examples
+    --------
+    >>> Quantity(1e-4, (9e-5, 1.1e-4), None, 'rad/s/sqrt(Hz)').to('deg/sqrt(h)')
+    0.3438 (0.309..0.378) deg/sqrt(h)
+    >>> Quantity(None, None, 2e-5, 'rad/s').to('deg/h')
+    < 4.13 deg/h
+    """
+
+    value: float | None
+    ci95: tuple[float, float] | None
+    upper95: float | None
+    unit: str
+    sign: int = 0
+
+    def to(self, unit: str) -> Quantity:
+        """Return the same in another unit of the same quantity.
+
+        Raises
+        ------
+        AllanError
+            When the unit is unknown, or of another quantity; it lists the units that fit.
+        """
+        factor = to_si(1.0, self.unit, UNITS[self.unit].si) / to_si(1.0, unit, UNITS[self.unit].si)
+        low_high = self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor)
+        return replace(
+            self,
+            value=None if self.value is None else self.value * factor,
+            ci95=low_high,
+            upper95=None if self.upper95 is None else self.upper95 * factor,
+            unit=unit,
+        )
+
+    def __repr__(self) -> str:
+        known = Coefficient(
+            self.value,
+            self.ci95,
+            self.upper95,
+            'not_observable' if self.value is None else 'estimated',
+            self.sign,
+        )
+        unit = ShownUnit(self.unit, 1.0)
+        interval = interval_text(known, unit)
+        return f'{value_text(known, unit)}{f" ({interval})" if interval else ""} {self.unit}'
+
+
+@dataclass(frozen=True)
+class AxisCurve:
+    """Overlapping Allan deviation with its 68.3 % confidence limits.
+
+    Attributes
+    ----------
+    m : (factors,) int64 array
+        Averaging factors in samples.
+    tau : (factors,) float64 array
+        Averaging times in s.
+    n : (factors,) int64 array
+        Number of second differences in each point.
+    adev, ci_low, ci_high : (factors,) float64 arrays
+        Deviation and its limits in the unit of the samples; (factors, columns) of several columns.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).tau
+    array([0.5, 1. ])
+    """
+
+    m: NDArray[np.int64]
+    tau: NDArray[np.float64]
+    n: NDArray[np.int64]
+    adev: NDArray[np.float64]
+    ci_low: NDArray[np.float64]
+    ci_high: NDArray[np.float64]
+
+    @property
+    def limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """The deviation, and its lower and upper limit."""
+        return self.adev, self.ci_low, self.ci_high
+
+
+@dataclass(frozen=True)
+class AxisResult:
+    """The results of one axis; ``axis.N``, ``.Q``, ``.B``, ``.K`` and ``.R`` are its coefficients.
+
+    Attributes
+    ----------
+    tau0 : float
+        Sample period in s.
+    fit : AxisFit
+    curve : AxisCurve or None
+        None where only the coefficients are known.
+    regions : tuple of Region
+        Which noise dominates in which range of tau.
+    sample_std : float or None
+        Standard deviation of the samples about their mean of up to a second, as measured.
+    name : str
+        Name of the axis.
+    rounding : float or None
+        Step to which the samples are rounded, where this makes more than a tenth of their white
+        noise; else None.
+    turn_on : TurnOnBias or None
+        Scatter of the bias between recordings; None of fewer than two.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
+    >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
+    ('accel_z', 20.0)
+    """
+
+    tau0: float
+    fit: AxisFit
+    curve: AxisCurve | None = None
+    regions: tuple[Region, ...] = ()
+    sample_std: float | None = None
+    name: str = ''
+    rounding: float | None = None
+    turn_on: TurnOnBias | None = None
+
+    @property
+    def Q(self) -> Quantity:
+        """Quantization noise."""
+        return self.quantity('Q')
+
+    @property
+    def N(self) -> Quantity:
+        """Angle or velocity random walk: the continuous density of the white noise."""
+        return self.quantity('N')
+
+    @property
+    def B(self) -> Quantity:
+        """Bias instability: the coefficient, i.e. the minimum of the curve / 0.664."""
+        return self.quantity('B')
+
+    @property
+    def K(self) -> Quantity:
+        """Rate or acceleration random walk."""
+        return self.quantity('K')
+
+    @property
+    def R(self) -> Quantity:
+        """Rate or acceleration ramp."""
+        return self.quantity('R')
+
+    @property
+    def processes(self) -> Processes:
+        """Gauss-Markov processes and sinusoids of the fit, in addition to the five terms.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> samples = ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4, vibration_frequency=3.0)
+        >>> axis = ar.analyze(samples, motion_gate=False)['gyro_x']
+        >>> [round(line.frequency, 1) for line in axis.processes.sinusoid]  # Hz
+        [3.0]
+        """
+        return self.fit.processes
+
+    def state_space(self) -> StateSpace:
+        """Return the noise as states of a Kalman filter: Phi, Qd and R at any rate.
+
+        The same states as in the export ``state_space``.
+
+        Raises
+        ------
+        AllanError
+            When N has neither a value nor a limit.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> space = ar.analyze(ar.simulate(hours=0.1, rate=50))['gyro_z'].state_space()
+        >>> space.transition(0.02).shape == space.noise(0.02).shape == (space.size, space.size)
+        True
+        """
+        reduced = reduce_axis(self.name, self.fit, 'processes', expect_walk=True).reduction
+        return StateSpace(reduced.white, reduced.walk, reduced.gauss_markov)
+
+    @property
+    def growth(self) -> tuple[Growth, ...]:
+        """Predicted growth of the error without correction, with intervals."""
+        return growth_table(self.fit)
+
+    def quantity(self, term: str) -> Quantity:
+        """Return the coefficient of a term (Q, N, B, K or R) in SI."""
+        c = self.fit.noise[term]
+        value = c.value if c.status == 'estimated' else None
+        return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
+
+    def part_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+        """Return the deviation of each part of the selected model at averaging factors m, SI."""
+        parts = self.fit.selected.parts(m * self.tau0, self.tau0)
+        return {name: np.sqrt(avar) for name, avar in parts.items()}
+
+    def limit_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+        """Return the deviation of the terms outside the model at their 95 % upper limits, SI."""
+        model = self.fit.selected.terms
+        limits = {
+            term: c.upper95
+            for term, c in self.fit.noise.items()
+            if c.upper95 is not None and math.isfinite(c.upper95) and not getattr(model, term)
+        }
+        parts = ProcessModel(NoiseTerms(**limits)).parts(m * self.tau0, self.tau0)
+        return {name: np.sqrt(avar) for name, avar in parts.items()}
+
+    def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the deviation of the selected model at averaging factors m, (factors,), SI."""
+        total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(m * self.tau0, self.tau0))
+        return total
+
+
+def axis_results(
+    fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
+) -> Iterable[tuple[str, AxisResult]]:
+    """Yield name and result of each axis of sums, their curve and fit."""
+    for sums, curve, fit in fitted:
+        means = np.array([one.mean for one in sums.history.recordings])
+        for i, name in enumerate(curve.axes):
+            variance = sample_variance(curve.m, curve.adev[:, i], fit.tau0)
+            white = (fit.axes[name].noise['N'].value or 0.0) ** 2 / fit.tau0
+            yield (
+                name,
+                AxisResult(
+                    fit.tau0,
+                    fit.axes[name],
+                    AxisCurve(
+                        curve.m,
+                        curve.tau,
+                        curve.n,
+                        curve.adev[:, i],
+                        curve.ci_low[:, i],
+                        curve.ci_high[:, i],
+                    ),
+                    tuple(read_curve(curve, name, fit.axes[name])),
+                    None if variance is None else math.sqrt(variance),
+                    name,
+                    rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,
+                    turn_on_bias(means[:, i]) if len(means) else None,
+                ),
+            )
