@@ -11,7 +11,6 @@ import difflib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,12 +21,11 @@ from .core.allan.curve import allan_curve
 from .core.allan.engine import RunningAllan
 from .core.compare import MARGIN
 from .core.errors import AllanError
-from .core.faults import Faults
 from .core.fit import METHODS
 from .core.fit.curve_fit import fit_curve
 from .core.imu import AXES, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
-from .core.simulate import simulate_imu
+from .core.simulate import Faults, simulate_imu
 from .io.axis_result import AxisCurve, AxisResult
 from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
@@ -419,7 +417,7 @@ def simulate(
     hours, rate : float
         Length, and sample rate in Hz.
     preset : str
-        A name of `core.faults.PRESETS`; '' for none.
+        A name of `core.simulate.PRESETS`; '' for none.
     sensor : str
         A datasheet, whose limits are taken instead of the preset.
     gyro, accel : mapping of term to value, optional
@@ -427,7 +425,7 @@ def simulate(
     seed : int
     frame_id : str
     **faults
-        Fields of `core.faults.Faults`: ``motion``, ``gaps``, ``low_pass`` ...
+        Fields of `core.simulate.Faults`: ``motion``, ``gaps``, ``low_pass`` ...
 
     Returns
     -------
@@ -452,7 +450,7 @@ def simulate(
         faults=_settings(Faults, faults),
         frame_id=frame_id,
     )
-    return reduce(joined, batches)
+    return joined(list(batches))
 
 
 def _paths(source: Any) -> list[str]:

@@ -20,10 +20,9 @@ from bench_accuracy import clopper_pearson
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.compare import FAMILY_ERROR
-from allan_ros.core.faults import PRESETS
 from allan_ros.core.imu import AXES, from_datasheet, sensor_of
 from allan_ros.core.noise import NoiseTerms
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulate import PRESETS, simulate_axis
 from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError
-from ..core.faults import PRESETS, Faults
+from ..core.simulate import PRESETS, Faults, simulate_imu
 from .console import Console
 from .options import add_settings, settings_of
 
@@ -90,7 +90,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, write the recording and then its truth."""
     # Imported here, so that --help needs no numpy.
-    from ..core.simulate import simulate_imu
     from ..io.truth import stated_noise, write_truth
     from ..io.writing import write_recording
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,14 +17,11 @@ from .errors import AllanError, one_line
 AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """The axes, in the order of the last dimension of every six-axis array."""
 
-
 SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
 """The axes of each sensor among `AXES`."""
 
-
 LARGEST = 1e30
 """No IMU measures larger values, of either sign; their squares, summed over years, stay finite."""
-
 
 MAX_NAME = 1000
 """Longest frame_id or hardware id, in characters; longer names indicate corruption or an attack."""
@@ -90,16 +88,14 @@ class ImuBatch:
         return ImuBatch(self.stamps_ns[rows], self.samples[rows], record, self.frame_id)
 
 
-def joined(a: ImuBatch, b: ImuBatch) -> ImuBatch:
-    """Return the samples of both in one batch, with the frame_id of the second."""
-    record = None
-    if a.record_ns is not None and b.record_ns is not None:
-        record = np.concatenate([a.record_ns, b.record_ns])
+def joined(batches: Sequence[ImuBatch]) -> ImuBatch:
+    """Return the samples of all batches in one, with the frame_id of the last."""
+    records = [batch.record_ns for batch in batches if batch.record_ns is not None]
     return ImuBatch(
-        np.concatenate([a.stamps_ns, b.stamps_ns]),
-        np.concatenate([a.samples, b.samples]),
-        record,
-        b.frame_id,
+        np.concatenate([batch.stamps_ns for batch in batches]),
+        np.concatenate([batch.samples for batch in batches]),
+        np.concatenate(records) if len(records) == len(batches) else None,
+        batches[-1].frame_id,
     )
 
 
@@ -138,13 +134,11 @@ SI_UNITS = {
 }
 """sensor -> term -> SI unit. The deviation itself is in the unit of B."""
 
-
 DATASHEET_UNITS = {
     'gyro': {'Q': 'urad', 'N': 'deg/sqrt(h)', 'B': 'deg/h', 'K': 'deg/h^1.5', 'R': 'deg/h^2'},
     'accel': {'Q': 'um/s', 'N': 'm/s/sqrt(h)', 'B': 'ug', 'K': 'ug/sqrt(h)', 'R': 'ug/h'},
 }
 """sensor -> term -> unit of the datasheets (and of the paper, for gyros)."""
-
 
 UNITS = {
     'rad': Unit('rad', 1.0),

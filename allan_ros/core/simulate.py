@@ -1,38 +1,134 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated IMU recordings with known noise and `Faults`."""
+"""Simulated IMU recordings with known noise and `Faults`, and presets of sensors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
 
 from .errors import AllanError
-from .faults import Faults
 from .imu import AXES, SENSORS, STANDARD_GRAVITY, ImuBatch
 from .noise import NoiseTerms
-
-__all__ = ['NoiseTerms', 'simulate_axis', 'simulate_imu']
-
+from .settings import check, parameter
 
 Floats = NDArray[np.float64]
-
 
 BATCH_SAMPLES = 32768
 """Samples in one batch: the cost per batch is negligible."""
 
-
 ASYMPTOTIC_LAG = 20
 """From this lag on the series of `_flicker_autocovariance` is better than the difference."""
 
-
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
 """Mean of the six axes of an IMU at rest and level, z up; rad/s and m/s^2."""
+
+PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
+    # Gyro: Cong, Wang, Yan 2019, table 1, the ADIS16475-3 they measured. Accelerometer: B such that
+    # the curve's minimum, 0.664 B, is the 3.6 ug of the ADIS16475 data sheet (Rev. D, features);
+    # its N, in no source at hand, is one usual for its class.
+    'paper': {
+        'gyro_x': {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242},
+        'gyro_y': {'Q': 0.124, 'N': 0.168, 'B': 4.972, 'K': 8.169, 'R': 11.068},
+        'gyro_z': {'Q': 0.100, 'N': 0.245, 'B': 6.058, 'K': 50.568, 'R': 66.250},
+        'accel_x': {'N': 0.012, 'B': 5.42},
+        'accel_y': {'N': 0.012, 'B': 5.42},
+        'accel_z': {'N': 0.012, 'B': 5.42},
+    },
+}
+"""name -> axis -> term -> coefficient in the unit of `imu.DATASHEET_UNITS`."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults of a simulated IMU; none by default.
+
+    Raises
+    ------
+    AllanError
+        When a value lies outside its range.
+    """
+
+    warmup_gyro: float = parameter(
+        0.0, 'offset at the start that decays as the sensor warms up', unit='rad/s'
+    )
+    warmup_accel: float = parameter(
+        0.0, 'offset at the start that decays as the sensor warms up', unit='m/s^2'
+    )
+    warmup_time: float = parameter(
+        300.0, 'time in which the warm-up offset decays to 1/e', unit='s', low=1e-3
+    )
+    gauss_markov_gyro: float = parameter(
+        0.0, 'standard deviation of an added Gauss-Markov noise', unit='rad/s', low=0.0
+    )
+    gauss_markov_accel: float = parameter(
+        0.0, 'standard deviation of an added Gauss-Markov noise', unit='m/s^2', low=0.0
+    )
+    gauss_markov_time: float = parameter(
+        300.0, 'correlation time of the added Gauss-Markov noise', unit='s', low=1e-6
+    )
+    vibration_gyro: float = parameter(
+        0.0, 'amplitude of a vibration line on each gyro axis', unit='rad/s', low=0.0
+    )
+    vibration_accel: float = parameter(
+        0.0, 'amplitude of a vibration line on each accelerometer axis', unit='m/s^2', low=0.0
+    )
+    vibration_frequency: float = parameter(
+        1.0, 'frequency of the vibration line', unit='Hz', low=1e-9
+    )
+    bumps: int = parameter(0, 'how many knocks, at random times', low=0)
+    bump_gyro: float = parameter(0.5, 'first amplitude of a knock', unit='rad/s', low=0.0)
+    bump_accel: float = parameter(5.0, 'first amplitude of a knock', unit='m/s^2', low=0.0)
+    bump_frequency: float = parameter(8.0, 'ringing of a knock', unit='Hz', low=1e-9)
+    bump_decay: float = parameter(
+        0.2, 'time in which the ringing decays to 1/e', unit='s', low=1e-6
+    )
+    motion: tuple[tuple[float, float], ...] = parameter(
+        (), 'periods of motion, each (start, length)', unit='s'
+    )
+    motion_gyro: float = parameter(0.5, 'amplitude of the motion', unit='rad/s', low=0.0)
+    motion_accel: float = parameter(1.0, 'amplitude of the motion', unit='m/s^2', low=0.0)
+    low_pass: float = parameter(
+        0.0, 'corner of a first-order low-pass filter in the sensor; 0: none', unit='Hz', low=0.0
+    )
+    accel_rate: float = parameter(
+        0.0,
+        'rate at which the accelerometer is read; samples are repeated in between; 0: every sample',
+        unit='Hz',
+        low=0.0,
+    )
+    lsb_gyro: float = parameter(0.0, 'step of the gyro values; 0: none', unit='rad/s', low=0.0)
+    lsb_accel: float = parameter(
+        0.0, 'step of the accelerometer values; 0: none', unit='m/s^2', low=0.0
+    )
+    gaps: tuple[tuple[float, float], ...] = parameter(
+        (), 'periods without samples, each (start, length)', unit='s'
+    )
+    drop: float = parameter(0.0, 'probability that a sample is lost', low=0.0, high=1.0)
+    jitter: float = parameter(
+        0.0, 'standard deviation of the stamps about the true times', unit='s', low=0.0
+    )
+    burst: float = parameter(
+        0.0,
+        'longest silence of a host that reads samples in bursts and stamps them then; 0: none',
+        unit='s',
+        low=0.0,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        for name in ('motion', 'gaps'):
+            for start, length in getattr(self, name):
+                if not (start >= 0.0 and length > 0.0):
+                    raise AllanError(
+                        f'{name}: a period of {length} s at {start} s: give a start of at least 0 '
+                        'and a positive length'
+                    )
 
 
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
@@ -61,6 +157,8 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
     """
     if n < 1 or not tau0 > 0.0:
         raise AllanError(f'cannot simulate {n} samples of {tau0} s: give positive numbers')
+    from scipy import fft  # slow to import, and rarely needed
+
     q, w, b, k, r = terms.in_sample_units(tau0)
     half = fft.next_fast_len(max(n - 1, ASYMPTOTIC_LAG), real=True)
     # (2 sin(pi f))^2 at the frequencies of the circulant of 2*half lags: |transfer|^2 of a step.
@@ -79,18 +177,13 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
 
 
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
-    """Return one draw of the stationary sequence with these circulant eigenvalues.
+    """Return one draw of the stationary sequence with these circulant eigenvalues, (2 half,).
 
-    Parameters
-    ----------
-    eigenvalues : (half + 1,) float64 array
-        Of the even circulant of 2 half lags, at its frequencies 0 .. 1/2.
-
-    Returns
-    -------
-    (2 half,) float64 array
-        Its first half + 1 values have the wanted autocovariance.
+    The (half + 1,) eigenvalues are those of an even circulant at its frequencies 0 .. 1/2. The
+    first half + 1 values of the result have the wanted autocovariance.
     """
+    from scipy import fft
+
     size = 2 * (len(eigenvalues) - 1)
     spectrum = rng.standard_normal(2 * len(eigenvalues)).view(complex)
     # A real sequence has a real value at the frequencies 0 and 1/2, of the full variance.
@@ -105,6 +198,8 @@ def _flicker_eigenvalues(half: int) -> Floats:
 
     Kept for one length, since all axes of an IMU ask for the same.
     """
+    from scipy import fft
+
     # The transform of an even sequence is the cosine transform of its half.
     eigenvalues = fft.dct(_flicker_autocovariance(half), type=1, overwrite_x=True)
     eigenvalues.flags.writeable = False
@@ -190,18 +285,14 @@ def simulate_imu(
 
 Periods = tuple[tuple[float, float], ...]
 
-
 BUMP_TAIL = 40.0
 """Decay times after which a knock is below rounding (e^-40)."""
-
 
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
 """Frequencies in Hz of a motion, with random phases; their sum does not repeat soon."""
 
-
 BURST_SPACING = 0.002
 """Seconds between the stamps of samples that a host reads at once (an MPU6050 at 100 Hz)."""
-
 
 BURST_SHORTEST = 0.02
 """The shortest silence between bursts, as a share of the longest."""
@@ -210,21 +301,10 @@ BURST_SHORTEST = 0.02
 def disturb_samples(
     samples: Floats, tau0: float, faults: Faults, sensor: str, seed: np.random.SeedSequence
 ) -> None:
-    """Apply the faults to the samples of one sensor, in place.
+    """Apply the faults to the samples of one sensor, (n, 3), in place.
 
-    Motion and bias come first, then the effects of the electronics.
-
-    Parameters
-    ----------
-    samples : (n, 3) float64 array
-        Changed in place.
-    tau0 : float
-        Sample period in s.
-    faults : Faults
-    sensor : 'gyro' or 'accel'
-        Selects the amplitudes.
-    seed : numpy.random.SeedSequence
-        The same for both sensors, so that a knock hits both at the same time.
+    Motion and bias come first, then the effects of the electronics. Both sensors need the same
+    seed, so that a knock hits both at the same time.
     """
     n, axes = samples.shape
     times: Floats = np.arange(n, dtype=np.float64) * tau0
@@ -323,23 +403,9 @@ def lost_samples(
 def disturb_stamps(
     stamps_ns: NDArray[np.int64], faults: Faults, seed: np.random.SeedSequence
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the header stamps and the record times of samples taken at the given times.
+    """Return the header stamps and the record times of samples taken at the given times, in ns.
 
     Jitter moves both; a bursty host stamps what it finds when it reads, in quick succession.
-
-    Parameters
-    ----------
-    stamps_ns : (n,) int64 array
-        True times.
-    faults : Faults
-        Its jitter and burst.
-    seed : numpy.random.SeedSequence
-        Of the jitter and the bursts.
-
-    Returns
-    -------
-    header_ns, record_ns : (n,) int64 arrays
-        In nanoseconds.
     """
     jitter_seed, burst_seed = seed.spawn(2)
     out = stamps_ns

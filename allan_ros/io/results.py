@@ -20,7 +20,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
 from ..core.settings import AUTO
-from ..core.stream.findings import sums_findings
+from ..core.stream.health import sums_findings
 from .axis_result import AxisResult, axis_results
 from .datasheets import (
     Datasheet,

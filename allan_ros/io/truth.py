@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import AllanError
-from ..core.faults import PRESETS, Faults
 from ..core.fields import Fields
 from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of, to_si
 from ..core.noise import NoiseTerms
+from ..core.simulate import PRESETS, Faults
 from .config_files import read_yaml
 from .datasheets import load_sensor
 from .files import write_atomic
@@ -98,7 +98,7 @@ def stated_noise(
     Parameters
     ----------
     preset : str
-        A name of `core.faults.PRESETS`.
+        A name of `core.simulate.PRESETS`.
     sensor : str
         A datasheet, whose limits are N and B.
     spec : str

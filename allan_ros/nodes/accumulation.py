@@ -191,7 +191,8 @@ class ImuWatch:
 
     def _begin(self, latest_ns: int | None = None) -> None:
         """Start new sums; with sim time, samples up to the latest stamp are a repeated pass."""
-        self._stream = ImuStream(self._settings.segmenter.value, self._imu.hardware_id)
+        segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
+        self._stream = ImuStream(segmenter, hardware_id, with_means=True)
         self._splitter = PassSplitter(latest_ns)
         self._latest_ns: int | None = None  # of these sums
 

@@ -29,7 +29,8 @@ from sensor_msgs.msg import Imu
 
 from ..core.errors import AllanError
 from ..core.imu import ImuBatch
-from ..core.simulate import NoiseTerms, simulate_imu
+from ..core.noise import NoiseTerms
+from ..core.simulate import simulate_imu
 from ..io.readers.cdr import encode_imus
 from ..io.readers.open import open_recordings
 from ..io.readers.recording import ReadOptions, Recording

@@ -15,7 +15,7 @@ from ..core.allan.sums import KEPT_SEGMENTS, AllanSums
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.imu import AXES
-from ..core.stream.means import Means
+from ..core.stream.sensor_stream import Means
 from ..io.documents import sums_file_from_document, sums_file_to_document
 from ..io.files import parse_json
 from ..io.recorded import Provenance

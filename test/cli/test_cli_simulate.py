@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
-from allan_ros.core.faults import PRESETS
 from allan_ros.core.fit import TERMS
 from allan_ros.core.imu import AXES, sensor_of, to_datasheet
+from allan_ros.core.simulate import PRESETS
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.truth import read_noise, truth_path
@@ -138,7 +138,7 @@ def test_help_needs_no_numpy(repository):
 
 
 def test_every_fault_has_an_option(capsys):
-    from allan_ros.core.faults import Faults
+    from allan_ros.core.simulate import Faults
 
     with pytest.raises(SystemExit):
         main(['simulate', '--help'])

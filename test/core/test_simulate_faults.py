@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.faults import Faults
-from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.core.simulate import Faults, NoiseTerms, simulate_imu
 
 QUIET = [NoiseTerms(N=1e-4)] * 3
 SILENT = [NoiseTerms()] * 3

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.faults import Faults
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.simulate import Faults
 from allan_ros.io.truth import read_noise, truth_path, write_truth
 
 

@@ -25,7 +25,6 @@ Floats = NDArray[np.float64]
 
 Stamps = NDArray[np.int64]
 
-
 BACKWARD_RUN = 16
 """This many stamps in a row before the latest one mean that the clock was set back; fewer are
 dropped."""
@@ -115,7 +114,7 @@ class PassSplitter:
         """Yield (begins a new pass, samples) in order; together they are the stream."""
         if self._waiting is not None:
             if self._waiting.frame_id == batch.frame_id:
-                batch = joined(self._waiting, batch)
+                batch = joined([self._waiting, batch])
             else:
                 yield False, self._waiting
             self._waiting = None
@@ -154,12 +153,10 @@ class PassSplitter:
 SHARE = 0.1
 """Least share of repeated or zero samples of a sample-and-hold or zero-filled sensor."""
 
-
 TOGETHER_LOG_RATIO = 2.0 / 3.0
 """Coarse values of a sensor at rest repeat, or are zero, by chance: then the logarithm of the share
 of all three axes is the sum of their logarithms. If they are repeated or filled together it is a
 third of that."""
-
 
 OwnSamples = Literal['all', 'held', 'zero']
 

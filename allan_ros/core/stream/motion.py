@@ -26,8 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .health import Counts
-from .noise_floor import LEAST_WINDOW, NoiseFloor, RestLimits, Windows
-from .spikes import SPIKE_NEIGHBORS, without_spikes
+from .noise_floor import (
+    LEAST_WINDOW,
+    SPIKE_NEIGHBORS,
+    NoiseFloor,
+    RestLimits,
+    Windows,
+    without_spikes,
+)
 from .timing import Block
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of a sensor at rest, and the windows of samples that are compared with it."""
+"""The noise of a sensor at rest, the windows of samples compared with it, and isolated spikes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .timing import Block
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +55,14 @@ energy of a motion lies at low frequencies."""
 
 SAME_DIRECTION = 0.035
 """Largest change of gravity, relative to its size, of an IMU that did not tilt (2 degrees)."""
+
+SPIKE_SIGMAS = 7.0
+"""A sample this many floor deviations from the mean of its window is a spike if it is isolated:
+1e-10 of the samples of white noise, whose variance changes by less than 1e-8."""
+
+SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
+"""The samples next to a spike, and all but one of so many before and after it, must be closer to
+the mean than this fraction of its least height: a knock rings, a spike does not."""
 
 
 @dataclass(frozen=True)
@@ -113,28 +123,21 @@ class Windows:
         parts = list(parts)
         if len(parts) == 1:
             return parts[0]
-        columns = zip(*((p.mean, p.variance, p.peak) for p in parts))
-        return cls(*(np.concatenate(arrays, axis=1) for arrays in columns))
+        names = ('mean', 'variance', 'peak')
+        return cls(*(np.concatenate([getattr(p, n) for p in parts], axis=1) for n in names))
 
 
 def smoothness(stretches: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis: 1 for white noise, near 0 for slow motion.
 
     It is half the mean square of the differences between neighboring samples over the variance,
-    both about the mean of each stretch; NaN where the samples are constant.
-
-    Parameters
-    ----------
-    stretches : iterable of (axes, n) arrays
+    both about the mean of each stretch, (axes, n); NaN where the samples are constant.
     """
-    differences: Floats | float = 0.0
-    deviations: Floats | float = 0.0
-    for rows in stretches:
-        differences = differences + (np.diff(rows, axis=1) ** 2).sum(axis=1)
-        deviations = deviations + rows.var(axis=1) * rows.shape[1]
+    stretches = list(stretches)
+    differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in stretches)
+    deviations = sum(rows.var(axis=1) * rows.shape[1] for rows in stretches)
     with np.errstate(invalid='ignore', divide='ignore'):
-        ratio: Floats = np.asarray(0.5 * np.asarray(differences) / deviations)
-    return ratio
+        return np.asarray(0.5 * np.asarray(differences) / deviations)
 
 
 @dataclass(frozen=True)
@@ -228,15 +231,9 @@ class NoiseFloor:
         )
 
     def following(self, block: Windows, still: NDArray[np.bool_], turning: bool) -> NoiseFloor:
-        """Return the floor after a block of windows.
+        """Return the floor after a block of windows, some of which, (k,), were ``still``.
 
-        Parameters
-        ----------
-        block : Windows
-        still : (k,) bool array
-            Which of them were still.
-        turning : bool
-            Whether only the mean rate differed from the floor, in all of them.
+        ``turning`` is whether only the mean rate differed from the floor, in all of them.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else block[still]
@@ -254,16 +251,9 @@ class NoiseFloor:
         """Return how many times louder a block at rest is, (axes,); None if it is motion.
 
         Noise that became louder is stationary, as broad in its spectrum as the floor or as white
-        noise, and leaves the mean rate and the direction of gravity where they were.
-
-        Parameters
-        ----------
-        rows : (axes, n) array
-            The samples of the block.
-        block : Windows
-            The same in windows of ``size`` samples.
-        rate_limit : (axes,) array
-            Least mean rate, away from that of the floor, that is a turn.
+        noise, and leaves the mean rate and the direction of gravity where they were. The samples
+        of the block are ``rows``, (axes, n); a mean rate that differs from the floor by
+        ``rate_limit``, (axes,), is a turn.
         """
         level = _quantile(block.variance, 0.5)
         scale = self.scale
@@ -283,9 +273,8 @@ class NoiseFloor:
         sigma = np.sqrt(np.maximum(level, scale))
         white = np.sqrt(2.0 / size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
-        if (
-            MAD_TO_SIGMA * _quantile(steps, 0.5) > COLOURED_STEP * np.maximum(white, self.step)
-        ).any():
+        least_step = COLOURED_STEP * np.maximum(white, self.step)
+        if (MAD_TO_SIGMA * _quantile(steps, 0.5) > least_step).any():
             return None
         moved = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[limits.gravity]))
@@ -303,12 +292,64 @@ def _have_heavy_tails(stretches: list[Floats], size: int, sigma: Floats) -> NDAr
         off = np.abs(cube - np.median(cube, axis=2, keepdims=True))
         inside += np.count_nonzero((off > low) & (off < high), axis=(1, 2))
         samples += rows.shape[1]
-    heavy: NDArray[np.bool_] = inside >= max(LEAST_HEAVY, HEAVY_SHARE * samples)
-    return heavy
+    return np.asarray(inside >= max(LEAST_HEAVY, HEAVY_SHARE * samples))
 
 
 def _quantile(values: Floats, share: float) -> Floats:
     """Return the lower quantile of each row: one of its values, found without interpolation."""
     k = int(share * (values.shape[1] - 1))
-    found: Floats = np.partition(values, k, axis=1)[:, k]
-    return found
+    return np.asarray(np.partition(values, k, axis=1)[:, k])
+
+
+def without_spikes(
+    block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
+) -> tuple[Block, Windows, int]:
+    """Replace isolated spikes in windows of ``size`` samples by the mean of their neighbors.
+
+    Spikes of axes whose noise has heavy tails stay in the block, but not in the windows. The
+    arguments ``before`` and ``after`` are up to `SPIKE_NEIGHBORS` samples next to the block. The
+    result is the block, its windows, and the number of values that were replaced.
+    """
+    rows = block.rows
+    windows = Windows.of(rows, size)
+    least = SPIKE_SIGMAS * np.sqrt(floor.scale)
+    flagged = (windows.peak > least[:, None]) & (least > 0.0)[:, None]
+    if not flagged.any() or size < LEAST_WINDOW:
+        return block, windows, 0
+    axes, at = np.nonzero(flagged)
+    cube = rows.reshape(len(rows), -1, size)[axes, at]
+    level = np.median(cube, axis=1)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
+    # where the noise itself became louder, by more than the estimate scatters
+    louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * least[axes]
+    height = np.where(louder, SPIKE_SIGMAS * sigma, least[axes])
+    far = np.abs(cube - level[:, None]) > height[:, None]
+    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more are a motion
+    around = np.concatenate([before, rows, after], axis=1)
+    judged = rows.copy()
+    found = np.zeros(rows.shape, bool)
+    for n, k in zip(*np.nonzero(far & few[:, None])):
+        axis, i = axes[n], at[n] * size + k
+        x, j = around[axis], i + before.shape[1]
+        first = max(0, j - SPIKE_NEIGHBORS)
+        near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
+        if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
+            judged[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
+            found[axis, i] = True
+    changed = found.any(axis=0).reshape(-1, size).any(axis=1)
+    if not changed.any():
+        return block, windows, 0
+    some = judged.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
+    again = Windows.of(some, size)
+    for name in ('mean', 'variance', 'peak'):
+        getattr(windows, name)[:, changed] = getattr(again, name)
+    found[floor.heavy] = False
+    filled = found if block.filled is None else block.filled | found
+    replaced = np.where(found, judged, rows)
+    return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
+
+
+def _is_isolated(far: NDArray[np.bool_], at: int) -> bool:
+    """Return whether at most one other sample is far from the level, and none next to an index."""
+    inside = 0 < at < len(far) - 1
+    return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2

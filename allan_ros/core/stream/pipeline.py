@@ -12,22 +12,16 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..allan.spectrum import SpectrumSums
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from ..imu import AXES, ImuBatch, ImuIdentity
+from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
 from .cleaning import plan_sensors
-from .findings import stream_findings
-from .health import Counts, Segment, State, StreamHealth
-from .means import Means
-from .sensor_stream import SensorStream, StreamSums
+from .health import Counts, Segment, State, StreamHealth, stream_findings
+from .sensor_stream import Means, SensorStream, StreamOptions, StreamSums
 from .timing import LEARN
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 KEPT_FRAMES = 8
 """Different frame_ids in one stream whose sums are kept: each is another IMU."""
@@ -71,8 +65,8 @@ class ImuStream:
     ----------
     settings : SegmenterSettings
     hardware_id : str
-    with_spectra : bool
-        Whether to keep the power spectral density too.
+    with_spectra, with_means : bool
+        Whether to keep the power spectral density, and the means over a second too.
 
     Examples
     --------
@@ -91,10 +85,10 @@ class ImuStream:
         settings: SegmenterSettings = SegmenterSettings(),
         hardware_id: str = '',
         with_spectra: bool = False,
+        with_means: bool = False,
     ) -> None:
-        self._settings = settings
         self._hardware_id = hardware_id
-        self._with_spectra = with_spectra
+        self._wanted = StreamOptions(settings, with_spectra, with_means)
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
         self._present = self._frame('')
@@ -121,7 +115,7 @@ class ImuStream:
 
     def means(self) -> tuple[Means, ...]:
         """Return the latest means of static samples over a second, one value for each sensor."""
-        return tuple(stream.means for stream in self._present.sensors)
+        return tuple(stream.means for stream in self._present.sensors if stream.means is not None)
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream itself is not changed."""
@@ -141,11 +135,8 @@ class ImuStream:
             tuple(each.spectrum for each in longest if each.spectrum is not None),
         )
 
-    # --- the frames ---------------------------------------------------------------------------
-
     def _frame(self, frame_id: str) -> FrameStream:
-        identity = ImuIdentity(frame_id, self._hardware_id)
-        return FrameStream(identity, self._settings, self._with_spectra)
+        return FrameStream(ImuIdentity(frame_id, self._hardware_id), self._wanted)
 
     def _another(self, frame_id: str) -> FrameStream:
         """Add a frame; if there are too many, drop the one with the shortest data."""
@@ -156,8 +147,6 @@ class ImuStream:
             del self._frames[least.identity.frame_id]
         self._frames[frame_id] = self._frame(frame_id)
         return self._frames[frame_id]
-
-    # --- results ------------------------------------------------------------------------------
 
     def _longest(self) -> tuple[StreamSums, ...]:
         """Return the sums of the longest time for each sensor that was ever present."""
@@ -200,7 +189,7 @@ class ImuStream:
         if self._frame_changes:
             times, frame_id = self._frame_changes, self._present.identity.frame_id
             found.append(finding('frame_changed', times=times, frame_id=frame_id))
-        found += stream_findings(health, longest, self._settings)
+        found += stream_findings(health, longest, self._wanted.settings)
         return tuple(dict.fromkeys(found))
 
 
@@ -220,18 +209,16 @@ class FrameStream:
         Whether record times are used as stamps.
     """
 
-    def __init__(
-        self, identity: ImuIdentity, settings: SegmenterSettings, with_spectra: bool
-    ) -> None:
+    def __init__(self, identity: ImuIdentity, wanted: StreamOptions) -> None:
         self.identity = identity
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.last_ns: int | None = None
-        self.use_record = settings.stamps == 'record'
-        self._settings = settings
-        self._with_spectra = with_spectra
-        self._learning: list[tuple[Stamps, Stamps | None, Floats]] = []
+        self.use_record = wanted.settings.stamps == 'record'
+        self._wanted = wanted
+        self._settings = wanted.settings
+        self._learning: list[ImuBatch] = []
         self._learned = 0
         self._skipped = 0
         self._skip_until: int | None = None
@@ -242,9 +229,9 @@ class FrameStream:
     def state(self) -> State:
         """State of the stream."""
         states = [sensor.state for sensor in self.sensors]
-        if states:
-            return 'louder' if 'louder' in states else states[0]
-        return 'learning' if self._learned else 'waiting'
+        if not states:
+            return 'learning' if self._learned else 'waiting'
+        return 'louder' if 'louder' in states else states[0]
 
     @property
     def counts(self) -> Counts:
@@ -265,29 +252,17 @@ class FrameStream:
 
     def update(self, batch: ImuBatch) -> None:
         """Take the next samples."""
-        rows = batch.samples.T
         if self.sensors:
-            self._feed(batch.stamps_ns, batch.record_ns, rows)
+            self._feed(batch)
             return
         # the first LEARN samples decide together, whatever chunks they came in
         take = min(LEARN - self._learned, len(batch))
-        record = batch.record_ns
-        self._learning.append(
-            (
-                batch.stamps_ns[:take].copy(),
-                None if record is None else record[:take].copy(),
-                np.array(rows[:, :take], order='C'),
-            )
-        )
+        self._learning.append(batch[np.arange(take)])  # a copy
         self._learned += take
         if self._learned == LEARN:
             self._learn()
             if take < len(batch):
-                self._feed(
-                    batch.stamps_ns[take:],
-                    None if record is None else record[take:],
-                    rows[:, take:],
-                )
+                self._feed(batch[take:])
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
@@ -298,12 +273,8 @@ class FrameStream:
 
     def _learn(self) -> None:
         """Choose the stamps and the sensor streams from the first samples, then take them."""
-        waiting, self._learning = self._learning, []
-        self._learned = 0
-        stamps = np.concatenate([s for s, _, _ in waiting])
-        records = [r for _, r, _ in waiting if r is not None]
-        rows = np.concatenate([r for _, _, r in waiting], axis=1)
-        record = np.concatenate(records) if len(records) == len(waiting) else None
+        first, self._learning, self._learned = joined(self._learning), [], 0
+        stamps, record = first.stamps_ns, first.record_ns
         if not self.use_record and len(stamps) > 1 and stamps.min() == stamps.max():
             what = 'all zero' if not stamps.any() else 'all equal'
             if record is not None:
@@ -315,16 +286,15 @@ class FrameStream:
                 self.notes.append(finding('stamps_from_rate', what=what, rate=rate))
             else:
                 self.notes.append(finding('stamps_missing', what=what))
-        plans, findings = plan_sensors(stamps, rows)
+        plans, findings = plan_sensors(stamps, first.samples.T)
         self.notes += findings
-        self.sensors = tuple(
-            SensorStream(p, self.identity, self._settings, self._with_spectra) for p in plans
-        )
-        self._feed(stamps, record, rows)
+        self.sensors = tuple(SensorStream(p, self.identity, self._wanted) for p in plans)
+        self._feed(first)
 
-    def _feed(self, stamps: Stamps, record: Stamps | None, rows: Floats) -> None:
-        if self.use_record and record is not None:
-            stamps = record
+    def _feed(self, batch: ImuBatch) -> None:
+        stamps, rows = batch.stamps_ns, batch.samples.T
+        if self.use_record and batch.record_ns is not None:
+            stamps = batch.record_ns
         elif self._without_stamps:
             index = np.arange(self._placed, self._placed + len(stamps))
             self._placed += len(stamps)
@@ -335,11 +305,9 @@ class FrameStream:
         self.last_ns = int(stamps[-1])
         if self._skip_until is not None and self._settings.skip > 0.0:
             late = stamps >= self._skip_until
+            start = int(np.argmax(late)) if late.any() else len(stamps)
             if late.any():
-                start = int(np.argmax(late))
                 self._skip_until = None  # a backward clock step later skips no more samples
-            else:
-                start = len(stamps)
             self._skipped += start
             stamps, rows = stamps[start:], rows[:, start:]
         for sensor in self.sensors:

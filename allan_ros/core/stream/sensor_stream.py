@@ -9,7 +9,8 @@ different rates. Its stages: own samples, order of stamps, sample clock, motion 
 from __future__ import annotations
 
 from bisect import insort
-from dataclasses import replace
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,6 @@ from ..imu import ImuIdentity
 from ..settings import SegmenterSettings
 from .cleaning import SampleHoldFilter, SensorPlan, StampFilter
 from .health import Counts, Segment, State
-from .means import Means, RunningMeans
 from .motion import RELEARNED, MotionGate
 from .timing import LEARN, Block, SampleClock, learn_clock
 
@@ -38,6 +38,9 @@ LISTED_SEGMENTS = 1000
 
 KEPT_RATES = 8
 """Rates of one sensor stream whose sums are kept."""
+
+KEPT_MEANS = 120
+"""Latest means that are kept, for a reader that asks once in a while."""
 
 
 def longest_segments(segments: list[Segment]) -> tuple[Segment, ...]:
@@ -67,6 +70,69 @@ class StreamSums(NamedTuple):
         return StreamSums(self.sums + other.sums, both, segments)
 
 
+@dataclass(frozen=True)
+class Means:
+    """Means of static samples of the axes of one sensor stream: the input of the bias filter.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    end_ns : (n,) int64 array
+        Time at which each mean ends.
+    values : (n, axes) float64 array
+        In the unit of the samples.
+    """
+
+    axes: tuple[str, ...]
+    end_ns: NDArray[np.int64]
+    values: Floats
+
+
+class RunningMeans:
+    """Means over consecutive seconds of contiguous samples.
+
+    Parameters
+    ----------
+    axes : tuple of str
+    length : float
+        Length of a mean in s.
+    """
+
+    def __init__(self, axes: tuple[str, ...], length: float = 1.0) -> None:
+        self._axes, self._length_ns = axes, round(length * 1e9)
+        self._kept: deque[tuple[int, Floats]] = deque(maxlen=KEPT_MEANS)
+        self.cut()
+
+    def cut(self) -> None:
+        """Drop the mean in progress: the samples that follow are not contiguous."""
+        self._start_ns: int | None = None
+        self._second, self._count = 0, 0
+        self._sum = np.zeros(len(self._axes))
+
+    def update(self, stamps: Stamps, rows: Floats) -> None:
+        """Take contiguous samples: stamps (n,) in ns, rows (axes, n)."""
+        if self._start_ns is None:
+            self._start_ns = int(stamps[0])
+        seconds = (stamps - self._start_ns) // self._length_ns
+        begins = np.concatenate([[0], np.flatnonzero(np.diff(seconds)) + 1])
+        sums = np.add.reduceat(rows, begins, axis=1).T
+        counts = np.diff(begins, append=len(stamps)).tolist()
+        for second, total, count in zip(seconds[begins].tolist(), sums, counts):
+            if second > self._second:
+                end_ns = self._start_ns + (self._second + 1) * self._length_ns
+                self._kept.append((end_ns, self._sum / max(self._count, 1)))
+                self._sum, self._count, self._second = np.zeros(len(total)), 0, second
+            self._sum = self._sum + total
+            self._count += count
+
+    @property
+    def means(self) -> Means:
+        """The latest complete means."""
+        end_ns = np.array([end for end, _ in self._kept], np.int64)
+        values = np.array([value for _, value in self._kept]).reshape(-1, len(self._axes))
+        return Means(self._axes, end_ns, values)
+
+
 class FilledGaps:
     """Counts the runs of interpolated samples that the sums hold, by length and axis.
 
@@ -77,38 +143,48 @@ class FilledGaps:
 
     def __init__(self, axes: int) -> None:
         self.count = np.zeros((0, axes), np.int64)
-        self._open = np.zeros(axes, np.int64)  # lengths of the runs that may go on
+        self._open = [0] * axes  # lengths of the runs that may go on
 
     def add(self, filled: NDArray[np.bool_] | None) -> None:
         """Take the flags of the next samples, (axes, n); None if none of them is filled."""
         if filled is None:
             self.end()
             return
-        for axis in np.flatnonzero(filled.any(axis=1) | (self._open > 0)):
-            edges = np.flatnonzero(np.diff(filled[axis], prepend=False, append=False))
+        for axis, flags in enumerate(filled):
+            if not self._open[axis] and not flags.any():
+                continue
+            edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
             for begin, end in edges.reshape(-1, 2).tolist():
                 if begin:
                     self._close(axis)
                 self._open[axis] += end - begin
-                if end < filled.shape[1]:
+                if end < len(flags):
                     self._close(axis)
-            if not filled[axis, -1]:
+            if not flags[-1]:
                 self._close(axis)
 
     def end(self) -> None:
         """End all runs: the next sample is not filled, or belongs to another segment."""
-        for axis in np.flatnonzero(self._open):
-            self._close(axis)
+        for axis, length in enumerate(self._open):
+            if length:
+                self._close(axis)
 
-    def _close(self, axis: np.intp) -> None:
-        length = min(int(self._open[axis]), LONGEST_FILLED)
-        self._open[axis] = 0
+    def _close(self, axis: int) -> None:
+        length, self._open[axis] = min(self._open[axis], LONGEST_FILLED), 0
         if not length:
             return
         if length > len(self.count):
             longer = np.zeros((length - len(self.count), self.count.shape[1]), np.int64)
             self.count = np.concatenate([self.count, longer])
         self.count[length - 1, axis] += 1
+
+
+class StreamOptions(NamedTuple):
+    """What is accumulated: the settings, and whether to keep spectra and means too."""
+
+    settings: SegmenterSettings = SegmenterSettings()
+    with_spectra: bool = False
+    with_means: bool = False
 
 
 class SensorStream:
@@ -119,9 +195,7 @@ class SensorStream:
     plan : SensorPlan
         Its axes, and which messages have samples of its own.
     identity : ImuIdentity
-    settings : SegmenterSettings
-    with_spectrum : bool
-        Whether to keep the power spectral density too.
+    wanted : StreamOptions
 
     Attributes
     ----------
@@ -131,20 +205,13 @@ class SensorStream:
         How often the sums were discarded because the data had been taken in motion.
     """
 
-    def __init__(
-        self,
-        plan: SensorPlan,
-        identity: ImuIdentity,
-        settings: SegmenterSettings,
-        with_spectrum: bool = False,
-    ) -> None:
+    def __init__(self, plan: SensorPlan, identity: ImuIdentity, wanted: StreamOptions) -> None:
         self.plan = plan
         self.counts = Counts()
         self.relearned = 0
         self._former: list[StreamSums] = []  # one of each rate the stream had
         self._identity = identity
-        self._settings = settings
-        self._with_spectrum = with_spectrum
+        self._wanted = wanted
         self._own = SampleHoldFilter(plan)
         self._filter = StampFilter(len(plan.axes), self.counts)
         self._start(_nothing(len(plan.axes)))
@@ -158,10 +225,11 @@ class SensorStream:
 
     def _clear(self) -> None:
         """Start with empty sums."""
-        self._engine = RunningAllan(self._identity, self.plan.axes)
-        self._means = RunningMeans(self.plan.axes)
-        self._spectrum = RunningSpectrum(self.plan.axes) if self._with_spectrum else None
-        self._filled = FilledGaps(len(self.plan.axes))
+        axes = self.plan.axes
+        self._engine = RunningAllan(self._identity, axes)
+        self._spectrum = RunningSpectrum(axes) if self._wanted.with_spectra else None
+        self._means = RunningMeans(axes) if self._wanted.with_means else None
+        self._filled = FilledGaps(len(axes))
         self._segments: list[tuple[int, Segment]] = []  # shortest first
         self._start_ns = self._end_ns = 0
         self._cut = ''
@@ -218,9 +286,9 @@ class SensorStream:
         return [*self._former, present]
 
     @property
-    def means(self) -> Means:
-        """The latest means of static samples over a second."""
-        return self._means.means
+    def means(self) -> Means | None:
+        """The latest means of static samples over a second, if they are kept."""
+        return None if self._means is None else self._means.means
 
     def feed(self, stamps: Stamps, rows: Floats) -> None:
         """Take samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
@@ -259,7 +327,7 @@ class SensorStream:
             # equal stamps give no time; kept, they would fill the memory
             self.counts.untimed += len(waiting[0])
             return
-        settings, axes = self._settings, self.plan.axes
+        settings, axes = self._wanted.settings, self.plan.axes
         self._clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
         if settings.motion_gate:
             self._gate = MotionGate(
@@ -310,7 +378,8 @@ class SensorStream:
         self.counts.used += len(block)
         self._filled.add(block.filled)
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns)
-        self._means.update(block.stamps, block.rows)
+        if self._means is not None:
+            self._means.update(block.stamps, block.rows)
         if self._spectrum is not None:
             self._spectrum.update(block.rows)
 
@@ -323,7 +392,8 @@ class SensorStream:
         del self._segments[:-LISTED_SEGMENTS]
         self._engine.end_segment()
         self._filled.end()
-        self._means.cut()
+        if self._means is not None:
+            self._means.cut()
         if self._spectrum is not None:
             self._spectrum.end_segment()
 

@@ -17,35 +17,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .health import Counts
+from .health import RATE_CHANGE, Counts
 
 Stamps = NDArray[np.int64]
-
 
 LEARN = 1024
 """Samples from which the period of a stream is learned."""
 
-
 CLOCK_BLOCK = 256
 """Samples that are judged together."""
-
 
 LOOK_AHEAD = 64
 """Samples before and after a silence that decide on it when stamps are regular."""
 
-
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
 """The same when they are bursty, in s and at most in samples: a burst follows later."""
-
 
 BURST_SILENCE_S = 0.25
 """Least silence and least shift, in s, that can be a loss when stamps are bursty: the envelope
 itself varies by several samples."""
 
-
 LATE = 1.5
 """When stamps are regular, a step above this many periods is a silence."""
-
 
 REGULAR_SHARE = 0.6
 """Stamps are regular when this share of the steps lies within 50 % of the median step, and their
@@ -177,22 +170,14 @@ class Block:
 
 Floats = NDArray[np.float64]
 
-
 TRACK_BLOCKS = 16
 """Blocks after which the working period is updated."""
-
-
-RATE_CHANGE = 0.02
-"""Relative change of the period over a block that means another rate."""
-
 
 RATE_CHANGE_STEP = 1.45
 """Median step, over the usual one, that means another rate, not a lost sample at every step."""
 
-
 RATE_CHANGE_BURSTY = 0.10
 """Change of the period over `TRACK_BLOCKS` that means another rate when stamps are bursty."""
-
 
 BRIDGED_SHARE = 0.1
 """Largest share of a block that is interpolated; beyond, lost samples split the data."""

@@ -18,23 +18,18 @@ from .health import StreamHealth
 LATELY_S = 60.0
 """Events of this time are reported; older ones only remain in the counts."""
 
-
 LATELY = ' in the last minute'
 """`LATELY_S` in the text of a finding."""
 
-
 TOLD_LOST_SHARE = 1e-3
 """Least share of messages lost in transport that is reported."""
-
 
 LEAP_S = 2.0
 """Stamps that advance by this much more than the time that passed were set forward: samples that
 wait in a queue arrive later, never earlier."""
 
-
 STARTUP_S = 5.0
 """Silence before the first message is no error for this long: discovery takes seconds."""
-
 
 LIVE_FINDINGS = (
     'stamps_unusable',

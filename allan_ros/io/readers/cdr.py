@@ -26,10 +26,8 @@ from ...core.imu import AXES, MAX_NAME, SENSORS, ImuBatch
 
 Encoding = Literal['cdr', 'ros1']
 
-
 Rows = slice | NDArray[np.intp]
 """Positions of messages in their batch; a slice where these are all messages."""
-
 
 NANOSECONDS = 10**9
 
@@ -369,26 +367,21 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
 PATCHED_SENSORS = ('gyro', 'accel')
 """Sensors whose covariance is written; that of the orientation never is."""
 
-
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 """The first two bytes of the encapsulation -> byte order."""
 
-
 _FRAME_BYTES_AT = ENCAPSULATION_BYTES + 8
 """Offset of the length of frame_id, after sec and nanosec."""
-
 
 _FRAME_AT = _FRAME_BYTES_AT + 4
 
 _COVARIANCE = 9
 """Numbers in a covariance."""
 
-
 _COVARIANCE_BYTES = 8 * _COVARIANCE
 
 _UNKNOWN = bytes(_COVARIANCE_BYTES)
 """All zeros: the covariance is unknown (sensor_msgs/Imu.msg)."""
-
 
 _LENGTH = {order: struct.Struct(f'{order}I') for order in '<>'}
 

@@ -33,10 +33,8 @@ ACCEL_UNITS = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1e3
 STAMP_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 """Unit -> factor to nanoseconds."""
 
-
 Report = Callable[[Finding], None]
 """Takes the findings of a reader."""
-
 
 SI = {'gyro': 'rad/s', 'accel': 'm/s^2'}
 """Sensor -> unit of its samples where nothing else is stated."""

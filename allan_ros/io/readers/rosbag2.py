@@ -40,7 +40,6 @@ ENCODINGS = ('cdr', 'ros1')
 LISTED = 10
 """At most this many topics are listed in a message."""
 
-
 Decoder = Callable[[Payloads], DecodedImus]
 
 Key = tuple[str, str]
@@ -344,7 +343,6 @@ def _decompressed(payloads: Payloads) -> Iterator[Payloads]:
 
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
-
 
 Message = tuple[int, bytes]
 """Record time in ns, and serialized bytes."""

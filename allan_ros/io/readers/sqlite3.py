@@ -45,7 +45,6 @@ _LIBRARY_ERRORS = (
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
-
 PAGE_SIZE = struct.Struct('>16xH')
 """Start of a database: page size, where 1 stands for 65536 (file format, section 1.3)."""
 

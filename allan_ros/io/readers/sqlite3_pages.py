@@ -68,7 +68,6 @@ CELL_HEAD = 4 * WORD
 PADDING = CELL_HEAD
 """Bytes allocated after the pages, so that a full cell head can be read from the last cell."""
 
-
 Bytes = NDArray[np.uint8]
 
 

@@ -28,7 +28,6 @@ MAX_LINE = 1 << 20
 
 EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
-
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
 _GYRO = re.compile(
