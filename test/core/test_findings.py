@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-from allan_ros.core.findings import Finding, grouped
+from allan_ros.core.findings import CATALOGUE, SEVERITIES, Finding, grouped
 
 
 def of(axis, message, severity='warning', id='x', remedy='Fix it.'):
@@ -39,3 +39,11 @@ def test_the_most_severe_comes_first():
         'warning',
         'info',
     ]
+
+
+def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():
+    for id, wording in CATALOGUE.items():
+        assert id.isidentifier() and wording.severity in SEVERITIES
+        for text in (wording.message, wording.remedy):
+            assert text and text == text.strip() and '>' not in text and '\n' not in text
+            assert text[-1] in '.}', text
