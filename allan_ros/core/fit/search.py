@@ -40,11 +40,8 @@ FASTEST_LINE = 0.45
 LINE_CYCLES = 10
 """Periods of a sinusoid in the longest segment, at least."""
 
-MOST_DRIFTS = 3
-"""Gauss-Markov processes that are fitted at most."""
-
-MOST_LINES = 3
-"""Sinusoids that are fitted at most."""
+MOST = {GaussMarkovTerm: 3, SinusoidTerm: 3}
+"""Processes of each kind that are fitted at most."""
 
 NEEDED_GAIN = 12.0
 """Fall of chi^2 for one more process while the model is rejected: it does not occur by chance among
@@ -151,7 +148,7 @@ class ProcessSearch:
         start : sequence of Extra
             Processes to begin with; those that are not significant any more are removed.
         """
-        found = self._adjusted(self.fitted(start))
+        found = self.adjusted(self.fitted(start))
         while found.extras:  # remove processes that are not significant
             without = [
                 self.fitted([e for k, e in enumerate(found.extras) if k != out])
@@ -161,18 +158,18 @@ class ProcessSearch:
             needed = self._needed(best) if self._walk else COMPARED_GAIN
             if best.chi_squared - found.chi_squared > needed:
                 break
-            found = self._adjusted(best)
+            found = self.adjusted(best)
         while True:
-            more = self._with_one_more(found)
+            more = self.with_one_more(found)
             if more is None or found.chi_squared - more.chi_squared < self._needed(found):
-                return self._adjusted(self._with_a_drift(found), SWEEPS)
+                return self.adjusted(self._with_a_drift(found), SWEEPS)
             found = more
 
     def _with_a_drift(self, found: Found) -> Found:
         """Return the fit with a Gauss-Markov process in place of the walk, where there is none."""
         if self._walk:
             return found
-        more = self._with_one_more(found, lines=False)
+        more = self.with_one_more(found, (GaussMarkovTerm,))
         pays = more is not None and found.chi_squared - more.chi_squared > COMPARED_GAIN
         return more if more is not None and pays else found
 
@@ -184,15 +181,14 @@ class ProcessSearch:
     def _needed(self, found: Found) -> float:
         return NEEDED_GAIN if self.z(found) >= Z_FAIL else SURE_GAIN
 
-    def _with_one_more(self, found: Found, lines: bool = True) -> Found | None:
+    def with_one_more(
+        self, found: Found, kinds: Sequence[type[Extra]] = (GaussMarkovTerm, SinusoidTerm)
+    ) -> Found | None:
         """Return the best fit with one more process, all shapes adjusted, if any lowers chi^2."""
-        drifts = sum(isinstance(e, GaussMarkovTerm) for e in found.extras)
-        more_lines = lines and len(found.extras) - drifts < MOST_LINES
         allowed = np.zeros(len(self._grid), bool)
-        if drifts < MOST_DRIFTS:
-            allowed |= self._of_kind[GaussMarkovTerm]
-        if more_lines:
-            allowed |= self._of_kind[SinusoidTerm]
+        for kind in kinds:
+            if sum(isinstance(e, kind) for e in found.extras) < MOST[kind]:
+                allowed |= self._of_kind[kind]
         at = np.flatnonzero(allowed)
         if not len(at):
             return None
@@ -200,9 +196,9 @@ class ProcessSearch:
         best = int(np.argmin(chi_squared))
         if not np.isfinite(chi_squared[best]):
             return None
-        return self._adjusted(self.fitted(_sorted([*found.extras, self._grid[at[best]]])))
+        return self.adjusted(self.fitted(_sorted([*found.extras, self._grid[at[best]]])))
 
-    def _adjusted(self, found: Found, sweeps: int = 1) -> Found:
+    def adjusted(self, found: Found, sweeps: int = 1) -> Found:
         """Return the fit with the shapes of all processes adjusted in turn."""
         for _ in range(sweeps):
             before = found.chi_squared

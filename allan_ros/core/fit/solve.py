@@ -344,6 +344,12 @@ class FitOptions:
         table = pooled.table(axis, self.noise(power), ramps)
         return with_extras(table.rows(table.m >= self.m_min), pooled, self.extras, tangents)
 
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Columns that may be other than 0."""
+        every = range(len(RANDOM_TERMS) + len(self.extras))
+        return tuple(c for c in every if self.walk or c != K)
+
     def noise(self, power: Floats) -> Floats:
         """Return q, w, b, k >= 0 of noise that is like the model's over long times."""
         four: Floats = np.maximum(power[: len(RANDOM_TERMS)], 0.0)
@@ -386,8 +392,9 @@ def point_fit(
     power = np.concatenate([power, np.zeros(len(RANDOM_TERMS) + len(options.extras) - len(power))])
     table = options.table(pooled, axis, power)
     for _ in range(RAMP_ROUNDS):
-        columns = tuple(c for c in range(len(power)) if options.walk or c != K)
-        new = solve(table, power, columns=columns, signed=options.signed, misfit=options.misfit)
+        new = solve(
+            table, power, columns=options.columns, signed=options.signed, misfit=options.misfit
+        )
         settled = np.all(np.abs(new - power) <= RAMP_TOLERANCE * np.abs(power))
         power = new
         if settled:
