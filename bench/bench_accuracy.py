@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Monte Carlo of the fits: draw records of known noise, fit them, and compare with the truth.
+"""Monte Carlo of the fits: simulate records with known noise, fit them, compare with the truth.
 
     python bench/bench_accuracy.py                                   a short version, minutes
     python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
@@ -41,7 +41,7 @@ def gyro(**datasheet: float) -> NoiseTerms:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Records to draw.
+    """Kind of records to simulate.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Scenario:
         return np.cumsum([len(part) for part in np.array_split(np.arange(n), self.segments)])[:-1]
 
     def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
-        """Return the sums of as many independent records as axes."""
+        """Return the sums of independent records, one for each axis."""
         rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
         engine = RunningAllan(axes=AXES[:axes])
         start = 0
@@ -169,7 +169,7 @@ def read_slopes(sums: AllanSums) -> list[dict[str, float | None]]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one fit said of one term: NaN where it said nothing."""
+    """Result of one fit for one term; NaN where the fit gives no number."""
 
     value: float
     low: float
@@ -194,7 +194,7 @@ def fits_of(sums: AllanSums, method: str) -> list[AxisFit]:
 
 
 def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
-    """Yield sums of six runs at a time, made once if they are kept."""
+    """Yield the sums of six records at a time; they are read from files if those exist."""
     for block in range(-(-runs // len(AXES))):
         file = keep / f'{scenario}_{block:04d}.pickle' if keep else None
         if file and file.exists():
@@ -249,7 +249,7 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
 
 
 def beside(scenario: str, fits: list[AxisFit]) -> str:
-    """Return how often the fit rejected the five terms, and what it found beside them."""
+    """Return how often the fit rejected the five terms, and the additional processes it found."""
     failed = np.mean([fit.gof_z >= Z_FAIL for fit in fits])
     lines = [f'fit rejected in {failed:.1%} of runs']
     found = [fit.sinusoid for fit in fits if fit.sinusoid]
@@ -277,7 +277,7 @@ def beside(scenario: str, fits: list[AxisFit]) -> str:
 
 
 def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
-    """Draw, fit, and print a table for every method."""
+    """Simulate, fit, and print a table for every method."""
     rows: dict[str, list[AxisFit]] = {method: [] for method in methods}
     spent = dict.fromkeys(methods, 0.0)
     for sums in draws(scenario, runs, keep):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""False alarms of `allan compare`: pairs of runs of equal noise, and how many show a difference.
+"""False alarms of `allan compare`: the share of pairs of equal noise with a significant difference.
 
     python bench/bench_compare.py                           20 pairs, a minute or two
     python bench/bench_compare.py --pairs 200 --seed 2026   the count in docs/compare.md, 8 min
@@ -47,7 +47,7 @@ def simulated_run(seconds: float, rng: np.random.Generator) -> Results:
 
 
 def main() -> None:
-    """Draw the pairs and print how many were told apart, by what."""
+    """Simulate the pairs and print how many differ significantly, and in which term."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--pairs', type=int, default=20)
     parser.add_argument('--minutes', type=float, nargs=2, default=(60.0, 60.0), metavar='M')
@@ -55,7 +55,7 @@ def main() -> None:
     args = parser.parse_args()
     alarms, compared = 0, []
     by_what: Counter[str] = Counter()
-    shown = sys.stderr.isatty()  # progress is for eyes, and not for files
+    shown = sys.stderr.isatty()  # progress is drawn on a terminal only
     for pair in range(args.pairs):
         rng = np.random.default_rng([args.seed, pair])
         runs = [

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine alone: against allantools.oadev, and its growth with the length of the record.
+"""Speed and accuracy of the engine: against allantools.oadev, and for growing record lengths.
 
     python bench/bench_engine.py           to 10 h at 1 kHz x 6 axes, about half a minute
     python bench/bench_engine.py --full    to 100 h: 360 M samples, some minutes
@@ -29,20 +29,20 @@ from allan_ros.core.allan.engine import RunningAllan
 
 OFFSET = 9.8
 BIT = 2.0**-49
-"""What doubles between 8 and 16 are apart."""
+"""Spacing of float64 between 8 and 16."""
 SIGMA = 0.02
-"""Noise of the samples, m/s^2: as of a consumer accelerometer."""
+"""Standard deviation of the samples in m/s^2: that of a consumer accelerometer."""
 RATE_HZ = 1000
 BLOCK = 1 << 20
 STEP = 256
-"""Exact phases are kept at every 256th sample: enough for the factors of level 8 and above."""
+"""The exact phase is kept at every 256th sample, enough for the factors of level 8 and above."""
 HOURS = (1 / 6, 1.0, 10.0, 100.0)
 AXES = 6
 CHECKED_AXIS = 3
 
 
 def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield (first column, columns) of the pool that make a record of that length."""
+    """Yield (first column, columns) of the blocks of the pool that make up a record of this length."""
     rng = np.random.default_rng(seed)
     while samples > 0:
         size = min(BLOCK, samples)
@@ -64,7 +64,7 @@ def exact_phase(samples: int, numbers: np.ndarray) -> np.ndarray:
 
 
 def exact_sum_sq(phase: np.ndarray, m: int, stride: int) -> float:
-    """Return the sum of squared second differences; integers up to the squares, then 64 bits."""
+    """Return the sum of squared second differences, computed in integers."""
     lag, step = m // STEP, stride // STEP
     d = (phase[2 * lag :] - 2 * phase[lag:-lag] + phase[: -2 * lag])[::step]
     return float((d.astype(np.longdouble) ** 2).sum() * BIT**2)

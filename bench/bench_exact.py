@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine against arithmetic that does not round, written into docs/engineering/reliability.md.
+"""Rounding errors of the engine, against exact integer arithmetic, for
+docs/engineering/reliability.md.
 
 A float64 about 9.8 is a whole number of 2^-49, so the sums of such samples can be had in whole
 numbers of any length, and what the engine says differs from them by its rounding alone.

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults put into running nodes over real DDS: what was lost, what was said, how it went on.
+"""Inject faults into running nodes over real DDS; measure losses, messages and recovery.
 
     python bench/bench_faults.py                     all, about 25 min
     python bench/bench_faults.py nan_burst unplugged these
@@ -31,7 +31,7 @@ from fault_harness import FAULTS, HEADING, Row
 from online_nodes import Client
 
 RESULT = 'ALLAN_ROS_FAULT_ROW '
-"""What begins the line in which the process of a fault hands its row over."""
+"""Prefix of the line in which the process of a fault prints its row."""
 
 
 def run_here(name: str) -> None:
@@ -39,11 +39,11 @@ def run_here(name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         row = FAULTS[name][0](Client(), Path(folder))
     print(RESULT + json.dumps(asdict(row)), flush=True)
-    os._exit(0)  # contexts and threads of a publisher that was torn down need no farewell
+    os._exit(0)  # end without destroying contexts and threads of a publisher
 
 
 def run(name: str) -> Row | None:
-    """Run one fault in a process of its own; None if it came to no end."""
+    """Run one fault in its own process; return None if it does not finish."""
     command, env = [sys.executable, __file__, '--here', name], dict(os.environ)
     if FAULTS[name][1] == 'network':
         command, env = [*faults_network.INSIDE, *command], env | faults_network.TRANSPORT
@@ -53,7 +53,7 @@ def run(name: str) -> Row | None:
 
 
 def main() -> int:
-    """Run the faults that are named, by default all, and return 1 if one went wrong."""
+    """Run the named faults, by default all; return 1 if one failed."""
     if sys.argv[1:2] == ['--here']:
         run_here(sys.argv[2])
     names = sys.argv[1:] or [n for n in FAULTS if os.geteuid() == 0 or not FAULTS[n][1]]

@@ -52,7 +52,7 @@ WINDOW_S = 100.0
 
 
 def oracle() -> dict[str, Any]:
-    """Return the names of the independent simulator and filter, or stop where there is none."""
+    """Import the independent simulator and filter; exit with a message if they are missing."""
     path = SHARED / 'oracle' / 'reality.py'
     if not path.is_file():
         print('skipped: no shared data')

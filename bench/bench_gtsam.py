@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether GTSAM, given our file, expects the errors that its own integration then makes.
+"""Compare the covariance that GTSAM predicts from the exported file with its actual errors.
 
     python bench/bench_gtsam.py             about 1 min
 
@@ -50,7 +50,7 @@ NAMES = ('angle', 'position', 'velocity', 'accel bias', 'gyro bias')
 
 
 def analysed() -> Results:
-    """Return what two hours at rest say of the IMU."""
+    """Return the results of two hours at rest."""
     accumulator = ImuStream()
     for batch in simulate_imu(REST_S, RATE_HZ, [GYRO] * 3, [ACCEL] * 3, seed=1):
         accumulator.update(batch)
@@ -59,7 +59,7 @@ def analysed() -> Results:
 
 
 def with_truth(results: Results) -> Results:
-    """Return the results with the true coefficients in the place of the measured."""
+    """Return the results with the measured coefficients replaced by the true ones."""
     axes = {}
     for name, axis in results.axes.items():
         terms = GYRO if name.startswith('gyro') else ACCEL
@@ -69,7 +69,7 @@ def with_truth(results: Results) -> Results:
 
 
 def params_of(results: Results) -> Any:
-    """Return GTSAM's parameters as our file sets them, without an error of the integration."""
+    """Return the GTSAM parameters of the exported file, without integration error."""
     names: dict[str, Any] = {}
     exec(make_export(results, 'gtsam', ExportOptions(axis='mean')).text, names)
     params = names['set_noise'](gtsam.PreintegrationCombinedParams.MakeSharedU(9.81))
@@ -78,7 +78,7 @@ def params_of(results: Results) -> Any:
 
 
 def integrated(params: Any, gyro: Floats, accel: Floats) -> Any:
-    """Return GTSAM's integral of samples (n, 3)."""
+    """Return the preintegration by GTSAM of samples (n, 3)."""
     sums = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
     for rate, force in zip(gyro, accel):
         sums.integrateMeasurement(force, rate, 1.0 / RATE_HZ)
@@ -86,7 +86,7 @@ def integrated(params: Any, gyro: Floats, accel: Floats) -> Any:
 
 
 def noise(terms: NoiseTerms, steps: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return white noise, and a bias that starts each run at zero; (runs, n, 3) each.
+    """Return white noise and a bias that is zero at the start of each run; (runs, n, 3) each.
 
     One record is cut into the runs: a simulated record begins at zero, and so would the white
     noise of every run.
@@ -101,7 +101,7 @@ def noise(terms: NoiseTerms, steps: int, rng: np.random.Generator) -> tuple[Floa
 
 
 def shown(params: Any) -> Floats:
-    """Return the variances that integration shows over all runs, (15,)."""
+    """Return the variances of the integration errors over all runs, (15,)."""
     rng = np.random.default_rng(2)
     steps = round(MOVE_S * RATE_HZ)
     ends = np.empty((RUNS, 15))
@@ -117,7 +117,7 @@ def shown(params: Any) -> Floats:
 
 
 def main() -> None:
-    """Print the ratios of shown to predicted variance."""
+    """Print the ratios of actual to predicted variance."""
     start = time.monotonic()
     results = analysed()
     steps = round(MOVE_S * RATE_HZ)

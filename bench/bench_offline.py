@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a bag to its Allan table: CPU and memory, and how far the readers are from their floors.
+"""CPU time and memory from a bag to its Allan table, and the lower bounds of the readers.
 
     python bench/bench_offline.py           1 M messages, about a minute
     python bench/bench_offline.py --full    7.2 M messages too (10 h at 200 Hz), several minutes
@@ -31,18 +31,19 @@ os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
 RATE_HZ = 200.0
 SHORT, LONG = 1_000_000, 7_200_000
 PLAIN = 100_000
-"""Messages of the bag on which the plain reader is run: it takes 10 us and more for each."""
+"""Messages of the bag for the plain reader, which takes 10 us and more for each."""
 CHUNK_HEAD = 8 + 8 + 8 + 4 + 4 + 4 + 8
-"""Bytes before the data of a chunk: times, size, CRC, 'zstd' with its length, length."""
+"""Bytes before the data of a chunk: times, size, CRC, 'zstd' with its length, length of the data.
+"""
 RECORDINGS = 2
-"""Recordings that are read one after the other, and at the same time."""
+"""Number of recordings that are read in sequence and in parallel."""
 MESSAGE_BYTES = 31 + 324
-"""An Imu in a chunk, head and payload (frame_id ``imu_link``)."""
+"""Bytes of an Imu message in a chunk: header and payload (frame_id ``imu_link``)."""
 STORAGES = {'mcap zstd': ('mcap', 'chunk'), 'sqlite3': ('sqlite3', 'none')}
 
 
 def bag(folder: Path, name: str, messages: int) -> Path:
-    """Return a simulated bag of that storage and length, written if it is not there."""
+    """Return a simulated bag of this storage and length, written if it does not exist."""
     from allan_ros.core.noise import NoiseTerms
     from allan_ros.core.simulate import simulate_imu
     from allan_ros.io.writing import write_recording
@@ -79,7 +80,7 @@ def read(path: Path) -> int:
 
 
 def plain(path: Path) -> int:
-    """Read a bag as one does with rosbags: message by message."""
+    """Read a bag message by message with rosbags, as its documentation shows."""
     from rosbags.highlevel import AnyReader
 
     messages = 0
@@ -91,7 +92,7 @@ def plain(path: Path) -> int:
 
 
 def floor(path: Path) -> int:
-    """Do only what cannot be left out: decompress the chunks, or let SQLite touch every row."""
+    """Do the minimum of work: decompress the chunks, or let SQLite read every row."""
     from zstandard import ZstdDecompressor
 
     from allan_ros.io.readers.mcap import CHUNK, MAGIC, RECORD
@@ -120,7 +121,7 @@ WORK: dict[str, Callable[[Path], int]] = {
 
 
 def measured(work: str, path: Path) -> tuple[float, int, float]:
-    """Return CPU seconds, messages and peak MB of work done in a process of its own."""
+    """Return CPU seconds, messages and peak memory in MB of work in its own process."""
     command = [sys.executable, __file__, '--work', work, str(path)]
     cpu, messages, memory = subprocess.run(
         command, check=True, capture_output=True, text=True
@@ -129,7 +130,7 @@ def measured(work: str, path: Path) -> tuple[float, int, float]:
 
 
 def work_here(work: str, path: Path) -> None:
-    """Do the work and print what it cost, imports left out."""
+    """Do the work and print its cost without imports."""
     import allan_ros.core.stream.pipeline
     import allan_ros.io.readers.rosbag2  # noqa: F401
 
@@ -169,7 +170,7 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 
 def spread(path: Path, processes: int) -> None:
-    """Read a bag `RECORDINGS` times, as ``allan analyze --jobs`` reads as many bags."""
+    """Read a bag `RECORDINGS` times in parallel, as ``allan analyze --jobs`` does."""
     from allan_ros.io.recorded import ReadJob, read_in_processes, read_in_turn
 
     jobs = [ReadJob(str(path))] * RECORDINGS

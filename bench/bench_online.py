@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes cost: CPU per message, messages lost in bursts, memory; over real DDS.
+"""Cost of the nodes over real DDS: CPU per message, messages lost in bursts, memory.
 
     python bench/bench_online.py             CPU and bursts, about 5 min
     python bench/bench_online.py memory 600  memory over so many seconds at 4 kHz
@@ -26,10 +26,10 @@ from allan_ros.io.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)
 SETTLE_S = 40.0
-"""The first fit falls into this."""
+"""Seconds before the measurement, which include the first fit."""
 MEASURE_S = 20.0
 ONE_FIT = ('estimator.growth:=10.0', 'publish.sums_period:=15.0')
-"""One that rests on some ten seconds, so that the next is due when all is over."""
+"""Parameters with which the second fit comes after the measurement."""
 EMPTY_SUBSCRIBER = """
 import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -70,7 +70,7 @@ def cpu() -> None:
 
 
 def bursts() -> None:
-    """Print how many messages are lost when they come 400 at a time, with the default QoS."""
+    """Print the number of messages lost in bursts of 400, with the default QoS."""
     client = Client()
     terms = [NoiseTerms(N=5e-5)] * 3
     with node('monitor'):
@@ -91,7 +91,7 @@ def bursts() -> None:
 
 
 def memory(seconds: float) -> None:
-    """Print the memory of the monitor while 4 kHz come in."""
+    """Print the memory of the monitor while it receives 4 kHz."""
     client = Client()
     length = str(seconds + 10.0)
     with node('monitor') as monitor, node('player', '--simulate', length, '--frequency', '4000'):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy of the process model: Gauss-Markov processes beside the five terms.
+"""Accuracy of the process model: Gauss-Markov processes in addition to the five terms.
 
     python bench/bench_processes.py humps --blocks 1      one process beside table 1, X
     python bench/bench_processes.py growth --blocks 1     predicted against actual angle growth
@@ -67,7 +67,7 @@ def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
 
 
 def humps(blocks: int) -> None:
-    """Print N, and how often the process is found, for one process beside table 1, X."""
+    """Print N and how often the process is detected, for one process added to table 1, X."""
     print(
         '| T [s] | hump | records | N bias % | N coverage % (95 % band) | found % | ms per axis |'
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a relayed message costs: latency, CPU, messages lost in bursts; over real DDS.
+"""Cost of relaying a message over real DDS: latency, CPU, messages lost in bursts.
 
     python bench/bench_relay.py      about 2 min
 
@@ -51,7 +51,7 @@ rclpy.spin(node)
 
 
 class Receiver:
-    """Takes the messages of a topic in a thread of its own and keeps their latencies."""
+    """Receives a topic in its own thread and records the latencies."""
 
     def __init__(self, client: Client, topic: str) -> None:
         from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -85,7 +85,7 @@ class Receiver:
 
 
 def message() -> tuple[bytearray, str]:
-    """Return an Imu payload and a noise model that fits it."""
+    """Return an Imu payload and a noise model for its frame."""
     accumulator = ImuStream()
     for batch in simulate_imu(20.0, 200.0, SIMULATED, SIMULATED, seed=1):
         accumulator.update(batch)
@@ -96,7 +96,7 @@ def message() -> tuple[bytearray, str]:
 
 
 def send(publisher: Any, payload: bytearray, rate: float, seconds: float) -> int:
-    """Publish at that rate, each message stamped with the monotonic clock."""
+    """Publish at a rate; each message is stamped with the monotonic clock."""
     began, count = time.monotonic(), int(rate * seconds)
     for i in range(count):
         wait = began + i / rate - time.monotonic()
@@ -124,7 +124,7 @@ def show(name: str, rate: int, latencies_ns: list[int], sent: int, cpu_us: float
 
 
 def main() -> None:
-    """Measure all, and print it."""
+    """Run all measurements and print them."""
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import String
 
@@ -168,7 +168,7 @@ def measure(
     receiver: Receiver,
     bursts: bool = False,
 ) -> None:
-    """Print latency and CPU of one process at each rate, and what it loses in bursts."""
+    """Print latency and CPU of one process at each rate, and its losses in bursts."""
     before = publisher.get_subscription_count()
     while publisher.get_subscription_count() == before:
         client.spin(0.1)
@@ -197,4 +197,4 @@ def measure(
 if __name__ == '__main__':
     main()
     sys.stdout.flush()
-    os._exit(0)  # the receiving threads wait for ever
+    os._exit(0)  # the receiving threads do not end

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Long runs: what grows, what is lost, what the results become.
+"""Long runs: growth of memory and time, losses, and stability of the results.
 
     python bench/bench_soak.py month       a month at 200 Hz as fast as it goes, 10 to 25 min
     python bench/bench_soak.py live        30 min at 1 kHz through DDS into allan_monitor

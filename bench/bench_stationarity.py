@@ -47,7 +47,7 @@ SIXTHS = 6
 
 
 def gyro(terms: str) -> NoiseTerms:
-    """Return some of the terms of gyro X."""
+    """Return gyro X with only the given terms."""
     return NoiseTerms(**{t: from_datasheet(t, 'gyro', TRUTH[t]) for t in terms})
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables in the documents that the benchmarks themselves write.
+"""Tables of the documentation that benchmarks write.
 
 A table stands between two comments that Markdown does not show: ``<!-- table: faults -->`` and
 ``<!-- end -->``. Its rows are known by their first cell, so that one row can be measured again
@@ -34,7 +34,7 @@ class DocTable:
         self._opening, self._heading, self._path = f'<!-- table: {name} -->', heading, path
 
     def put(self, *rows: Sequence[str]) -> None:
-        """Write these rows in place of those with the same first cell, or at the end."""
+        """Write rows; each replaces the row with the same first cell, or is appended."""
         before, opening, rest = self._path.read_text().partition(self._opening)
         if not opening:
             raise SystemExit(f'{self._path} has no {self._opening}')

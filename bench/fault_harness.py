@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A trial of a fault: what it cost, and what was said of it."""
+"""One trial of a fault: its losses, the messages published, and the recovery."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from allan_ros.core.allan.document import sums_from_document
 from allan_ros.core.imu import ImuBatch
 
 HEALTHY_S = 12.0
-"""Evidence before a fault, in s: rate and noise floor are learned, and sums are there."""
+"""Static data before a fault, in s: rate and noise floor are known, and sums exist."""
 AFTER_S = 5.0
-"""How long a trial goes on after the evidence grows again."""
+"""Duration of a trial in s after static data grow again."""
 PATIENCE_S = 90.0
 LEVELS = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR', b'\3': 'STALE'}
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one fault did, as the table shows it."""
+    """Effect of one fault, as a row of the table."""
 
     fault: str
     lost: str
@@ -46,7 +46,7 @@ class Row:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """The cells, in the order of the heading."""
+        """Cells in the order of the heading."""
         return self.fault, self.lost, self.said, self.delay, self.recovered, self.exits
 
 
@@ -60,20 +60,21 @@ REASONS = {
     'stuck': 'stuck',
     'bridged': 'interpolated',
 }
-"""Count in the checkpoint -> how the table calls it."""
+"""Count in the checkpoint -> its name in the table."""
 
 HEADING = ('fault', 'what was lost', 'what was said', 'said after', 'evidence again after', 'exit')
 
 
 FAULTS: dict[str, tuple[Callable[[Client, Path], Row], str]] = {}
-"""Name on the command line -> what to run, and what it needs: '', 'root' or 'network' (root, and
-network namespaces)."""
+"""Name on the command line -> function, and its requirement: '', 'root' or 'network' (root and
+network namespaces).
+"""
 
 
 def fault(
     needs: str = '',
 ) -> Callable[[Callable[[Client, Path], Row]], Callable[[Client, Path], Row]]:
-    """Enter a function into `FAULTS` by its name."""
+    """Register a function in `FAULTS` by its name."""
 
     def enter(function: Callable[[Client, Path], Row]) -> Callable[[Client, Path], Row]:
         FAULTS[function.__name__] = function, needs
@@ -83,7 +84,7 @@ def fault(
 
 
 class Hearing:
-    """What the diagnostics say, and when the evidence grows.
+    """Records diagnostics messages, and the times at which static data grow.
 
     Parameters
     ----------
@@ -125,15 +126,15 @@ class Hearing:
         print(f'{now:9.1f} {status.name}: {self.said[-1][1]}', file=sys.stderr, flush=True)
 
     def first_since(self, time_s: float) -> tuple[float, str]:
-        """Return when the first message since came, and its words; NaN and '' without one."""
+        """Return time and text of the first message after a time; NaN and '' without one."""
         return next((each for each in self.said if each[0] >= time_s), (math.nan, ''))
 
     def grew_since(self, time_s: float) -> float:
-        """Return when the evidence first grew since then; NaN if it did not."""
+        """Return when static data first grew after a time; NaN if they did not."""
         return next((at for at in self.grew if at > time_s), math.nan)
 
     def until(self, holds: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
-        """Let time pass until it holds and return when; NaN if it never does."""
+        """Wait until a condition holds and return the time; NaN if it never does."""
         end = time.monotonic() + patience_s
         while not holds():
             if time.monotonic() > end:
@@ -143,7 +144,7 @@ class Hearing:
 
 
 class Trial:
-    """A node that watches a stream, with a fault in the middle.
+    """A node that receives a stream with a fault in the middle.
 
     Parameters
     ----------
@@ -189,32 +190,34 @@ class Trial:
         self.began = self.ended = time.monotonic()
 
     def start(self) -> Process:
-        """Start the node; also anew, after it was killed."""
+        """Start the node, or restart it after it was killed."""
         self.watched = start(self._name, ros=self._ros, **self._how)
         return self.watched
 
     def spin(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait."""
         self.hearing.client.spin(seconds)
 
     @contextmanager
     def fault(self, seconds: float = 0.0) -> Iterator[None]:
-        """Note when the fault, which is put in within the block, begins and ends; it lasts so
-        long beyond the block."""
+        """Record when the fault begins and ends.
+
+        The fault is injected by the body of the block and lasts this long after it.
+        """
         self.began = time.monotonic()
         yield
         self.spin(seconds)
         self.ended = time.monotonic()
 
     def faulty(self, change: Callable[[ImuBatch], ImuBatch], seconds: float) -> None:
-        """Send what the change makes of the samples, for so long."""
+        """Send changed samples for a duration."""
         with self.fault():
             self.stream.change = change
             self.spin(seconds)
             self.stream.change = healthy
 
     def row(self, fault: str, note: str = '', same: bool = True) -> Row:
-        """Wait for recovery, end all, and return what happened.
+        """Wait for recovery, end all processes, and return the row.
 
         Parameters
         ----------
@@ -245,7 +248,7 @@ class Trial:
         return evidence not in ('', 'unknown') and float(evidence) >= HEALTHY_S
 
     def _lost(self, same: bool) -> str:
-        """Return what of the samples is not among the sums, why, and whether these are right."""
+        """Return which samples are missing from the sums, why, and whether the sums are right."""
         document = json.loads(self.checkpoint.read_text())
         counts = document['counts']
         held = max(sums_from_document(each).samples for each in document['sums'])

@@ -20,7 +20,7 @@ from fault_harness import Row, Trial, fault
 from online_nodes import Client, Process
 
 SHIFTED_CLOCK = Path(__file__).with_name('shifted_clock.c')
-"""What is preloaded into a node whose wall clock is to be set."""
+"""Library preloaded into a node to set its wall clock."""
 
 BUSY = 'while True: pass'
 BUSY_PROCESSES = 4
@@ -31,7 +31,7 @@ BUSY_PROCESSES = 4
 
 @contextmanager
 def _tmpfs(folder: Path, size: str) -> Iterator[Path]:
-    """Mount a file system of that size within the block; needs root."""
+    """Mount a tmpfs of this size within the block; needs root."""
     place = folder / 'disk'
     place.mkdir()
     subprocess.run(['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', place], check=True)
@@ -42,7 +42,7 @@ def _tmpfs(folder: Path, size: str) -> Iterator[Path]:
 
 
 def _fill(place: Path) -> None:
-    """Write until nothing more goes in."""
+    """Fill the disk."""
     with (place / 'filler').open('wb', buffering=0) as file:
         try:
             while True:
@@ -76,7 +76,7 @@ def disk_read_only(client: Client, folder: Path) -> Row:
 
 
 def _saved_again(trial: Trial, name: str) -> Row:
-    """Return the row, with how soon a checkpoint was written again."""
+    """Return the row, with the time until the next checkpoint was written."""
     before = trial.checkpoint.stat().st_mtime_ns
     again = trial.hearing.until(lambda: trial.checkpoint.stat().st_mtime_ns > before)
     row = trial.row(name, 'checkpoint.period 2 s')
@@ -89,13 +89,13 @@ def _saved_again(trial: Trial, name: str) -> Row:
 
 @fault()
 def wall_clock_forward(client: Client, folder: Path) -> Row:
-    """The clock of the node's machine steps, stamps do not."""
+    """The wall clock of the node steps forward; stamps do not."""
     return _wall_clock(client, folder, 'forward', 3600)
 
 
 @fault()
 def wall_clock_back(client: Client, folder: Path) -> Row:
-    """The same, back."""
+    """The wall clock of the node steps back; stamps do not."""
     return _wall_clock(client, folder, 'back', -3600)
 
 
@@ -111,7 +111,7 @@ def _wall_clock(client: Client, folder: Path, where: str, shift_s: int) -> Row:
 
 @fault()
 def sim_time_jumps(client: Client, folder: Path) -> Row:
-    """/clock leaps ahead and comes back, while the stamps go on."""
+    """/clock jumps ahead and back; the stamps continue."""
     from rclpy.time import Time
     from rosgraph_msgs.msg import Clock
 
@@ -153,7 +153,7 @@ def starved(client: Client, folder: Path) -> Row:
 
 @fault()
 def frozen(client: Client, folder: Path) -> Row:
-    """The monitor does not run at all for a while."""
+    """The monitor is stopped for a while (SIGSTOP)."""
     trial = Trial(client, folder)
     with trial.fault():
         trial.watched.popen.send_signal(signal.SIGSTOP)
@@ -167,7 +167,7 @@ def frozen(client: Client, folder: Path) -> Row:
 
 @fault()
 def publisher_anew(client: Client, folder: Path) -> Row:
-    """The driver's participant goes and comes again."""
+    """The DDS participant of the driver disappears and reappears."""
     trial = Trial(client, folder)
     with trial.fault():
         trial.stream.silent = True
@@ -181,7 +181,7 @@ def publisher_anew(client: Client, folder: Path) -> Row:
 
 @fault()
 def shared_memory_removed(client: Client, folder: Path) -> Row:
-    """Somebody empties /dev/shm: the files that the monitor and the driver use are deleted."""
+    """/dev/shm is emptied: the files that the monitor and the driver use are deleted."""
     trial = Trial(client, folder)
     with trial.fault():
         files = _shared_memory(trial.watched.popen.pid) | _shared_memory(os.getpid())

@@ -26,21 +26,21 @@ ROBOT, STATION = 'allan_robot', 'allan_station'
 ADDRESS = {ROBOT: '10.77.0.1/24', STATION: '10.77.0.2/24'}
 ON_ROBOT = ('ip', 'netns', 'exec', ROBOT)
 INSIDE = ('ip', 'netns', 'exec', STATION)
-"""What runs a command on the station, as the process of a fault itself is run."""
+"""Prefix that runs a command on the station, where the process of a fault runs, too."""
 
 TRANSPORT = {'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4', 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}
-"""Environment of what runs there."""
+"""Environment of commands on the station."""
 
 LINK = Path(__file__).with_name('lossy_link.py')
 LOSS = Path(tempfile.gettempdir()) / 'allan_ros_loss_percent'
-"""Where `lossy_link.py` reads how much it is to lose."""
+"""File from which `lossy_link.py` reads the percentage of packets to lose."""
 HEALTHY_S = 12.0
 AFTER_S = 8.0
 
 
 @contextlib.contextmanager
 def namespaces(wanted: bool) -> Iterator[None]:
-    """Have the robot and the station within the block."""
+    """Create the network namespaces of robot and station within the block."""
     if not wanted:
         yield
         return
@@ -55,7 +55,7 @@ def namespaces(wanted: bool) -> Iterator[None]:
         stack.callback(link.wait)
         stack.callback(link.kill)
         assert link.stdout is not None
-        link.stdout.readline()  # both interfaces are there
+        link.stdout.readline()  # both interfaces exist
         for name, address in ADDRESS.items():
             _ip('link', 'set', name, 'netns', name)
             _ip('-n', name, 'address', 'add', address, 'dev', name)
@@ -69,14 +69,14 @@ def _ip(*arguments: str) -> None:
 
 
 def _up(name: str) -> None:
-    """Take the interface up; discovery by multicast needs a route, which goes when it is down."""
+    """Enable the interface and add the route that multicast discovery needs; disabling removes it."""
     _ip('-n', name, 'link', 'set', name, 'up')
     _ip('-n', name, 'route', 'replace', '224.0.0.0/4', 'dev', name)
 
 
 @fault('network')
 def link_down(client: Client, folder: Path) -> Row:
-    """The cable of the robot is pulled."""
+    """The network cable of the robot is unplugged."""
 
     def pull(spin: Callable[[float], None]) -> None:
         _ip('-n', ROBOT, 'link', 'set', ROBOT, 'down')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that die: SIGKILL, and the same command again some seconds later; and one too many."""
+"""Nodes that are killed with SIGKILL and restarted some seconds later, and a second node."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from online_nodes import Client, Process, node, start
 from still_stream import Stream
 
 DOWN_S = 8.0
-"""How long a killed node stays away: somebody has to notice."""
+"""Seconds until a killed node is restarted, as by an operator."""
 
 QUICK_SUMS = 'publish.sums_period:=2.0'
 """For trials of a minute; 10 s by default."""
 
 
 class Watch:
-    """`allan_watch` beside the nodes: it tells of a node that says nothing any more."""
+    """`allan_watch`, which reports nodes that have stopped publishing."""
 
     def __init__(self, folder: Path) -> None:
         self._log = folder / 'watch.log'
         self._process = Process('-m', 'allan_ros.nodes', 'watch', '--plain', log=self._log)
 
     def stale(self, name: str) -> str:
-        """Return the first line that calls a status whose name begins so stale; '' without one."""
+        """Return the first line that reports a status with this prefix as stale; '' without one."""
         lines = (line.split(' ', 1)[-1] for line in self._log.read_text().splitlines())
         found = next((x for x in lines if x.startswith('STALE') and name in x), '')
         return f'allan_watch: {found}' if found else ''
 
     def end(self) -> None:
-        """End it."""
+        """End the process."""
         self._process.end()
 
 
@@ -46,7 +46,7 @@ def _title(name: str) -> str:
 
 @fault()
 def kill_monitor(client: Client, folder: Path) -> Row:
-    """The monitor dies between two checkpoints."""
+    """The monitor is killed between two checkpoints."""
     watch = Watch(folder)
     row = _kill_watching(client, folder, 'monitor')
     said = watch.stale('input')
@@ -56,7 +56,7 @@ def kill_monitor(client: Client, folder: Path) -> Row:
 
 @fault()
 def kill_accumulator(client: Client, folder: Path) -> Row:
-    """The accumulator dies; an estimator listens to it."""
+    """The accumulator is killed; an estimator subscribes to it."""
     with node('estimator', ros=(QUICK_SUMS,), remap=('sums:=/allan_accumulator/sums',)):
         return _kill_watching(client, folder, 'accumulator')
 
@@ -72,7 +72,7 @@ def _kill_watching(client: Client, folder: Path, name: str) -> Row:
 
 @fault()
 def kill_estimator(client: Client, folder: Path) -> Row:
-    """The estimator dies; the accumulator goes on."""
+    """The estimator is killed; the accumulator continues."""
     how: dict[str, Any] = {'ros': (QUICK_SUMS,), 'remap': ('sums:=/allan_accumulator/sums',)}
     watch, estimator = Watch(folder), start('estimator', **how)
     trial = Trial(client, folder, (QUICK_SUMS,), 'accumulator')
@@ -100,7 +100,7 @@ def kill_estimator(client: Client, folder: Path) -> Row:
 
 @fault()
 def kill_relay(client: Client, folder: Path) -> Row:
-    """The relay dies; what is behind it gets nothing."""
+    """The relay is killed; its subscribers receive nothing."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import Imu
 
@@ -140,7 +140,7 @@ def kill_relay(client: Client, folder: Path) -> Row:
 
 @fault()
 def kill_player(client: Client, folder: Path) -> Row:
-    """The player dies in the middle of a recording."""
+    """The player is killed in the middle of a recording."""
     hearing = Hearing(client)
     checkpoint = folder / 'imu.json'
     monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
@@ -170,11 +170,11 @@ def kill_player(client: Client, folder: Path) -> Row:
 
 @fault()
 def second_node(client: Client, folder: Path) -> Row:
-    """Somebody starts another node with the same checkpoint."""
+    """A second node is started with the same checkpoint."""
     trial = Trial(client, folder)
 
     def told() -> tuple[float, str]:
-        """Return when it was told, and its words: at its start a node has more to say."""
+        """Return time and text of the message; at its start a node publishes others, too."""
         return next((x for x in trial.hearing.said if 'kept by' in x[1]), (math.nan, ''))
 
     with trial.fault():

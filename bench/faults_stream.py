@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the sensor and its driver: what is in the messages, and which of them come."""
+"""Faults of the sensor and its driver: wrong contents, and lost or reordered messages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def nan_burst(client: Client, folder: Path) -> Row:
 
 @fault()
 def stuck(client: Client, folder: Path) -> Row:
-    """Accel y shows one value."""
+    """Accel y is stuck at one value."""
     trial = Trial(client, folder)
 
     def edit(samples: np.ndarray) -> None:
@@ -50,7 +50,7 @@ def stuck(client: Client, folder: Path) -> Row:
 
 @fault()
 def louder(client: Client, folder: Path) -> Row:
-    """Gyro z becomes noisier by half, after two minutes."""
+    """The noise of gyro z rises by 50 % after two minutes."""
     trial = Trial(client, folder)
     trial.spin(110.0)
 
@@ -63,7 +63,7 @@ def louder(client: Client, folder: Path) -> Row:
 
 @fault()
 def unplugged(client: Client, folder: Path) -> Row:
-    """The driver goes on without its IMU."""
+    """The driver runs without its IMU."""
     trial = Trial(client, folder)
     with trial.fault():
         trial.stream.silent = True
@@ -97,7 +97,7 @@ def _loss(client: Client, folder: Path, share: float) -> Row:
 
 @fault()
 def reordered(client: Client, folder: Path) -> Row:
-    """Messages overtake each other, as with UDP over several ways."""
+    """Messages are reordered, as by UDP over several routes."""
     trial, rng = Trial(client, folder), np.random.default_rng(3)
 
     def shuffled(block: ImuBatch) -> ImuBatch:
@@ -110,7 +110,7 @@ def reordered(client: Client, folder: Path) -> Row:
 
 @fault()
 def duplicated(client: Client, folder: Path) -> Row:
-    """Each message comes twice."""
+    """Each message is sent twice."""
     trial = Trial(client, folder)
 
     def twice(block: ImuBatch) -> ImuBatch:
@@ -123,7 +123,7 @@ def duplicated(client: Client, folder: Path) -> Row:
 
 @fault()
 def rate_changed(client: Client, folder: Path) -> Row:
-    """The driver is set to half the rate and back."""
+    """The rate is halved and restored."""
     trial = Trial(client, folder)
     trial.spin(30.0)
 
@@ -136,13 +136,13 @@ def rate_changed(client: Client, folder: Path) -> Row:
 
 @fault()
 def stamps_forward(client: Client, folder: Path) -> Row:
-    """The clock that stamps is set forward, for good."""
+    """The clock of the stamps is set forward permanently."""
     return _stamps_step(client, folder, 'forward', HOUR_NS)
 
 
 @fault()
 def stamps_back(client: Client, folder: Path) -> Row:
-    """The clock that stamps is set back, for good."""
+    """The clock of the stamps is set back permanently."""
     return _stamps_step(client, folder, 'back', -HOUR_NS)
 
 
@@ -155,7 +155,7 @@ def _stamps_step(client: Client, folder: Path, where: str, step_ns: int) -> Row:
 
 @fault()
 def stamps_there_and_back(client: Client, folder: Path) -> Row:
-    """The clock that stamps is set forward and, 10 s later, back."""
+    """The clock of the stamps is set forward and, 10 s later, back."""
     trial = Trial(client, folder)
     trial.faulty(lambda block: replace(block, stamps_ns=block.stamps_ns + HOUR_NS), 10.0)
     return trial.row('header stamps 1 h ahead for 10 s')
@@ -171,7 +171,7 @@ def frame_renamed(client: Client, folder: Path) -> Row:
 
 @fault()
 def frame_for_good(client: Client, folder: Path) -> Row:
-    """Another IMU is plugged in, and stays."""
+    """Another IMU replaces the first permanently."""
     trial = Trial(client, folder)
     with trial.fault():
         trial.stream.change = lambda block: replace(block, frame_id='imu_2')
@@ -187,7 +187,7 @@ def second_publisher(client: Client, folder: Path) -> Row:
 
 @fault()
 def second_publisher_other_frame(client: Client, folder: Path) -> Row:
-    """Another IMU publishes on the same topic, with a frame_id of its own."""
+    """Another IMU publishes on the same topic, with its own frame_id."""
     return _two_publishers(client, folder, 'imu_2', 'of another frame_id')
 
 
@@ -205,7 +205,7 @@ def _two_publishers(client: Client, folder: Path, frame_id: str, words: str) -> 
 
 @fault()
 def swapped(client: Client, folder: Path) -> Row:
-    """Two IMUs change places, as after a reboot that numbers the devices otherwise."""
+    """Two IMUs swap topics, as after a reboot that changes the order of the devices."""
     ros = ('input.topics:=[imu/data, imu/b]', 'input.labels:=[left, right]')
     other: list[Stream] = []
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Fisher bound: how well any unbiased estimator can know the coefficients of a record.
+"""The Fisher bound: the smallest standard deviation of any unbiased estimate of the coefficients.
 
     python bench/fisher.py table1_x table1_y table1_z
 
@@ -25,10 +25,10 @@ from allan_ros.core.fit.model import RANDOM_TERMS, phase_covariance
 Floats = NDArray[np.float64]
 
 BLOCKS = 1200
-"""Points of the phase that are treated exactly."""
+"""Number of points of the phase that are treated exactly."""
 
 LAGS = 1 << 15
-"""Lags of the autocovariance that make a spectrum."""
+"""Number of lags of the autocovariance for a spectrum."""
 
 
 def bend_covariance(lags: int, step: int) -> Floats:
@@ -37,7 +37,7 @@ def bend_covariance(lags: int, step: int) -> Floats:
     fourth = np.convolve([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
     rows = [np.convolve(g, fourth, mode='valid') for g in phase_covariance(at)]
     if step == 1:
-        # Far off the difference of t^2 ln t / (2 pi) cancels: its expansion there.
+        # For large lags the difference of t^2 ln t / (2 pi) cancels: expansion there.
         t = np.arange(lags, dtype=float)
         far = t > 60.0
         rows[2][far] = -(2.0 / t[far] ** 2 + 2.0 / t[far] ** 4) / (2.0 * np.pi)
@@ -66,7 +66,7 @@ def whittle(count: int, power: Floats, step: int) -> Floats:
 
 
 def exact(count: int, power: Floats, step: int) -> tuple[Floats, float]:
-    """Return the information of block second differences, the ramp being free, and its sd."""
+    """Return the information of second differences of blocks with a free ramp, and its sd."""
     rows = bend_covariance(count, step)
     inverse = np.linalg.inv(toeplitz(power @ rows))
     ramp = inverse @ np.full(count, float(step) ** 2)
@@ -78,7 +78,7 @@ def exact(count: int, power: Floats, step: int) -> tuple[Floats, float]:
 
 
 def bound(samples: int, power: Floats) -> tuple[Floats, float]:
-    """Return the least standard deviations of the powers that are not 0, and of the ramp."""
+    """Return the smallest standard deviations of the nonzero variance coefficients and the ramp."""
     step = samples // BLOCKS
     low, ramp = exact(BLOCKS - 1, power, step)
     information = whittle(samples - 1, power, 1) + low - whittle(BLOCKS - 1, power, step)
@@ -91,7 +91,7 @@ def bound(samples: int, power: Floats) -> tuple[Floats, float]:
 
 
 def main() -> None:
-    """Print the bound of the scenarios asked for, in percent of each coefficient."""
+    """Print the bound for each scenario in percent of each coefficient."""
     parser = argparse.ArgumentParser(description='Fisher bounds of the scenarios.')
     parser.add_argument('scenarios', nargs='+', choices=sorted(SCENARIOS))
     for name in parser.parse_args().scenarios:

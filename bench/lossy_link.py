@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two tap interfaces and the cable between them, which loses a share of the packets at random.
+"""Two connected tap interfaces, with random packet loss.
 
     python bench/lossy_link.py FIRST SECOND FILE
 
@@ -20,19 +20,19 @@ from pathlib import Path
 
 TUNSETIFF = 0x400454CA
 TAP, WITHOUT_HEADER = 0x0002, 0x1000
-"""Of linux/if_tun.h: frames of Ethernet, and nothing before them."""
+"""Flags of linux/if_tun.h: Ethernet frames without a prefix."""
 LONGEST_FRAME = 65536
 
 
 def open_tap(name: str) -> int:
-    """Return the handle of a new tap interface."""
+    """Return the file descriptor of a new tap interface."""
     handle = os.open('/dev/net/tun', os.O_RDWR)
     fcntl.ioctl(handle, TUNSETIFF, struct.pack('16sH', name.encode(), TAP | WITHOUT_HEADER))
     return handle
 
 
 def main(first: str, second: str, file: Path) -> None:
-    """Hand frames over until killed."""
+    """Forward frames until killed."""
     a, b = open_tap(first), open_tap(second)
     print('ready', flush=True)
     other, rng = {a: b, b: a}, random.Random(1)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The offline run that the sums of a node are held against."""
+"""Sums of an offline analysis, to compare with the sums of a node."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 
 
 def offline_sums(batches: Iterable[ImuBatch]) -> list[dict[str, Any]]:
-    """Return the sums of batches as they are read from a document."""
+    """Return the sums of batches after a round trip through their document."""
     accumulator = ImuStream()
     for batch in batches:
         accumulator.update(batch)

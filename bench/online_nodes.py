@@ -21,13 +21,13 @@ os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
 
 ANSWER_S = 10.0
-"""A service that has not answered by then is asked again."""
+"""Seconds after which an unanswered service is called again."""
 
 RELIABLE = (
     'qos_overrides./imu/data.subscription.reliability:=reliable',
     'qos_overrides./imu/data.subscription.history:=keep_all',
 )
-"""Parameters with which a played recording comes whole, at any speed."""
+"""Parameters with which no message of a played recording is lost at any speed."""
 
 
 def use_udp() -> None:
@@ -38,7 +38,7 @@ def use_udp() -> None:
 
 
 class Process:
-    """A Python process, with what it costs.
+    """A Python process, its CPU time and memory.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Process:
         return int(found[1]) / 1024 if found else float('nan')
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal and return the exit code; one that does not end is killed."""
+        """Send a signal and return the exit code; the process is killed if it does not end."""
         self.popen.send_signal(number)
         try:
             return self.popen.wait(60)
@@ -92,7 +92,7 @@ class Process:
 def start(
     name: str, *arguments: str, ros: Iterable[str] = (), remap: Iterable[str] = (), **how: Any
 ) -> Process:
-    """Start one of our nodes with parameters ``name:=value`` and remappings ``old:=new``.
+    """Start a node with parameters ``name:=value`` and remappings ``old:=new``.
 
     ``how`` goes to `Process`.
     """
@@ -104,7 +104,7 @@ def start(
 
 @contextlib.contextmanager
 def node(name: str, *arguments: str, **how: Any) -> Iterator[Process]:
-    """Run one of our nodes within the block."""
+    """Run a node within the block."""
     started = start(name, *arguments, **how)
     try:
         yield started
@@ -114,7 +114,7 @@ def node(name: str, *arguments: str, **how: Any) -> Iterator[Process]:
 
 
 class Client:
-    """A node that hears the diagnostics, publishes Imu and calls services."""
+    """A node that receives diagnostics, publishes Imu and calls services."""
 
     def __init__(self) -> None:
         import rclpy
@@ -132,7 +132,7 @@ class Client:
             self.on_status(status)
 
     def spin(self, seconds: float) -> None:
-        """Let time pass."""
+        """Spin for a duration."""
         import rclpy
 
         end = time.monotonic() + seconds
@@ -140,19 +140,19 @@ class Client:
             rclpy.spin_once(self.node, timeout_sec=left)
 
     def value(self, ending: str, key: str) -> str:
-        """Return one value of the status whose name ends so; '' where there is none."""
+        """Return one value of the status whose name has this ending; '' without one."""
         for name, status in self.statuses.items():
             if name.endswith(ending):
                 return next((v.value for v in status.values if v.key.startswith(key)), '')
         return ''
 
     def message(self, ending: str) -> str:
-        """Return the message of the status whose name ends so; '' where there is none."""
+        """Return the message of the status whose name has this ending; '' without one."""
         found = (s.message for name, s in self.statuses.items() if name.endswith(ending))
         return next(found, '')
 
     def publisher(self, wanted: int = 1, keep_all: bool = False) -> Any:
-        """Return a publisher of Imu that so many subscribers have discovered."""
+        """Return a publisher of Imu that this many subscribers have discovered."""
         from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes survive and what they say: trials over real DDS, each some minutes long.
+"""Trials over real DDS of some minutes each: identical sums, and restarts after kills.
 
 python bench/online_trials.py identity   a bag played at 1x, 50x and full speed: bit for bit, seen
 python bench/online_trials.py kills      20 kills (SIGKILL) at random moments of one run
@@ -36,10 +36,10 @@ GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
 START_NS = 10**18
 KILLS = 'kill', 'after', 'samples in the checkpoint', 'lost by it', 'that is'
 RESTART_S = 12.0
-"""What a restart may take, until the first checkpoint, on a busy machine."""
+"""Limit in s for a restart until the first checkpoint on a busy machine."""
 
 BEST_EFFORT = 10
-"""How often the bag is played to a subscription that asks for nothing again."""
+"""Number of passes played to a best-effort subscription."""
 
 
 def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
@@ -50,9 +50,9 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
         rng = np.random.default_rng(1)
         keep = np.ones(len(whole), bool)
         for at in rng.integers(2000, len(whole) - 2000, 4):
-            keep[at : at + 300] = False  # gaps that cut
+            keep[at : at + 300] = False  # gaps that split the segment
             whole.samples[at + 900 : at + 940] += rng.normal(0.0, 1.0, (40, 6))  # knocks
-        keep[rng.integers(0, len(whole), 30)] = False  # lost samples that are bridged
+        keep[rng.integers(0, len(whole), 30)] = False  # lost samples that are interpolated
         batch = ImuBatch(whole.stamps_ns[keep], whole.samples[keep], frame_id='imu')
         write_recording(bag, [batch])
         expected = offline_sums(open_recordings([bag])[0].batches())
@@ -86,9 +86,9 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
 def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
     """Kill the accumulator again and again while a bag plays, and account for every sample."""
     # A process that is killed while it holds a lock in the shared memory of Fast DDS 2.14 blocks
-    # the others there for ever, the player among them: seen at the 16th of 20 kills.
+    # the others there permanently, the player too: observed at the 16th of 20 kills.
     os.environ.update(TRANSPORT)
-    # reliable, but the player must not wait for the acknowledgements of the dead
+    # reliable, but the player must not wait for acknowledgements of killed nodes
     forgetful = [
         f'qos_overrides./imu/data.publisher.{p}' for p in ('history:=keep_last', 'depth:=5000')
     ]
@@ -131,7 +131,7 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
         ends[kept] = rows.stop
     table = DocTable('kills', KILLS)
     for number, (pause, in_file) in enumerate(zip(pauses, held[1:]), 1):
-        end = ends[in_file]  # a checkpoint that is no sum of whole spans would be a fault of ours
+        end = ends[in_file]  # a checkpoint that is not a sum of complete segments would be a defect
         lost = int(starts[starts >= end][0]) - end
         cells = f'{pause:.1f} s', str(in_file), str(lost), f'{lost / rate / speed:.1f} s'
         table.put((str(number), *cells))

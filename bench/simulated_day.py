@@ -41,7 +41,7 @@ BIAS_PER_KELVIN = 2e-5
 SWING_K, DAY_S = 10.0, 86400.0
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
 PATIENCE_S = 120.0
-"""Time without progress after which the trial ends; nothing may be lost."""
+"""Seconds without progress after which messages count as lost."""
 
 FIT_S = 60.0
 """Longest wait for the model of the sums at the end of an hour."""
@@ -126,7 +126,7 @@ class Robot:
                 try:
                     self.publisher.publish(bytes(payload))
                     break
-                except rclpy_implementation.RCLError:  # its queue is full
+                except rclpy_implementation.RCLError:  # the queue of the monitor is full
                     continue
         self.received += len(batch)
         before, since = '', time.monotonic()
@@ -153,7 +153,7 @@ class Robot:
         self.client.spin(1.5)
 
     def row(self, name: str, still_s: float, variance: float) -> tuple[str, ...]:
-        """Return what is known now, beside the truth."""
+        """Return the present coefficients with the true ones."""
         client = self.client
         worst = max(client.statuses.values(), key=lambda s: s.level)
         level = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR'}[worst.level]
@@ -174,7 +174,7 @@ class Robot:
 
 
 def main(hours: int = 8, rate: float = 25.0) -> None:
-    """Play the day and write the table."""
+    """Simulate the day and write the table."""
     use_udp()
     batch, still = day(hours, rate)
     table = DocTable('day', HEADING)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A kilohertz through DDS into allan_monitor, for as long as it is wanted.
+"""Publish 1 kHz over DDS to allan_monitor for a given duration.
 
 What is sent is written to a recording first; the sums of the node must be those of its analysis.
 """
@@ -30,7 +30,7 @@ from allan_ros.io.writing import write_recording
 RATE_HZ = 1000.0
 LENGTH_S = 1800.0
 ROWS = 10
-"""How many rows the table gets."""
+"""Number of rows of the table."""
 GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
 
 HEADING = (

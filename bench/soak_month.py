@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A month of one IMU through the way that the node and the offline tool share, as fast as it goes.
+"""Process a month of one IMU as fast as possible, by the code that the node and `allan` share.
 
 Every sample is drawn anew: white noise of a known N and a random walk of a known K on each axis,
 with what happens to a robot put in. Once an hour of its time the sums are checkpointed and read
@@ -58,7 +58,7 @@ SHOWN_DAYS = (1, 2, 3, 5, 10, 15, 20, 25, 30)
 
 @dataclass
 class Robot:
-    """Draws hour after hour, and goes on where it was."""
+    """Simulates one hour after another without a break."""
 
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(30))
     walk: np.ndarray = field(default_factory=lambda: np.zeros(6))
@@ -79,7 +79,7 @@ class Robot:
             yield self._disturbed(stamps, samples)
 
     def _disturbed(self, stamps: np.ndarray, samples: np.ndarray) -> ImuBatch:
-        """Put in what happens in 100 s, each with the frequency in the comment."""
+        """Add the disturbances of 100 s, each with the frequency in the comment."""
         rng, n = self.rng, len(stamps)
         keep = np.ones(n, bool)
         if rng.random() < 1 / 36:  # a drive of half a minute, once an hour
@@ -109,7 +109,7 @@ def resident_mb() -> float:
 
 
 def month() -> None:
-    """Run the month, write the table, and say how memory and time grew."""
+    """Run the month, write the table, and print the growth of memory and time."""
     table = DocTable('soak month', HEADING)
     robot, accumulator = Robot(), ImuStream()
     began, way_s, sent = time.monotonic(), 0.0, 0
@@ -167,7 +167,7 @@ def month() -> None:
 
 
 def _account(counts: Counts) -> None:
-    """Stop where a sample is neither used nor among those that were dropped for a reason."""
+    """Raise unless every sample is used or counted with a reason."""
     c = counts
     dropped = c.skipped + c.not_finite + c.duplicate + c.backward + c.untimed + c.moving + c.stuck
     if c.received + c.bridged != c.used + dropped:
@@ -175,8 +175,7 @@ def _account(counts: Counts) -> None:
 
 
 def _save_and_read(keeper: CheckpointKeeper, path: Path, known: Accumulation) -> float:
-    """Write the sums as the node does, read them back, and return the CPU time; they must be
-    what was written."""
+    """Write the sums as the node does, read them back, compare, and return the CPU time."""
     at = time.process_time()
     provenance = Provenance((), known.spans, known.findings, known.health.counts)
     total = keeper.total(known.sums, provenance)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stream of a still IMU to put faults into."""
+"""A stream of a static IMU, for injecting faults."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from allan_ros.io.readers.cdr import encode_imus
 RATE_HZ = 200.0
 PERIOD_NS = round(1e9 / RATE_HZ)
 BLOCK = 20
-"""Samples that a fault is given at a time: a tenth of a second."""
+"""Samples per block passed to a fault: a tenth of a second."""
 STD = [7e-4] * 3 + [1.1e-2] * 3
-"""White noise of a sample, in rad/s and m/s^2: as of N = 5e-5 and 8e-4 at that rate."""
+"""Standard deviation of a sample in rad/s and m/s^2: N = 5e-5 and 8e-4 at this rate."""
 
 
 class Stream:
-    """Publishes a still IMU, each sample when it is due, in a thread and with a ROS context of
-    its own.
+    """Publishes a static IMU in real time, in its own thread and ROS context.
 
     Attributes
     ----------
@@ -54,7 +53,7 @@ class Stream:
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def open(self) -> None:
-        """Make the participant and wait until a subscriber has found it."""
+        """Create the participant and wait until a subscriber has discovered it."""
         import rclpy
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import Imu
@@ -67,12 +66,12 @@ class Stream:
             time.sleep(0.02)
 
     def close(self) -> None:
-        """Destroy the participant; samples go nowhere until it is opened again."""
+        """Destroy the participant; samples are dropped until it is opened again."""
         self._node.destroy_node()
         self._context.shutdown()
 
     def begin(self) -> None:
-        """Start to publish, once the subscribers know of this publisher too."""
+        """Start to publish when the subscribers have been discovered."""
         from rclpy.executors import SingleThreadedExecutor
 
         from allan_ros.nodes.player import Handshake
@@ -112,5 +111,5 @@ class Stream:
 
 
 def healthy(block: ImuBatch) -> ImuBatch:
-    """Return the block as it is."""
+    """Return the block unchanged."""
     return block

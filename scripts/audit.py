@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""List what allan_ros installs, each with version and licence, and ask for known vulnerabilities.
+"""List the packages that allan_ros installs, with version and licence, and query known
+vulnerabilities.
 
     python scripts/audit.py             # exit 1: something is vulnerable; 2: some was not audited
     python scripts/audit.py --offline   # the list alone, nobody is asked
@@ -28,14 +29,14 @@ VULNERABLE, NOT_AUDITED = 1, 2
 CLASSIFIER = 'License :: OSI Approved :: '
 REQUIREMENT = re.compile(r'([A-Za-z0-9._-]+)')
 LONGEST_LICENCE = 60
-"""Characters: some packages put the whole text where the name belongs."""
+"""Longest licence name in characters: some packages give the complete text in its place."""
 
 TOOL = [sys.executable, '-m', 'pip_audit']
 ASKED = ['--no-deps', '--disable-pip', '--format', 'json', '--requirement']
 
 
 def required() -> dict[str, metadata.Distribution]:
-    """Return the installed packages that ours needs, directly or not, by normal name."""
+    """Return the installed packages that allan_ros requires, directly or not, by normalized name."""
     found: dict[str, metadata.Distribution] = {}
     waiting = [PACKAGE]
     while waiting:
@@ -44,7 +45,7 @@ def required() -> dict[str, metadata.Distribution]:
                 try:
                     found[name] = metadata.distribution(name)
                 except metadata.PackageNotFoundError:
-                    continue  # its marker is of another system or Python
+                    continue  # its marker excludes this system or Python
                 waiting.append(name)
     return dict(sorted(found.items()))
 
@@ -57,9 +58,9 @@ def _requirements(distribution: metadata.Distribution) -> Iterator[str]:
 
 
 def licence(distribution: metadata.Distribution) -> str:
-    """Return the name of a licence, from where packages of several ages put it."""
+    """Return the name of the licence, from the metadata fields of old and new packages."""
     about = distribution.metadata
-    # by get_all, for what is not there is an error in newer readers of metadata, None in others
+    # get_all: a missing field is an error in newer readers of metadata, None in others
     classifiers = [c for c in about.get_all('Classifier') or () if c.startswith(CLASSIFIER)]
     named = [*(about.get_all('License-Expression') or ()), *(about.get_all('License') or ())]
     named += [classifier.removeprefix(CLASSIFIER) for classifier in classifiers]
@@ -68,7 +69,7 @@ def licence(distribution: metadata.Distribution) -> str:
 
 
 def main() -> int:
-    """Print the list and what the service says of it."""
+    """Print the list and the answer of the service."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else '')
     parser.add_argument('--offline', action='store_true', help='ask nobody')
     options = parser.parse_args()
@@ -98,7 +99,7 @@ def main() -> int:
 
 
 def audited(packages: dict[str, metadata.Distribution]) -> list[dict[str, Any]]:
-    """Return what pip-audit says of each package: `vulns`, or why it was skipped."""
+    """Return the result of pip-audit for each package: `vulns`, or why it was skipped."""
     with tempfile.NamedTemporaryFile('w', suffix='.txt') as file:
         file.write('\n'.join(f'{name}=={found.version}' for name, found in packages.items()))
         file.flush()

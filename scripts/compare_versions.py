@@ -28,12 +28,12 @@ SIMULATED = {
     'held': ['--hours', '0.5', '--accel-rate', '62.5'],
     'jitter': ['--hours', '0.5', '--jitter', '0.0004', '--low-pass', '20'],
 }
-"""Name -> what is wrong with a simulated recording."""
+"""Name -> faults of a simulated recording."""
 
 SUMS = ('axes', 'elapsed_ns', 'intervals', 'm', 'count', 'sum_sq', 'group_count', 'group_sum_sq')
 SEGMENT = ('start_ns', 'samples', 'phase_step', 'signed', 'phase')
 CLASS = ('index', 'count', 'samples', 'ramp_correction')
-"""What both versions must store alike."""
+"""Fields that must be equal in both versions."""
 
 
 def allan(checkout: Path, *words: str) -> bool:
@@ -47,7 +47,7 @@ def allan(checkout: Path, *words: str) -> bool:
 
 
 def kept(document: dict[str, Any]) -> list[Any]:
-    """Return the numbers of a sums.json that both versions must store alike."""
+    """Return the numbers of a sums.json that must be equal in both versions."""
     return [
         [
             [sums[key] for key in SUMS],

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tool on an IMU whose noise is known: simulate, analyse, show found against true, watch live.
+"""Demonstration on an IMU with known noise: simulate, analyze, compare with the truth, play to the
+nodes.
 
 usage: demo.py FOLDER [--hours H]
 
@@ -29,7 +30,7 @@ from allan_ros.io.results import Results
 from allan_ros.io.truth import AxesNoise, read_noise, truth_path
 
 CONFIDENCE = 0.95
-"""Share of the intervals and limits that should hold the truth."""
+"""Expected share of intervals and limits that contain the truth."""
 
 
 def main() -> int:
@@ -60,7 +61,7 @@ def main() -> int:
 
 
 def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
-    """Yield a table of every coefficient beside its truth, and how many are right."""
+    """Yield a table of every coefficient with its true value, and the share of correct intervals."""
     yield f'{"":9}{"":17}{"true":>10}{"found":>11}   95 % interval'
     inside = []
     for axis, result in results.axes.items():
@@ -80,7 +81,7 @@ def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
 
 
 def holds(coefficient: Coefficient, true: float) -> bool:
-    """Tell whether the truth lies in the interval, or below the limit of what is not observable."""
+    """Return whether the truth lies in the interval, or below the limit of an unresolved term."""
     if coefficient.status == 'estimated' and coefficient.ci95 is not None:
         low, high = coefficient.ci95
         return low <= true <= high

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes on a recording: play it into allan_monitor over DDS, watch /diagnostics live.
+"""Play a recording to allan_monitor over DDS and show /diagnostics.
 
 The bag is played as fast as the monitor takes it, so hours pass in a minute; at the end the sums of
 the monitor are compared with those of the offline analysis.
@@ -20,7 +20,7 @@ RELIABLE = [
     *('-p', 'qos_overrides./imu/data.subscription.reliability:=reliable'),
     *('-p', 'qos_overrides./imu/data.subscription.history:=keep_all'),
 ]
-"""With these a full queue makes the player wait, so that nothing is lost at any speed."""
+"""With these parameters the player waits while a queue is full, so no message is lost."""
 
 PATIENCE_S = 300.0
 ANSWER_S = 10.0
@@ -28,15 +28,15 @@ ANSWER_S = 10.0
 
 def play(bag: Path, folder: Path, sensor: str) -> int:
     """Play the bag into a monitor and return 0 when the sums are those of ``sums.json``."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'  # what runs here stays here
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'  # no discovery of other machines
     checkpoint = folder / 'online_sums.json'
     checkpoint.unlink(missing_ok=True)
     parameters = {
         'checkpoint.path': checkpoint,
         'estimator.sensor': sensor,
         'publish.sums_period': 2.0,
-        'input.stale_after': 3600.0,  # the end of a recording is no fault
-        # while hours are squeezed into a minute, "lately" has another meaning
+        'input.stale_after': 3600.0,  # the end of the recording is not an error
+        # the recording is played faster than real time, so recent hours pass in seconds
         'estimator.recent_window': 604800.0,
     }
     given = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]
@@ -50,7 +50,7 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
             return 1
         took = time.monotonic() - began
         _fit()
-        time.sleep(2.0)  # for the watcher to show the last coefficients
+        time.sleep(2.0)  # so that allan_watch shows the last coefficients
     finally:
         for process in (watch, player, monitor):
             if process.poll() is None:
@@ -69,7 +69,7 @@ def _start(name: str, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def _fit() -> None:
-    """Let the monitor take what has come, fit it, and wait for the noise model."""
+    """Save and fit the sums of all received samples, and wait for the noise model."""
     import rclpy
     from std_msgs.msg import String
     from std_srvs.srv import Trigger
@@ -84,7 +84,9 @@ def _fit() -> None:
         client = node.create_client(Trigger, f'/allan_monitor/{service}')
         if not client.wait_for_service(PATIENCE_S):
             raise TimeoutError(service)
-        while time.monotonic() < deadline:  # a node answers nobody whom it has not found yet
+        while (
+            time.monotonic() < deadline
+        ):  # an answer to a client that the node has not discovered yet is lost
             future = client.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_S)
             if future.done():
@@ -93,7 +95,7 @@ def _fit() -> None:
 
     saved = call('save')
     while not call('fit').success and time.monotonic() < deadline:
-        time.sleep(0.5)  # another fit is under way
+        time.sleep(0.5)  # another fit is running
     samples = int(saved.message.rsplit(': ', 1)[1].split()[0])
     models: list[int] = []
     node.create_subscription(

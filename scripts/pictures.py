@@ -27,27 +27,27 @@ from allan_ros.core.noise import NoiseTerms, term_avar
 from allan_ros.io.plot_style import TERM_STYLES
 
 RATE = 100.0
-"""Hz, of every picture."""
+"""Sampling rate of every picture in Hz."""
 
 HOUR = 3600.0
 
 DEG_H = 1.0 / UNITS['deg/h'].factor
 UG = 1.0 / UNITS['ug'].factor
-"""What to multiply SI by to have deg/h, ug."""
+"""Factors from SI to deg/h and ug."""
 
 DPI = 100
 FONT = {'font.size': 9.0, 'axes.grid': False}
 GREY = '0.6'
 ON_WHITE = {'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}
-"""Ground of words that stand on lines."""
+"""Background of text that is drawn on lines."""
 
 ALL_FIVE = NoiseTerms(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
-"""A gyro on whose curve every term shows: an invented one."""
+"""A fictitious gyro on whose curve every term is visible."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A curve that is not that of the five terms."""
+    """A curve that the five terms do not describe."""
 
     name: str
     axis: str
@@ -84,7 +84,7 @@ def analysed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
 
 
 def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: object) -> None:
-    """Draw the points of a curve with their limits."""
+    """Draw the points of a curve with their error bars."""
     panel.fill_between(curve.tau, factor * curve.ci_low, factor * curve.ci_high, color='0.85', lw=0)
     panel.plot(
         curve.tau,
@@ -94,7 +94,7 @@ def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: obje
 
 
 def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float) -> None:
-    """Draw the fit and the parts it is made of."""
+    """Draw the fit and its components."""
     curve = result.curve
     assert curve is not None
     for name, part in result.part_adev(curve.m).items():
@@ -116,7 +116,7 @@ def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, S
 
 
 def five_slopes() -> Figure:
-    """Draw the curve of a gyro on which every term shows, and where each one is read."""
+    """Draw the curve of a gyro with all five terms, and where each is read."""
     figure, (panel,) = new_figure(6.4, 4.2)
     tau = np.geomspace(0.01, 1e5, 400)
     avar = DEG_H**2 * term_avar(tau * RATE, 1.0 / RATE, ALL_FIVE)
@@ -138,7 +138,7 @@ def five_slopes() -> Figure:
 
 
 def paper_gyro() -> Figure:
-    """Draw the z gyro of two simulated hours as the tool reads it, with its numbers."""
+    """Draw the curve and coefficients of the z gyro for two simulated hours."""
     result = analysed(2.0).axes['gyro_z']
     figure, (panel,) = new_figure(7.2, 4.0)
     draw_measured(panel, result.curve, DEG_H)
@@ -164,7 +164,7 @@ def paper_gyro() -> Figure:
 
 
 def wrong_shape(shape: Shape) -> Figure:
-    """Draw a curve with something wrong, over the same one without."""
+    """Draw a curve with a fault over the same curve without it."""
     bad, good = analysed(shape.hours, **shape.faults), analysed(shape.hours)
     figure, (panel,) = new_figure(5.2, 3.2)
     clean = good.axes[shape.axis].curve
@@ -179,7 +179,7 @@ def wrong_shape(shape: Shape) -> Figure:
 
 
 def held_samples() -> Figure:
-    """Draw an accelerometer read at 62.5 Hz whose samples are repeated at 100 Hz."""
+    """Draw an accelerometer read at 62.5 Hz and published at 100 Hz with repeated samples."""
     faults = {'accel_rate': 62.5}
     figure, (panel,) = new_figure(5.2, 3.2)
     repeated = ar.adev(ar.simulate(0.5, RATE, **faults).samples[:, 5], RATE)

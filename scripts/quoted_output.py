@@ -33,7 +33,7 @@ def quoting_pages() -> list[Path]:
 
 
 def with_new_output(text: str) -> str:
-    """Return the text of a page with the output of its commands as it is now.
+    """Return the text of a page with the present output of its commands.
 
     Raises
     ------

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What 10 min, 1 h, 2 h and 8 h show of three grades of IMU: the table of docs/recording.md.
+"""Terms resolved by 10 min, 1 h, 2 h and 8 h for three grades of IMU: the table of
+docs/recording.md.
 
 usage: recording_table.py [--records N]
 
@@ -27,7 +28,7 @@ RATE = 100.0
 """Hz."""
 
 LENGTHS = {'10 min': 600.0, '1 h': 3600.0, '2 h': 7200.0, '8 h': 28800.0}
-"""What is said -> s."""
+"""Label of a duration -> s."""
 
 GRADES = {
     'gyro': {
@@ -41,10 +42,10 @@ GRADES = {
         'tactical': {'N': 0.006, 'B': 4.0, 'K': 8.0},
     },
 }
-"""sensor -> grade -> terms in datasheet units: examples, no product's."""
+"""sensor -> grade -> terms in datasheet units: typical values, not those of a product."""
 
 MOSTLY = 0.5
-"""Share of records in which a term must show for a number to be given."""
+"""Smallest share of records that resolve a term for a number to be shown."""
 
 
 def noise_of(sensor: str) -> list[NoiseTerms]:
@@ -56,7 +57,7 @@ def noise_of(sensor: str) -> list[NoiseTerms]:
 
 
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
-    """Return (axis, term) -> half-width of its interval relative to the truth, NaN if not shown."""
+    """Return (axis, term) -> half-width of its interval relative to the truth, NaN if not resolved."""
     accumulator = ImuStream(SegmenterSettings(motion_gate=False))
     noise = {sensor: noise_of(sensor) for sensor in GRADES}
     for batch in simulate_imu(seconds, RATE, noise['gyro'], noise['accel'], seed=seed):
@@ -91,7 +92,7 @@ def rows(records: int) -> Iterator[str]:
 
 
 def cell(halves: list[float]) -> str:
-    """Return what is said of one term after one length of time."""
+    """Return the cell of one term for one duration."""
     shown = np.isfinite(halves)
     if not shown.any():
         return 'no'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, cli.md, api.md and the words quoted in docs/troubleshooting.md.
+"""Write docs/parameters.md, cli.md, api.md and the messages quoted in docs/troubleshooting.md.
 
 usage: reference.py
 
@@ -115,7 +115,7 @@ def parameters_page() -> str:
 
 
 def _nodes_of_groups(config: str) -> dict[str, tuple[str, str]]:
-    """Return group -> what it is for and whose it is, from the comments of the parameter file."""
+    """Return group -> purpose and nodes, from the comments of the parameter file."""
     found = re.findall(r'^    # (.+?) \(([^()]+)\)\.\n    (\w+):$', config, re.MULTILINE)
     return {group: (f'{what}.', where) for what, where, group in found}
 
@@ -140,7 +140,7 @@ def _bound(value: float | None) -> str:
 
 
 def _shown(default: Any) -> str:
-    """Return a default as YAML has it."""
+    """Return a default in YAML notation."""
     if isinstance(default, tuple):
         return '[' + ', '.join(_shown(value) for value in default) + ']'
     if isinstance(default, bool):
@@ -210,7 +210,7 @@ def _object_section(name: str) -> str:
 
 
 def _signature(thing: Any) -> str:
-    """Return the parameters and their defaults, one a line, without types."""
+    """Return the parameters with defaults, without types."""
     words, starred = [], False
     for parameter in inspect.signature(thing).parameters.values():
         if parameter.kind is parameter.VAR_POSITIONAL:
@@ -247,7 +247,7 @@ def _items(body: str) -> Iterator[str]:
 
 
 def _code(text: str) -> str:
-    """Return reStructuredText literals as Markdown has them."""
+    """Convert reStructuredText literals to Markdown."""
     return text.replace('``', '`').replace('<', '&lt;')
 
 
@@ -267,7 +267,7 @@ def _members(thing: type) -> Iterator[str]:
 
 
 def troubleshooting_page(text: str) -> str:
-    """Return the page with the words of every finding below its heading, as the code has them.
+    """Return the page with the present messages of all findings below their headings.
 
     Raises
     ------
@@ -283,7 +283,7 @@ def troubleshooting_page(text: str) -> str:
 
 
 def _with_words(entry: str) -> str:
-    """Return an entry with the quotation below its heading renewed."""
+    """Return an entry with the present message below its heading."""
     id, _, rest = entry.partition('\n')
     rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
     words = CATALOGUE[id.strip()]
@@ -292,12 +292,12 @@ def _with_words(entry: str) -> str:
 
 
 def _without_numbers(template: str) -> str:
-    """Return a template of `str.format` with … for what is filled in."""
+    """Return a `str.format` template with … in place of its fields."""
     return re.sub(r'\{[^{}]*\}', '…', template.replace('{when}', '')).replace('<', '&lt;')
 
 
 def pages() -> dict[str, str]:
-    """Return file in docs -> what stands in it, or should."""
+    """Return file in docs -> its generated text."""
     findings = DOCS / 'troubleshooting.md'
     return {
         'parameters.md': parameters_page(),

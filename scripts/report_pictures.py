@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of what the tool itself shows: the report in a browser, and a comparison of runs.
+"""Screenshots of the report in a browser, and of a comparison of recordings.
 
 usage: report_pictures.py FOLDER
 
@@ -24,10 +24,10 @@ from allan_ros.cli.main import main as allan
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 
 WINDOW = (1120, 1560)
-"""Pixels of the page that are shown: the verdict, and the gyro's curve and coefficients."""
+"""Size of the screenshot in pixels: verdict, curve and coefficients of the gyro."""
 
 COLOURS = 96
-"""Of a picture: enough for text with smooth edges, a third of the bytes."""
+"""Number of colours of a picture: enough for smooth text, at a third of the file size."""
 
 RUNS = {
     'monday': ['--seed', '1'],
@@ -36,11 +36,11 @@ RUNS = {
         *('--motion', '1500:60', '--gaps', '2600:30'),
     ],
 }
-"""Name of a run -> what is simulated in it."""
+"""Name of a recording -> faults simulated in it."""
 
 
 def photograph(page: Path, picture: Path, scratch: Path) -> None:
-    """Take a picture of the top of a page."""
+    """Take a screenshot of the top of a page."""
     browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     if browser is None:
         sys.exit(f'no browser here: install one of {", ".join(BROWSERS)}')

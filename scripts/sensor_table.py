@@ -25,7 +25,7 @@ COLUMNS = (('gyro', 'N'), ('gyro', 'B'), ('accel', 'N'), ('accel', 'B'))
 
 
 def table() -> str:
-    """Return the table as Markdown: figures as stated, and their sources."""
+    """Return the table as Markdown: stated values and their sources."""
     return '\n'.join(_lines()) + '\n'
 
 
@@ -42,7 +42,7 @@ def _lines() -> Iterator[str]:
 
 
 def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
-    """Return what is stated of the axes of a sensor, those that share a figure together."""
+    """Return the stated values of the axes of a sensor; axes with equal values are listed together."""
     axes: dict[str, list[str]] = {}
     for axis, limits in sheet.limits.items():
         if axis.startswith(sensor) and term in limits:
@@ -53,7 +53,7 @@ def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
 
 
 def page(text: str) -> str:
-    """Return the text of the page with the table anew."""
+    """Return the text of the page with the present table."""
     before, rest = text.split(BEGIN)
     after = rest.split(END)[1]
     return f'{before}{BEGIN}\n\n{table()}\n{END}{after}'

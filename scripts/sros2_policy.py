@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the SROS 2 policy of the nodes, as the graph shows them: config/sros2/allan_ros.policy.xml.
+"""Write the SROS 2 policy of the running nodes: config/sros2/allan_ros.policy.xml.
 
     python scripts/sros2_policy.py            # starts every node, reads its topics and services
     python scripts/sros2_policy.py --check NODE ...  # exit 1 if the file says other of these
@@ -40,21 +40,24 @@ STARTED = {
     'allan_player': ('player', []),
     'allan_watch': ('watch', []),
 }
-"""Node -> its module, and what makes it show all it can. All get ``use_sim_time``, for `/clock`."""
+"""Node -> its module, and parameters that create all its endpoints.
+
+All get ``use_sim_time`` for `/clock`.
+"""
 
 PLAYER = ['--simulate', '3600', '--clock', '--wait', '99']
-"""It plays nothing, as nobody listens, but its topics are there."""
+"""Nothing is played without subscribers, but the topics exist."""
 
 PATIENCE_S = 60.0
 SETTLED_S = 3.0
-"""A node whose names have not changed for so long shows them all."""
+"""Seconds without a change after which the names of a node are complete."""
 
 Names = dict[str, frozenset[str]]
 """'publish', 'subscribe', 'reply', 'request' -> names of topics or services."""
 
 
 def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
-    """Start these nodes and return what each of them uses, by its fully qualified names."""
+    """Start these nodes and return the names that each uses, by fully qualified node name."""
     import rclpy
 
     rclpy.init()
@@ -85,7 +88,7 @@ def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
 
 
 def _settled(read: Callable[[], dict[str, Names]]) -> dict[str, Names]:
-    """Return what is read once it is there and stays the same."""
+    """Return the value of a function once it exists and no longer changes."""
     ends = time.monotonic() + PATIENCE_S
     known, since = read(), time.monotonic()
     while time.monotonic() < ends:
@@ -101,7 +104,7 @@ def _settled(read: Callable[[], dict[str, Names]]) -> dict[str, Names]:
 
 
 def _names(client: object, node: str) -> Names:
-    """Return what a node uses now; nothing while it is not known."""
+    """Return the names that a node uses now; empty while it is not discovered."""
     from rclpy.node import NodeNameNonExistentError
 
     asked = {
@@ -120,7 +123,7 @@ def _names(client: object, node: str) -> Names:
 
 
 def policy_of(graph: dict[str, Names]) -> str:
-    """Return the policy as XML: an enclave for each node, so that each has keys of its own."""
+    """Return the policy as XML, with an enclave and keys for each node."""
     policy = ET.Element('policy', version=VERSION)
     enclaves = ET.SubElement(policy, 'enclaves')
     for node, names in sorted(graph.items()):
@@ -141,13 +144,13 @@ def policy_of(graph: dict[str, Names]) -> str:
 
 
 def _relative(node: str, names: Iterable[str]) -> list[str]:
-    """Return the names as policies spell them: ``~/`` for those of the node itself."""
+    """Return the names in the notation of policies: ``~/`` for those of the node itself."""
     own = f'/{node}/'
     return sorted(f'~/{n[len(own) :]}' if n.startswith(own) else n.lstrip('/') for n in names)
 
 
 def _compare(seen: ET.Element, written: ET.Element) -> int:
-    """Return 1, and say it, where an enclave of the graph is another in the file."""
+    """Print differences between the enclaves of the graph and the file; return 1 if there are any."""
     known = {e.get('path'): ET.tostring(e).split() for e in written.iter('enclave')}
     differ = [e.get('path') for e in seen.iter('enclave')
               if ET.tostring(e).split() != known.get(e.get('path'))]  # fmt: skip
