@@ -5,7 +5,7 @@ PYTHON ?= python3
 PYTHON_FLOOR ?= python3.10
 DISTRO ?= jazzy
 VENV ?= .venv
-# Two processes compute; the third runs the tests of the nodes, which wait most of the time.
+# More than two cores, because tests of nodes wait most of the time.
 JOBS ?= 3
 HOURS ?= 2
 # Filters and another DDS, to read with them what is written; empty to leave them out.

@@ -42,7 +42,7 @@ CHECKED_AXIS = 3
 
 
 def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield (first column, columns) of the blocks of the pool that make up a record of this length."""
+    """Yield (first column, columns) of the blocks of the pool that form a record."""
     rng = np.random.default_rng(seed)
     while samples > 0:
         size = min(BLOCK, samples)

@@ -69,7 +69,7 @@ def _ip(*arguments: str) -> None:
 
 
 def _up(name: str) -> None:
-    """Enable the interface and add the route that multicast discovery needs; disabling removes it."""
+    """Enable the interface and add the route for multicast, which is lost when it is disabled."""
     _ip('-n', name, 'link', 'set', name, 'up')
     _ip('-n', name, 'route', 'replace', '224.0.0.0/4', 'dev', name)
 

@@ -36,7 +36,7 @@ ASKED = ['--no-deps', '--disable-pip', '--format', 'json', '--requirement']
 
 
 def required() -> dict[str, metadata.Distribution]:
-    """Return the installed packages that allan_ros requires, directly or not, by normalized name."""
+    """Return the installed packages that allan_ros requires, directly or not, by name."""
     found: dict[str, metadata.Distribution] = {}
     waiting = [PACKAGE]
     while waiting:

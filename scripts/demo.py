@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
-    """Yield a table of every coefficient with its true value, and the share of correct intervals."""
+    """Yield a table of every coefficient with its true value, then the share of right intervals."""
     yield f'{"":9}{"":17}{"true":>10}{"found":>11}   95 % interval'
     inside = []
     for axis, result in results.axes.items():

@@ -84,9 +84,8 @@ def _fit() -> None:
         client = node.create_client(Trigger, f'/allan_monitor/{service}')
         if not client.wait_for_service(PATIENCE_S):
             raise TimeoutError(service)
-        while (
-            time.monotonic() < deadline
-        ):  # an answer to a client that the node has not discovered yet is lost
+        # An answer to a client that the node has not discovered yet is lost.
+        while time.monotonic() < deadline:
             future = client.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_S)
             if future.done():

@@ -57,7 +57,7 @@ def noise_of(sensor: str) -> list[NoiseTerms]:
 
 
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
-    """Return (axis, term) -> half-width of its interval relative to the truth, NaN if not resolved."""
+    """Return (axis, term) -> half-width of its interval over the truth, NaN if not resolved."""
     accumulator = ImuStream(SegmenterSettings(motion_gate=False))
     noise = {sensor: noise_of(sensor) for sensor in GRADES}
     for batch in simulate_imu(seconds, RATE, noise['gyro'], noise['accel'], seed=seed):

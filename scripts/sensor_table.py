@@ -42,7 +42,7 @@ def _lines() -> Iterator[str]:
 
 
 def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
-    """Return the stated values of the axes of a sensor; axes with equal values are listed together."""
+    """Return the stated values of a sensor; axes with equal values are listed together."""
     axes: dict[str, list[str]] = {}
     for axis, limits in sheet.limits.items():
         if axis.startswith(sensor) and term in limits:

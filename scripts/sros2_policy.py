@@ -150,7 +150,7 @@ def _relative(node: str, names: Iterable[str]) -> list[str]:
 
 
 def _compare(seen: ET.Element, written: ET.Element) -> int:
-    """Print differences between the enclaves of the graph and the file; return 1 if there are any."""
+    """Print how the enclaves of the graph and the file differ; return 1 if they do."""
     known = {e.get('path'): ET.tostring(e).split() for e in written.iter('enclave')}
     differ = [e.get('path') for e in seen.iter('enclave')
               if ET.tostring(e).split() != known.get(e.get('path'))]  # fmt: skip

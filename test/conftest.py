@@ -32,13 +32,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run the tests of one file in one worker, which keeps its fixtures and fits.
-
-    All tests of ROS graphs run in one worker, too: two graphs at a time starve each other.
-    """
+    """Run the tests of one file in one worker, which keeps its fixtures and fits."""
     for item in items:
-        group = 'graphs' if item.path.parent.name == 'nodes' else str(item.path.relative_to(ROOT))
-        item.add_marker(pytest.mark.xdist_group(group))
+        item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT))))
 
 
 @pytest.fixture(scope='session')

@@ -34,15 +34,17 @@ ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)
 """Domains whose UDP ports stay below the ephemeral ones (docs.ros.org, The ROS_DOMAIN_ID)."""
 
-_ROUND = itertools.cycle(DOMAINS)
-"""No test gets the domain of the one before: a subscription of that one that Python has not yet
-collected would answer in this process for the node that is started in another."""
+_WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
+_WORKERS = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
+_ROUND = itertools.cycle(DOMAINS[_WORKER::_WORKERS])
+"""A test does not use the domain of a recent one, or of another worker. A subscription of an
+earlier test that Python has not yet collected would answer in place of the node under test."""
 
 ASK_AGAIN_S = 1.0
-"""An answer may be lost to a client that was not found in time."""
+"""Seconds after which an unanswered request is sent again."""
 
 PATIENCE_S = 60.0
-"""How long anything may take before it counts as never: a loaded machine is slow."""
+"""Limit for any event, long enough for a loaded machine."""
 
 
 def _domains_of_processes() -> set[int]:
