@@ -8,13 +8,16 @@ Documents are not trusted: every value and every length has a bound.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import AllanError
+
+T = TypeVar('T')
 
 MAX_INTEGER = 2**62
 """Bound of the magnitude of counts and stamps: the sum of two fits 64 bits."""
@@ -153,6 +156,50 @@ class Fields:
         for i, item in enumerate(self.sequence(key, most)):
             yield Fields(item, f'{self.where}.{key}[{i}]')
 
+    def record(self, kind: type[T], signed: Collection[str] = (), **known: Any) -> T:
+        """Return a dataclass or named tuple whose fields are keys of this object.
+
+        Parameters
+        ----------
+        kind : type
+            Its fields are of type str, int, float, (low, high), a literal, or one of these or None.
+        signed : collection of str
+            Fields that may be negative.
+        **known
+            Fields that are not read.
+        """
+        defaults = getattr(kind, '_field_defaults', None) or vars(kind)
+        for key, hint in _hints(kind).items():  # type: ignore[arg-type]
+            if key in known or (key not in self and key in defaults):
+                continue
+            known[key] = self._of_type(key, hint, -MAX_FLOAT if key in signed else 0.0)
+        return kind(**known)
+
+    def optional_record(self, key: str, kind: type[T], signed: Collection[str] = ()) -> T | None:
+        """Return `record` of an object; None where it is null."""
+        fields = self.optional_fields(key)
+        return None if fields is None else fields.record(kind, signed)
+
+    def records(self, key: str, kind: type[T], signed: Collection[str] = ()) -> tuple[T, ...]:
+        """Return `record` of every object in a list."""
+        return tuple(fields.record(kind, signed) for fields in self.each(key))
+
+    def _of_type(self, key: str, hint: Any, least: float) -> Any:
+        options = get_args(hint)
+        if type(None) in options:
+            if self._document.get(key) is None:
+                return None
+            (hint,) = (option for option in options if option is not type(None))
+        if get_origin(hint) is Literal:
+            return self.choice(key, get_args(hint))
+        if get_origin(hint) is tuple:
+            return self.interval(key)
+        if hint is str:
+            return self.text(key)
+        if hint is int:
+            return self.integer(key, least=max(int(least), -MAX_INTEGER))
+        return self.number(key, least)
+
     def _get(
         self,
         key: str,
@@ -180,6 +227,11 @@ class Fields:
 
     def _wrong(self, key: str, value: object, expected: str) -> AllanError:
         return AllanError(f'{self.where}.{key} is {_shown(value)}: {expected} is expected')
+
+
+@lru_cache(maxsize=100)
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
 
 
 def _shown(value: object) -> str:

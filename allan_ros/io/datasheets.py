@@ -262,8 +262,7 @@ def comparison_from_document(
             if term not in TERMS:
                 raise AllanError(f'{terms.where}: {term!r} is unknown, use {", ".join(TERMS)}')
             f = terms.fields(term)
-            texts = (f.text(key) for key in ('stated', 'note', 'condition', 'source'))
-            limits.setdefault(axis, {})[term] = Limit(f.number('limit'), *texts)
+            limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
     stated = {key: _source(sources.fields(key)) for key in sources}
     name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
     sheet = Datasheet(name, maker, stated, limits, {}, {}, remark)
@@ -356,9 +355,9 @@ def _sources(fields: Fields) -> dict[str, Source]:
 
 def _source(fields: Fields) -> Source:
     _refuse_others(fields, ('title', 'revision', 'url', 'seen', 'via'))
-    seen = fields.choice('seen', ('', *SEEN)) if 'seen' in fields else ''
-    revision, url, via = (fields.text(key, '') for key in ('revision', 'url', 'via'))
-    return Source(fields.text('title'), revision, url, seen, via)
+    if 'seen' in fields:
+        fields.choice('seen', ('', *SEEN))
+    return fields.record(Source)
 
 
 def _limits(fields: Fields, sensor: str, sources: tuple[str, ...]) -> dict[str, Limit]:

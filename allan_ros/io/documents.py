@@ -13,7 +13,6 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
-from dataclasses import fields as fields_of
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from ..core.filters.bias import TurnOnBias
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from ..core.fit.regions import Region
-from ..core.imu import AXES, MAX_NAME, SI_UNITS, ImuIdentity, sensor_of
+from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisCurve, AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
@@ -233,19 +232,8 @@ def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
 
 def _provenance_from_document(fields: Fields) -> Provenance:
     return Provenance(
-        tuple(
-            SourceInfo(*(s.text(key) for key in ('path', 'topic', 'type', 'storage')))
-            for s in fields.each('source')
-        ),
-        tuple(
-            Segment(
-                s.integer('start_ns'),
-                s.integer('samples', least=0),
-                s.number('duration_s', least=0.0),
-                s.text('cut', ''),
-            )
-            for s in fields.each('segments')
-        ),
+        fields.records('source', SourceInfo),
+        fields.records('segments', Segment, signed=['start_ns']),
         tuple(_finding_from_document(f) for f in fields.each('findings')),
         _counts_from_document(fields.fields('counts')),
         _settings_from_document(fields.fields('settings')),
@@ -255,11 +243,8 @@ def _provenance_from_document(fields: Fields) -> Provenance:
 
 def _counts_from_document(fields: Fields) -> Counts:
     cuts = fields.fields('cuts')
-    known = [f.name for f in fields_of(Counts) if f.name in fields and f.name != 'cuts']
-    return Counts(
-        **{name: fields.integer(name, least=0) for name in known},
-        cuts=Counter({reason: cuts.integer(reason, least=0) for reason in cuts}),
-    )
+    of_reason = Counter({reason: cuts.integer(reason, least=0) for reason in cuts})
+    return fields.record(Counts, cuts=of_reason)
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
@@ -290,13 +275,8 @@ def _axes_of(fields: Fields) -> tuple[str, ...]:
 
 
 def _finding_from_document(fields: Fields) -> Finding:
-    return Finding(
-        fields.text('id'),
-        fields.choice('severity', ('info', 'warning', 'error')),  # type: ignore[arg-type]
-        one_line(fields.text('message')),
-        one_line(fields.text('remedy')),
-        tuple(str(axis) for axis in fields.sequence('axes')),
-    )
+    texts = {key: one_line(fields.text(key)) for key in ('message', 'remedy')}
+    return fields.record(Finding, axes=tuple(map(str, fields.sequence('axes'))), **texts)
 
 
 def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, Any]:
@@ -331,38 +311,19 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
     return AxisResult(
         _period_from_document(fields),
         AxisFit(
-            {t: _coefficient_from_document(noise.fields(t)) for t in TERMS},
+            {t: noise.fields(t).record(Coefficient, signed=['sign']) for t in TERMS},
             math.nan if misfit is None else misfit,
             fields.integer('m_min', least=1),
             fields.optional_number('gof_z'),
             _processes_from_document(fields),
-            _deviation_from_document(fields.optional_fields('deviation')),
+            fields.optional_record('deviation', Deviation, signed=['relative']),
         ),
         _curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
-        tuple(
-            Region(
-                r.number('tau_low', least=0.0),
-                r.number('tau_high', least=0.0),
-                r.text('term', longest=MAX_NAME),
-                r.number('slope'),
-            )
-            for r in fields.each('reading')
-        ),
+        fields.records('reading', Region, signed=['slope']),
         fields.optional_number('sample_std', least=0.0),
         name,
         fields.optional_number('rounding', least=0.0),
-        _turn_on_from_document(fields.optional_fields('turn_on')),
-    )
-
-
-def _turn_on_from_document(fields: Fields | None) -> TurnOnBias | None:
-    if fields is None:
-        return None
-    return TurnOnBias(
-        fields.integer('recordings', least=2),
-        fields.number('mean'),
-        fields.number('std', least=0.0),
-        fields.interval('ci95'),
+        fields.optional_record('turn_on', TurnOnBias, signed=['mean']),
     )
 
 
@@ -384,59 +345,20 @@ def _processes_to_document(processes: Processes) -> dict[str, Any]:
 def _processes_from_document(fields: Fields) -> Processes:
     """Read all processes, or in a document of an earlier version, one of each kind."""
     if 'processes' not in fields:
-        gauss_markov = _gauss_markov_from_document(fields.optional_fields('gauss_markov'))
-        sinusoid = _sinusoid_from_document(fields.optional_fields('sinusoid'))
-        return Processes(
-            () if gauss_markov is None else (gauss_markov,), () if sinusoid is None else (sinusoid,)
-        )
+        process = fields.optional_record('gauss_markov', GaussMarkov)
+        line = fields.optional_record('sinusoid', Sinusoid)
+        return Processes(() if process is None else (process,), () if line is None else (line,))
     processes = fields.fields('processes')
     return Processes(
         tuple(
-            GaussMarkov(
-                p.number('sigma', least=0.0),
-                p.interval('sigma_ci95'),
-                p.number('tau', least=0.0),
-                p.interval('tau_ci95'),
+            p.record(
+                GaussMarkov,
+                correlation_time=p.number('tau', least=0.0),
+                correlation_time_ci95=p.interval('tau_ci95'),
             )
             for p in processes.each('gauss_markov')
         ),
-        tuple(
-            p
-            for each in processes.each('sinusoid')
-            if (p := _sinusoid_from_document(each)) is not None
-        ),
-    )
-
-
-def _deviation_from_document(fields: Fields | None) -> Deviation | None:
-    if fields is None:
-        return None
-    return Deviation(fields.number('relative'), fields.number('tau', least=0.0))
-
-
-def _gauss_markov_from_document(fields: Fields | None) -> GaussMarkov | None:
-    return (
-        None
-        if fields is None
-        else GaussMarkov(
-            fields.number('sigma', least=0.0),
-            fields.interval('sigma_ci95'),
-            fields.number('correlation_time', least=0.0),
-            fields.interval('correlation_time_ci95'),
-        )
-    )
-
-
-def _sinusoid_from_document(fields: Fields | None) -> Sinusoid | None:
-    return (
-        None
-        if fields is None
-        else Sinusoid(
-            fields.number('amplitude', least=0.0),
-            fields.interval('amplitude_ci95'),
-            fields.number('frequency', least=0.0),
-            fields.interval('frequency_ci95'),
-        )
+        processes.records('sinusoid', Sinusoid),
     )
 
 
@@ -456,16 +378,6 @@ def _coefficient_to_document(c: Coefficient, unit: str) -> dict[str, Any]:
         'unit': unit,
         'sign': c.sign,
     }
-
-
-def _coefficient_from_document(fields: Fields) -> Coefficient:
-    return Coefficient(
-        fields.optional_number('value', least=0.0),
-        fields.optional_interval('ci95'),
-        fields.optional_number('upper95', least=0.0),
-        fields.choice('status', ('estimated', 'not_observable')),  # type: ignore[arg-type]
-        fields.integer('sign', 0),
-    )
 
 
 def _curve_to_document(curve: AxisCurve) -> dict[str, Any]:
@@ -488,11 +400,5 @@ def _curve_from_document(fields: Fields) -> AxisCurve:
     tau = columns['tau']
     if factors and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails too
         raise AllanError(f'{fields.where}.tau is not positive and increasing')
-    return AxisCurve(
-        fields.integers('m', factors),
-        columns['tau'],
-        fields.integers('n', factors),
-        columns['adev'],
-        columns['ci_low'],
-        columns['ci_high'],
-    )
+    m, n = (fields.integers(key, factors) for key in ('m', 'n'))
+    return AxisCurve(m=m, n=n, **columns)

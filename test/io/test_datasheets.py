@@ -37,7 +37,7 @@ def test_the_imu_of_the_paper_comes_with_the_package():
     assert imu.limits['gyro_x']['B'].stated == '7 deg/h'
     assert imu.limits['accel_x']['B'].value == pytest.approx(3.6e-6 / 0.6643 * 9.80665, rel=1e-4)
     assert imu.range['gyro_x'] == pytest.approx(2000 * DEGREE)
-    assert imu.reference().limits['gyro_x']['N'] == imu.limits['gyro_x']['N'].value
+    assert imu.values()['gyro_x']['N'] == imu.limits['gyro_x']['N'].value
 
 
 PLAUSIBLE = {

@@ -9,13 +9,14 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
+from allan_ros.core.fields import Fields
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.stream.health import Segment
@@ -217,3 +218,38 @@ def test_a_finding_of_two_runs_is_said_once(small_run) -> None:
     assert both.counts.received == 2 * provenance.counts.received
     assert provenance.counts.received == 60_000
     assert Provenance() + Provenance() == Provenance()
+
+
+class Kind(NamedTuple):
+    name: str
+    count: int
+    size: float
+    shift: float
+    limit: float | None
+    ends: tuple[float, float] | None = None
+
+
+@pytest.mark.parametrize(
+    'change, message',
+    [
+        ({}, ''),
+        ({'name': 3}, 'x.name is 3: a text is expected'),
+        ({'count': -1}, 'x.count is -1'),
+        ({'count': 1.5}, 'x.count is 1.5: a whole number'),
+        ({'size': -1.0}, 'x.size is -1.0: a number of at least 0'),
+        ({'size': None}, 'x.size is None: a number'),
+        ({'limit': 'a'}, "x.limit is 'a'"),
+        ({'ends': [1.0]}, 'x.ends is a list of 1: a pair'),
+    ],
+)
+def test_a_record_is_read_by_the_types_of_its_fields(change, message):
+    document = {'name': 'a', 'count': 1, 'size': 2, 'shift': -3.0, 'limit': None, **change}
+    fields = Fields(document, 'x')
+    if message:
+        with pytest.raises(AllanError, match=message.replace('.', r'\.')):
+            fields.record(Kind, signed=['shift'])
+    else:
+        assert fields.record(Kind, signed=['shift']) == Kind('a', 1, 2.0, -3.0, None)
+        assert fields.record(Kind, signed=['shift'], count=7).count == 7
+        with pytest.raises(AllanError, match='x.shift is'):
+            fields.record(Kind)
