@@ -251,5 +251,5 @@ def test_a_record_is_read_by_the_types_of_its_fields(change, message):
     else:
         assert fields.record(Kind, signed=['shift']) == Kind('a', 1, 2.0, -3.0, None)
         assert fields.record(Kind, signed=['shift'], count=7).count == 7
-        with pytest.raises(AllanError, match='x.shift is'):
+        with pytest.raises(AllanError, match=r'x\.shift is'):
             fields.record(Kind)
