@@ -238,7 +238,7 @@ def _stream_fault(
     stream.change = change
     other = until(client, lambda: not status(client, 'input').startswith('OK'), 60.0)
     first = status(client, 'input')
-    took = until(client, says(client, words))
+    took = other + until(client, says(client, words))
     text = status(client, 'input')
     stream.end()
     node.end()

@@ -8,7 +8,9 @@ Needs launch_testing and the installed package, as in a ROS workspace.
 import os
 import time
 import unittest
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip('launch_ros', reason='skipped: no launch_ros')
@@ -24,6 +26,7 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from rcl_interfaces.srv import GetParameters
 
+import allan_ros
 from launch import LaunchDescription
 
 try:
@@ -58,6 +61,16 @@ CASES = {
         {'/allan_monitor': {'checkpoint.path': '{folder}/imu.json', 'relay.enabled': True}},
         {'/imu/data', '/imu/data_with_covariance'},
     ),
+    'config_and_baseline': (
+        {'config': '{folder}/config.yaml', 'baseline': '{folder}/results.json'},
+        {
+            '/allan_monitor': {
+                'estimator.growth': 0.25,
+                'estimator.baseline': '{folder}/results.json',
+            }
+        },
+        {'/imu/data', '/allan_monitor/noise_model'},
+    ),
     'several_imus': (
         {'imu': '/left/imu,/right/imu', 'labels': 'port,starboard', 'hardware_id': 'A,B'},
         {
@@ -82,6 +95,13 @@ CASES = {
 """Case -> arguments; node -> parameters; topics that must exist."""
 
 
+CONFIG = """/**:
+  ros__parameters:
+    estimator:
+      growth: 0.25
+"""
+
+
 def filled(value, folder):
     """Return the value with the temporary folder in it."""
     return value.replace('{folder}', folder) if isinstance(value, str) else value
@@ -92,6 +112,11 @@ def filled(value, folder):
 def generate_test_description(case):
     """Start the launch file with the arguments of a case."""
     folder = os.environ.get('TMPDIR', '/tmp') + f'/allan_ros_launch_{os.getpid()}'
+    os.makedirs(folder, exist_ok=True)
+    Path(folder, 'config.yaml').write_text(CONFIG)
+    if 'baseline' in CASES[case][0]:
+        samples = np.random.default_rng(1).normal(0.0, 1e-3, (6000, 3))
+        allan_ros.analyze(samples, rate=100.0).save(folder)
     arguments = {name: filled(value, folder) for name, value in CASES[case][0].items()}
     source = PythonLaunchDescriptionSource(f'{SHARE}/launch/allan_ros.launch.py')
     included = IncludeLaunchDescription(source, launch_arguments=arguments.items())
@@ -138,7 +163,7 @@ class TestArguments(unittest.TestCase):
         _, nodes, topics = CASES[case]
         for node, wanted in nodes.items():
             found = self.parameters(node, list(wanted))
-            found = [list(v) if not isinstance(v, (str, bool)) else v for v in found]
+            found = [list(v) if not isinstance(v, (str, bool, float)) else v for v in found]
             assert found == [filled(value, folder) for value in wanted.values()], (node, found)
         self.until(lambda: topics <= {name for name, _ in self.node.get_topic_names_and_types()})
 
