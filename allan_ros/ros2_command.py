@@ -21,11 +21,14 @@ else:
 
 NODE_VERBS = {
     'watch': 'show /diagnostics of running nodes as a live table',
-    'check': 'show the present state; exit code 0 ok, 3 warning, 4 error, 1 no node',
+    'check': 'without a file: show the state; exit code 0 ok, 3 warning, 4 error, 1 no node',
     'save': 'write the checkpoint of running nodes now',
-    'fit': 'fit the sums of running nodes now',
+    'fit': 'without a file: fit the sums of running nodes now',
 }
 """Verb for running nodes -> its help."""
+
+WITH_VALUE = ('--node', '--seconds', '--web')
+"""Options of these verbs that take a value."""
 
 
 class AllanCommand(Base):  # type: ignore[misc]
@@ -49,11 +52,11 @@ class AllanCommand(Base):  # type: ignore[misc]
     def main(self, *, parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
         """Run the verb and return its exit code."""
         verb, words = args.verb, list(args.arguments)
-        if verb in ('watch', 'check'):
-            from .nodes import watch
+        if verb in NODE_VERBS and not _is_for_files(verb, words):
+            if verb in ('watch', 'check'):
+                from .nodes import watch
 
-            return watch.main(['--check', *words] if verb == 'check' else words)
-        if verb in NODE_VERBS:
+                return watch.main(['--check', *words] if verb == 'check' else words)
             from .nodes import services
 
             return services.main(verb, words)
@@ -62,3 +65,11 @@ class AllanCommand(Base):  # type: ignore[misc]
         sys.argv = ['allan', verb, *words]
         console()
         return 0
+
+
+def _is_for_files(verb: str, words: list[str]) -> bool:
+    """Return whether a verb that exists for files and for nodes is given files, or ``--help``."""
+    from .cli.parser import VERBS
+
+    files = [w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE]
+    return verb in VERBS and bool(files or {'-h', '--help'} & {*words})

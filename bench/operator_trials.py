@@ -259,7 +259,7 @@ def stamp_leap(client: Client) -> Cells:
     def leap(block: ImuBatch) -> ImuBatch:
         return replace(block, stamps_ns=block.stamps_ns + 3600 * 10**9)
 
-    return _stream_fault(client, 'stamps 1 h ahead', leap, 'leapt')
+    return _stream_fault(client, 'stamps 1 h ahead', leap, 'jumped ahead')
 
 
 @trial

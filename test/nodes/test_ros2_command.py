@@ -50,6 +50,14 @@ def test_a_verb_of_allan_runs_with_its_options_and_exit_code() -> None:
     assert failed.returncode == 1 and failed.stderr.startswith('allan analyze: ')
 
 
+@pytest.mark.parametrize('verb', ['check', 'fit'])
+def test_check_and_fit_with_a_file_are_those_of_allan(verb: str) -> None:
+    failed = ros2_allan(verb, 'missing.csv')
+    assert f'allan {verb}: ' in failed.stderr and 'missing.csv' in failed.stderr
+    shown = ros2_allan(verb, '--help')
+    assert shown.returncode == 0 and shown.stdout.startswith(f'usage: allan {verb}')
+
+
 def test_verbs_for_running_nodes(graph: Any, still_imu: Any, tmp_path: Path) -> None:
     checkpoint = tmp_path / 'imu.json'
     reliable = {
