@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..errors import AllanError
 from ..fit.model import AxisFit
@@ -78,7 +78,7 @@ def turn_on_bias(means: Floats) -> TurnOnBias | None:
     if free < 1:
         return None
     std = float(np.std(means, ddof=1))
-    low, high = (std * math.sqrt(free / quantile) for quantile in chi2.ppf([0.975, 0.025], free))
+    low, high = (std * math.sqrt(free / quantile) for quantile in chdtri(free, [0.025, 0.975]))
     return TurnOnBias(len(means), float(np.mean(means)), std, (low, high))
 
 
