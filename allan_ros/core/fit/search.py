@@ -30,9 +30,12 @@ filter."""
 SHORTEST_BEYOND_CUT = 4.0
 """The same in units of the smallest averaging factor, where shorter averages are left out."""
 
-LONGEST_CORRELATION = 8
+LONGEST_CORRELATION = 20
 """A correlation time over this part of the longest segment cannot be distinguished from a random
 walk."""
+
+LONGEST_ALONE = 8
+"""The same in a model without a random walk."""
 
 FASTEST_LINE = 0.45
 """Of the sample rate."""
@@ -117,7 +120,7 @@ class ProcessSearch:
         self._walk = walk
         shortest = SHORTEST_CORRELATION if table.m[0] == 1 else SHORTEST_BEYOND_CUT
         least = shortest * float(table.m[0])
-        drifts = _spaced(least, samples / LONGEST_CORRELATION)
+        drifts = _spaced(least, samples / (LONGEST_CORRELATION if walk else LONGEST_ALONE))
         lines = _spaced(LINE_CYCLES / samples, FASTEST_LINE / float(table.m[0]))
         self._grid: list[Extra] = [GaussMarkovTerm(float(t)) for t in drifts]
         self._grid += [SinusoidTerm(float(f)) for f in lines]

@@ -201,12 +201,11 @@ def _surprise(table: Table, fit: PointFit) -> float:
     Where a walk dominates the longest averages, its estimate rests on few of them, and one that is
     low by chance makes the others unlikely (`best_case_goodness`).
     """
-    power, options = fit.power, fit.options
-    known = {'signed': options.signed, 'misfit': options.misfit}
-    fits = [solve(table, power, columns=options.columns, **known)]
-    if options.walk:
-        walk = float(np.min(table.avar / table.terms[:, K]))
-        fits += [solve(table, power, fixed={K: walk * share}, **known) for share in WALKS]
+    signed = fit.options.signed
+    fits = [solve(table, fit.power, columns=fit.options.columns, signed=signed)]
+    if fit.options.walk:
+        most = float(np.min(table.avar / table.terms[:, K]))
+        fits += [solve(table, fit.power, fixed={K: most * w}, signed=signed) for w in WALKS]
     return min(minus_log_likelihood(table, p) for p in fits)
 
 

@@ -264,10 +264,12 @@ class PooledTable:
         axis : int
             Position among the axes of the sums.
         power : (4,) float64 array
-            The noise that the weights of the ramps are made for.
+            The noise that the weights of the ramps are made for; white noise if all are 0, as
+            where a sinusoid describes the complete curve.
         ramps : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
         """
+        power = power if np.any(power > 0.0) else WHITE
         sum_sq = self._pooled_sums[:, axis].copy()
         terms, ramp_squares = self._pooled_terms.copy(), self._pooled_ramp_squares.copy()
         known = np.full(len(self._kept), np.nan) if ramps is None else ramps

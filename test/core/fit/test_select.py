@@ -81,6 +81,17 @@ def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz, name):
     assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
 
 
+def test_a_line_far_above_the_noise_ends_in_a_fit():
+    """The line describes the complete curve: the noise of the fit is 0."""
+    short = int(360 * 50)
+    rng = np.random.default_rng(4)
+    y = simulate_axis(short, 1.0 / 50, TRUTH, rng)
+    line = 40.0 * TRUTH.N * 50**0.5 * np.sin(2.0 * np.pi * 3.0 / 50 * np.arange(short))
+    axis, findings = fit_of(y + line)
+    assert axis.processes.sinusoid or axis.misfit > 0.0
+    assert findings
+
+
 def test_gauss_markov_noise_is_found_with_its_time(noise):
     keep = np.exp(-1.0 / (RATE * 1.0))
     rng = np.random.default_rng(22)
@@ -91,6 +102,24 @@ def test_gauss_markov_noise_is_found_with_its_time(noise):
     assert low < 1.0 < high
     low, high = axis.gauss_markov.sigma_ci95
     assert low < 0.1 * WHITE < high
+
+
+def test_a_process_that_flicker_imitates_is_found():
+    """The five terms pass the test of fit, but the process is much likelier."""
+    rate, n = 20.0, 144_000
+    truth = NoiseTerms(N=7e-5, B=2.5e-5, K=2.6e-6)
+    rng = np.random.default_rng(5)
+    engine = RunningAllan(axes=('gyro_x', 'gyro_y'))
+    keep = np.exp(-1.0 / (10.0 * rate))
+    clean = np.stack([simulate_axis(n, 1.0 / rate, truth, rng) for _ in range(2)], axis=1)
+    drift = lfilter([1.0], [1.0, -keep], rng.standard_normal(n)) * 4.3e-5 * (1.0 - keep**2) ** 0.5
+    engine.update(clean + np.outer(drift, (1, 0)), 0, round((n - 1) / rate * 1e9))
+    engine.end_segment()
+    with_process, without = fit_gls(engine.sums).axes.values()
+    assert with_process.gof_z < 3.0
+    (found,) = with_process.processes.gauss_markov
+    assert 5.0 < found.correlation_time < 20.0
+    assert not without.processes.gauss_markov  # chosen by mistake in less than 1 % of axes
 
 
 def test_three_lines_are_found(noise):
