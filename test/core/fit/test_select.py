@@ -83,7 +83,7 @@ def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz, name):
 
 def test_a_line_far_above_the_noise_ends_in_a_fit():
     """The line describes the complete curve: the noise of the fit is 0."""
-    short = int(360 * 50)
+    short = 360 * 50
     rng = np.random.default_rng(4)
     y = simulate_axis(short, 1.0 / 50, TRUTH, rng)
     line = 40.0 * TRUTH.N * 50**0.5 * np.sin(2.0 * np.pi * 3.0 / 50 * np.arange(short))
