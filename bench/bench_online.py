@@ -25,8 +25,10 @@ from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.io.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)
-SETTLE_S = 40.0
-"""Seconds before the measurement, which include the first fit."""
+SETTLE_S = 5.0
+"""Seconds after the first fit of the monitor, which takes a minute to come on a busy machine."""
+LONGEST_S = 180.0
+"""How long the player plays; it is ended before."""
 MEASURE_S = 20.0
 ONE_FIT = ('estimator.growth:=10.0', 'publish.sums_period:=15.0')
 """Parameters with which the second fit comes after the measurement."""
@@ -43,22 +45,24 @@ rclpy.spin(node)
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 150
 
 
-def cpu() -> None:
+def cpu(client: Client) -> None:
     """Print CPU per message of the accumulator, the monitor and an empty raw subscriber."""
     print('CPU per message in microseconds, and its ratio to the empty subscriber')
     print(f'{"":>8} {"empty":>8} {"accumulator":>12} {"ratio":>6} {"monitor":>8} {"ratio":>6}')
     for rate in RATES_HZ:
-        length = str(SETTLE_S + MEASURE_S + 5.0)
+        client.statuses.clear()
         empty = Process('-c', EMPTY_SUBSCRIBER)
         with (
             node('accumulator') as accumulator,
             node('monitor', ros=ONE_FIT) as monitor,
-            node('player', '--simulate', length, '--frequency', str(rate), '--wait', '3'),
+            node('player', '--simulate', str(LONGEST_S), '--frequency', str(rate), '--wait', '3'),
         ):
-            time.sleep(SETTLE_S)
+            while not client.message('gyro z').startswith('N '):
+                client.spin(0.5)
+            client.spin(SETTLE_S)
             watched = (empty, accumulator, monitor)
             before, began = [n.cpu_s() for n in watched], time.monotonic()
-            time.sleep(MEASURE_S)
+            client.spin(MEASURE_S)
             messages = rate * (time.monotonic() - began)
             cost = [(n.cpu_s() - b) / messages * 1e6 for n, b in zip(watched, before)]
         empty.end(signal.SIGKILL)
@@ -106,5 +110,6 @@ if __name__ == '__main__':
     if sys.argv[1:2] == ['memory']:
         memory(float(sys.argv[2]))
     else:
-        cpu()
-        bursts()
+        shared = Client()
+        cpu(shared)
+        bursts(shared)
