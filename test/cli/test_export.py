@@ -99,6 +99,10 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export', '{results}', '--to', 'kalibr', '--exact'], 'vins_fusion only'),
         (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),
         (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
+        (['export', '{results}', '--to', 'kalibr', '--horizon', '-1'], 'horizon is -1'),
+        (['export', '{results}', '--to', 'kalibr', '--horizon', 'nan'], 'horizon is nan'),
+        (['export', '{results}', '--to', 'kalibr', '--filter-rate', '-1'], 'filter_rate is -1'),
+        (['export', '{results}'], '--to'),
         (['export', '{results}', '--to', 'kalibr', '-o', '/no/such/imu.yaml'], 'cannot be written'),
         (
             ['export', '{results}', '--to', 'kalibr', '--merge-into', '/no/such.yaml'],

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from allan_ros.io.exporters import export
+from allan_ros.io.exporters import target_of
 from allan_ros.io.results import Results
 
 rclpy = pytest.importorskip('rclpy')
@@ -26,7 +26,8 @@ rclpy = pytest.importorskip('rclpy')
 def test_a_node_finds_its_parameters_as_doubles(
     small_results: Results, tmp_path: Path, target: str, node_name: str, parameters: list[str]
 ) -> None:
-    path = export(small_results, target, tmp_path)
+    small_results.export(target, tmp_path)
+    path = tmp_path / target_of(target).file_name
     context = rclpy.Context()
     rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
     try:

@@ -2,28 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-The tables of targets are in `targets`, `simulators` and `state_space`; `model` gives their numbers,
-`header` the comment, and the ``..._form`` modules the text. A new target is a row of a table and a
-line in `TARGETS`.
+The tables of targets are in `targets` and `state_space`; `model` gives their numbers and the header
+comment, `forms` and `yaml_form` the text. A new target is an entry of a table and a line in
+`TARGETS`.
 """
 
 from __future__ import annotations
 
 import difflib
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...core.errors import AllanError
 from ...core.findings import Finding, finding
-from .options import ExportOptions
+from .target import ExportOptions
 
 if TYPE_CHECKING:
     from ..results import Results
     from .target import Target
 
-__all__ = ['TARGETS', 'Export', 'ExportOptions', 'export', 'make_export', 'target_of']
+__all__ = ['TARGETS', 'Export', 'ExportOptions', 'make_export', 'target_of']
 
 TARGETS = {
     'kalibr': 'Kalibr imu.yaml: continuous densities N and K',
@@ -75,11 +73,10 @@ def target_of(name: str) -> Target:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
         meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
         raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
-    from .simulators import SIMULATORS
+    from . import targets
     from .state_space import STATE_SPACES
-    from .targets import ESTIMATORS
 
-    target: Target = {**ESTIMATORS, **SIMULATORS, **STATE_SPACES}[name]
+    target: Target = {**targets.TARGETS, **STATE_SPACES}[name]
     return target
 
 
@@ -106,13 +103,12 @@ def make_export(
         When the target is unknown, an option does not fit it, the results lack what its file must
         hold, or the existing text cannot take it.
     """
-    from .header import header_lines
-    from .model import FilterNoise
+    from .model import FilterNoise, header_lines
 
     target = target_of(name)
-    noise = FilterNoise(results, options, target.convention)
-    entries = list(target.entries(noise))
-    header = header_lines(name, target, noise, entries)
+    noise = FilterNoise(results, options, target)
+    entries = noise.entries()
+    header = header_lines(name, noise, entries)
     text = (
         target.form.render(entries, header)
         if existing is None
@@ -124,23 +120,3 @@ def make_export(
     if limits:
         findings.append(finding('export_limits', keys=', '.join(dict.fromkeys(limits))))
     return Export(text, tuple(dict.fromkeys(findings)))
-
-
-def export(
-    results: Results,
-    name: str,
-    folder: str | os.PathLike[str],
-    options: ExportOptions = ExportOptions(),
-) -> Path:
-    """Write the target's file into the folder and return its path.
-
-    Raises
-    ------
-    AllanError
-        As `make_export`, or when the folder cannot be written.
-    """
-    from ..files import write_atomic
-
-    path = Path(folder) / target_of(name).file_name
-    write_atomic(path, make_export(results, name, options).text)
-    return path

@@ -1,16 +1,18 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`FilterNoise`: the levels of one IMU for one target, each number with its origin in words."""
+"""`FilterNoise`: the numbers of one IMU for one target, each with its origin in words."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 from functools import cached_property
 from typing import NamedTuple
 
-from ...core.errors import AllanError
+from ... import __version__
+from ...core.errors import AllanError, one_line
 from ...core.filters.noise_parameters import (
     AxisReduction,
     Level,
@@ -23,67 +25,45 @@ from ...core.filters.noise_parameters import (
 )
 from ...core.filters.reductions import Horizons, States, closest_process, common_correlation_time
 from ...core.findings import Finding, finding
-from ...core.imu import AXES, SENSORS, SI_UNITS, UNITS, sensor_of
+from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ...core.noise import ProcessModel
 from ..axis_result import AxisResult
-from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
+from ..format import LIMIT_DIGITS, VALUE_DIGITS, duration_text, significant
 from ..results import Results
-from .convention import Convention, Entry
-from .options import AXIS_RULE, ExportOptions
+from .target import AXIS_RULE, Entry, ExportOptions, Row, Target
 
 DIGITS = 6
 """Significant digits written: two more than any interval is known to."""
 
 
-class Quantity(NamedTuple):
-    """Form in which a target takes N and K.
+Convert = Callable[[float, float], float]
+"""From a level and the rate in Hz to the number that is written."""
 
-    Attributes
-    ----------
-    formula : str
-        Template of the formula in words, of the term and ''.
-    unit : str
-        Template of the unit, of the unit of the density and that of the std per sample.
-    convert : callable
-        From the density and the rate in Hz to the number.
-    """
-
-    formula: str
-    unit: str
-    convert: Callable[[float, float], float]
-
-
-QUANTITIES = {
-    'density': Quantity('', '{density}', lambda value, rate: value),
-    'std': Quantity('{term} sqrt(f)', '{std}', white_std),
-    'midpoint': Quantity('N sqrt(2 f)', '{std}', midpoint_white_std),
-    'variance': Quantity('{term}^2 f', '({std})^2', lambda value, rate: value**2 * rate),
-    'step_variance': Quantity('{term}^2 / f', '({bias})^2', lambda value, rate: value**2 / rate),
-    'covariance': Quantity('{term}^2', '({density})^2', lambda value, rate: value**2),
+QUANTITIES: dict[str, tuple[str, str, Convert]] = {
+    'density': ('', '{density}', lambda value, rate: value),
+    'std': ('{term} sqrt(f)', '{std}', white_std),
+    'midpoint': ('N sqrt(2 f)', '{std}', midpoint_white_std),
+    'variance': ('{term}^2 f', '({std})^2', lambda value, rate: value**2 * rate),
+    'step_variance': ('{term}^2 / f', '({bias})^2', lambda value, rate: value**2 / rate),
+    'covariance': ('{term}^2', '({density})^2', lambda value, rate: value**2),
 }
-"""See `allan_ros.core.filters.noise_parameters` for which filter takes which."""
+"""Form in which a target takes N and K -> formula, unit and conversion. The templates contain the
+term, its unit, that of its standard deviation per sample, and that of the bias. See
+`allan_ros.core.filters.noise_parameters` for which filter takes which."""
 
-KeyedTerms = Mapping[str, tuple[str, str]]
-"""Key of a file -> the sensor and the term it holds."""
+UNITS_S = {'s': 1.0, 'h': HOUR}
+
+DEFAULT_TOPIC = '/imu0'
+"""As in the examples of Kalibr."""
 
 
-@dataclass(frozen=True)
-class SensorProcess:
-    """First-order Gauss-Markov bias of a sensor.
-
-    Attributes
-    ----------
-    sigma, tau : (x, y, z)
-        Standard deviation in SI, including the inflation; correlation time in s.
-    words : str
-        Origin of the numbers.
-    findings : tuple of Finding
-    """
+class SensorProcess(NamedTuple):
+    """First-order Gauss-Markov bias: sigma in SI with the inflation, tau in s, for x, y, z."""
 
     sigma: tuple[float, float, float]
     tau: tuple[float, float, float]
     words: str
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...]
 
 
 def rounded(value: float) -> float:
@@ -113,54 +93,93 @@ class FilterNoise:
         When an option does not fit the target.
     """
 
-    def __init__(self, results: Results, options: ExportOptions, convention: Convention) -> None:
-        if options.exact and not convention.exact:
+    def __init__(self, results: Results, options: ExportOptions, target: Target) -> None:
+        if options.exact and not target.exact:
             raise AllanError('exact is for vins_fusion only: leave --exact out')
-        if options.axis == 'each' and not convention.three:
+        if options.axis == 'each' and not target.three:
             raise AllanError('this file takes one number a sensor: choose --axis worst or mean')
         if not 0.0 < results.tau0 < math.inf:
             raise AllanError('these results have no sample rate: record longer, or analyse again')
         self.results = results
         self.options = options
-        self.convention = convention
-        self.rule = options.axis or ('each' if convention.three else AXIS_RULE)
-        self.rate, self.rate_words = _rate(results, options, convention)
-        self.horizons = Horizons.up_to(options.horizon or convention.horizon_s)
+        self.target = target
+        self.rule = options.axis or ('each' if target.three else AXIS_RULE)
+        self.rate, self.rate_words = _rate(results, options, target)
+        self.horizons = Horizons.up_to(options.horizon or target.horizon_s)
         self._used: dict[str, AxisReduction] = {}
 
-    # --- N and K ----------------------------------------------------------------------------------
-
-    def keyed(
-        self, keys: KeyedTerms, quantity: str = 'density', parent: tuple[str, ...] = ()
-    ) -> Iterator[Entry]:
-        """Yield an entry for each key: three numbers where the target takes them, else one.
-
-        Parameters
-        ----------
-        keys : mapping of key to (sensor, term)
-        quantity : str
-            One of `QUANTITIES`, or a unit of the density.
-        parent : tuple of str
-            The mappings that contain the keys.
+    def entries(self) -> list[Entry]:
+        """Return the entries of the file.
 
         Raises
         ------
         AllanError
-            When the sensor is absent, or an axis has neither value nor limit.
+            When a sensor is absent, or an axis has neither value nor limit.
         """
-        for key, (sensor, term) in keys.items():
-            one = QUANTITIES.get(quantity)
-            units = SI_UNITS[sensor]
-            if one is None:
-                factor, formula, unit = UNITS[quantity].factor, '', quantity
-                convert = _divided(factor)
-            else:
-                formula = one.formula.format(term=term)
-                unit = one.unit.format(
-                    density=units[term], std=units['B' if term == 'N' else 'R'], bias=units['B']
-                )
-                convert = one.convert
-            yield self.entry((*parent, key), self.level(sensor, term), formula, unit, convert)
+        target = self.target
+        found = [self.row_entry(row) for row in target.rows]
+        found += [Entry((*target.parent, k), v, keep=True) for k, v in target.fixed.items()]
+        return found + list(target.entries(self) if target.entries else ())
+
+    def row_entry(self, row: Row) -> Entry:
+        """Return the entry of one row of the table of a target."""
+        path = (*self.target.parent, row.key)
+        if row.what == 'rate':
+            return Entry(path, self.rate)
+        if row.what == 'topic':
+            topics = (source.topic for source in self.results.provenance.sources)
+            recorded = next((topic for topic in topics if topic), DEFAULT_TOPIC)
+            return Entry(path, self.options.topic or recorded, keep=not self.options.topic)
+        if row.what == 'zero':
+            return Entry(path, [0.0, 0.0, 0.0])
+        if row.what == 'common_tau':
+            words = f'[{row.unit}]: correlation time that suits all axes'
+            return Entry(path, rounded(self.common_tau / UNITS_S[row.unit]), words)
+        if row.what == 'turn_on':
+            known = [a.turn_on.std for a in self.axes_of(row.sensor).values() if a.turn_on]
+            words = f'[{row.unit}]: worst scatter of the means of recordings' if known else ''
+            return Entry(path, rounded(self.options.inflate * max(known, default=0.0)), words)
+        if row.what in ('N', 'K'):
+            return self._term_entry(path, row)
+        return self._process_entry(path, row)
+
+    def _term_entry(self, path: tuple[str, ...], row: Row) -> Entry:
+        """Return the entry of N or K."""
+        units, name = SI_UNITS[row.sensor], row.unit
+        halves = self.target.exact and row.what == 'N'
+        if halves and self.options.exact:
+            name = 'midpoint'
+        formula, unit, convert = QUANTITIES.get(name) or ('', name, _divided(UNITS[name].factor))
+        std = units['B' if row.what == 'N' else 'R']
+        entry = self.entry(
+            path,
+            self.level(row.sensor, row.what),
+            formula.format(term=row.what),
+            unit.format(density=units[row.what], std=std, bias=units['B']),
+            convert,
+        )
+        if halves and not self.options.exact:
+            said = finding('export_half_of_noise', keys='acc_n and gyr_n')
+            return replace(entry, findings=(said,))
+        return entry if row.limits is None else clamped(entry, *row.limits)
+
+    def _process_entry(self, path: tuple[str, ...], row: Row) -> Entry:
+        """Return the entry of a number of the Gauss-Markov bias."""
+        bias = self.process(row.sensor)
+        words, values = '[s]', bias.tau
+        if row.what != 'tau':
+            equals = ' = sigma sqrt(2 / tau)' if row.what == 'driving' else ''
+            words = f'[{row.unit}]{equals}: {bias.words}'
+            factor = UNITS[row.unit].factor
+            x, y, z = (
+                sigma / factor * (math.sqrt(2.0 / tau) if equals else 1.0)
+                for sigma, tau in zip(bias.sigma, bias.tau)
+            )
+            values = (x, y, z)
+        written = [rounded(value) for value in values]
+        return Entry(
+            path, written if self.target.three else written[0], words, findings=bias.findings
+        )
 
     def entry(
         self,
@@ -168,14 +187,14 @@ class FilterNoise:
         level: SensorLevel,
         formula: str,
         unit: str,
-        convert: Callable[[float, float], float],
+        convert: Convert,
     ) -> Entry:
         """Return the entry of a level, with its formula, unit and axes in words."""
         values = [rounded(convert(value, self.rate)) for value in level.values]
         equals = f' = {formula}' if formula else ''
         words = f'[{unit}]{equals}: {"; ".join(map(level_words, level.levels))}'
         is_limit = any(one.is_limit for one in level.levels)
-        return Entry(path, values if self.convention.three else values[0], words, is_limit)
+        return Entry(path, values if self.target.three else values[0], words, is_limit)
 
     def level(self, sensor: str, term: str) -> SensorLevel:
         """Return the level of a term of a sensor; N and K are those of the reduction.
@@ -209,7 +228,7 @@ class FilterNoise:
         return reduce_axis(axis, fit, states, self.horizons, self.options.strict, expect_walk)
 
     def _axis_level(self, axis: str, term: str) -> Level:
-        reduces = term == 'K' or (term == 'N' and self.convention.walk)
+        reduces = term == 'K' or (term == 'N' and self.target.walk)
         if self.options.fidelity == 'coefficients' or not reduces:
             return axis_level(axis, self.results.axes[axis].fit, term, self.options.strict)
         if axis not in self._used:
@@ -218,16 +237,8 @@ class FilterNoise:
         assert walk is not None
         return white if term == 'N' else walk
 
-    # --- Gauss-Markov bias ------------------------------------------------------------------------
-
-    def process(self, sensor: str, common: bool = False) -> SensorProcess:
+    def process(self, sensor: str) -> SensorProcess:
         """Return the Gauss-Markov bias of a sensor.
-
-        Parameters
-        ----------
-        sensor : str
-        common : bool
-            Whether the file has one correlation time for all sensors.
 
         Raises
         ------
@@ -235,6 +246,7 @@ class FilterNoise:
             When the sensor is absent, or an axis has neither value nor limit.
         """
         names = list(self.axes_of(sensor))
+        common = any(row.what == 'common_tau' for row in self.target.rows)
         tau = self.common_tau if common or self.rule != 'each' else None
         pairs = [self._closest(name, tau) for name in names]
         sigmas, taus = zip(*pairs)
@@ -246,7 +258,7 @@ class FilterNoise:
             f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s'
             for name, (s, t) in zip(names, pairs)
         )
-        bounds = 'bounds' if self.convention.bound else 'follows'
+        bounds = 'bounds' if self.target.bound else 'follows'
         words = f'sigma and correlation time whose growth {bounds} that of the model: {described}'
         others = tuple(name for name in names if name not in fitted)
         said = finding('export_no_gauss_markov', others, horizons=self.horizons)
@@ -266,10 +278,8 @@ class FilterNoise:
     def _closest(self, axis: str, tau: float | None) -> tuple[float, float]:
         fit = self.results.axes[axis].fit
         model = fit.selected if fit.selected.gauss_markov else self._drifting(axis)
-        (pair,) = closest_process(model, self.horizons, tau, self.convention.bound)
+        (pair,) = closest_process(model, self.horizons, tau, self.target.bound)
         return pair
-
-    # --- the header -------------------------------------------------------------------------------
 
     def reduction_lines(self) -> list[str]:
         """Return what the header says about the reduction of N and K."""
@@ -291,16 +301,9 @@ class FilterNoise:
             for axis, one in self._used.items()
             if one.reduction.poor or self.results.axes[axis].fit.selected.gauss_markov
         }
-        if not poor:
-            return []
-        return [
-            finding(
-                'export_two_numbers',
-                tuple(poor),
-                horizons=self.horizons,
-                ratio=max(poor.values()),
-            )
-        ]
+        worst = max(poor.values(), default=0.0)
+        said = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)
+        return [said] if poor else []
 
 
 def level_words(level: Level) -> str:
@@ -325,24 +328,84 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
     value = min(max(entry.value, low), high)
     if value == entry.value:
         return entry
-    said = finding(
-        'export_clamped', key=entry.key, value=entry.value, low=low, high=high, written=value
-    )
-    return replace(
-        entry,
-        value=value,
-        words=f'{entry.words}; {entry.value:g} lies outside [{low:g}, {high:g}]',
-        findings=(*entry.findings, said),
-    )
+    numbers = {'value': entry.value, 'low': low, 'high': high, 'written': value}
+    said = finding('export_clamped', key=entry.key, **numbers)
+    words = f'{entry.words}; {entry.value:g} lies outside [{low:g}, {high:g}]'
+    return replace(entry, value=value, words=words, findings=(*entry.findings, said))
 
 
-def _divided(factor: float) -> Callable[[float, float], float]:
+def _divided(factor: float) -> Convert:
     return lambda value, rate: value / factor
 
 
-def _rate(results: Results, options: ExportOptions, convention: Convention) -> tuple[float, str]:
+def _rate(results: Results, options: ExportOptions, target: Target) -> tuple[float, str]:
     if options.filter_rate:
         return options.filter_rate, 'given as the rate of the filter'
-    if convention.rate_hz:
-        return rounded(convention.rate_hz), "the filter's own step"
+    if target.rate_hz:
+        return rounded(target.rate_hz), "the filter's own step"
     return rounded(results.rate_hz), 'that of the recording'
+
+
+NAMED_SOURCES = 3
+"""Number of recordings that are named; the rest are counted."""
+
+EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
+"""Earlier stamps count from the start of a machine or a simulation and are no dates."""
+
+RULE_WORDS = {
+    'worst': 'worst (the largest of x, y, z)',
+    'mean': 'mean (root mean square of x, y, z)',
+    'each': 'each (x, y, z)',
+}
+
+
+def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> list[str]:
+    """Return the lines of the header comment, without comment marks.
+
+    They state source, date, convention, units, rate, axes, intervals and warnings.
+    """
+    results, target, inflate = noise.results, noise.target, noise.options.inflate
+    limits = [entry.key for entry in entries if entry.is_limit]
+    lines = [
+        f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
+        f'source: {_sources(results)}; {duration_text(results.duration_s)} at rest, '
+        f'{significant(results.rate_hz, 5)} Hz',
+        f'date: {noise.options.date or _recorded(results)}',
+        f'convention: {target.convention}',
+        f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
+        f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {_inflation(inflate)}',
+        *noise.reduction_lines(),
+        *(f'{entry.key} {entry.words}' for entry in entries if entry.words),
+        f'upper limits instead of measurements: {", ".join(limits) or "none"}',
+        *(f'note: {note}' for note in target.notes),
+        *dict.fromkeys(f'note: {said}' for entry in entries for said in entry.findings),
+        *(f'warning: {said}' for said in noise.reduction_findings()),
+    ]
+    return [one_line(line) for line in lines]
+
+
+def _inflation(factor: float) -> str:
+    if factor == 1.0:
+        return 'none'
+    return f'x{factor:g} on every N, K and bias; the levels below are without it'
+
+
+def _sources(results: Results) -> str:
+    sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
+    more = len(sources) - NAMED_SOURCES
+    named = ', '.join(sources[:NAMED_SOURCES]) + (f' and {more} more' if more > 0 else '')
+    return named or 'sums without a recording'
+
+
+def _recorded(results: Results) -> str:
+    starts = [span.start_ns for span in results.provenance.spans]
+    if not starts:
+        return 'not known'
+    try:
+        start = EPOCH + timedelta(microseconds=min(starts) // 1000)
+    except OverflowError:
+        return 'not known: the stamps are no dates'
+    if start < FIRST_DATE:
+        return 'not known: the stamps do not count from 1970'
+    return f'recorded from {start:%Y-%m-%d %H:%M:%S} UTC on'

@@ -19,11 +19,9 @@ from ...core.filters.noise_parameters import AxisReduction, Growth, reduce_axis
 from ...core.filters.reductions import STATES, Horizons, Reduction
 from ...core.filters.state_space import StateSpace
 from ...core.imu import SI_UNITS, sensor_of
-from .convention import INS_HORIZON_S, VIO_HORIZON_S, Convention, Entry
-from .json_form import JsonForm
+from .forms import JsonForm, LineForm
 from .model import FilterNoise, rounded
-from .target import Target
-from .text_forms import PythonForm
+from .target import INS_HORIZON_S, VIO_HORIZON_S, Entry, Target
 
 SCHEMA = 'allan_ros/state_space/1'
 
@@ -179,30 +177,36 @@ class ImuNoise:
         return np.asarray(angular_velocity) + gyro, np.asarray(linear_acceleration) + accel
 '''
 
-_FORM = PythonForm('{key} = {value}', before='\nimport math\n\nimport numpy as np\n\n', after=_CODE)
+_FORM = LineForm('{key} = {value}', before='\nimport math\n\nimport numpy as np\n\n', after=_CODE)
 
 
-def _python(file_name: str, text: str, *notes: str) -> Target:
-    convention = Convention(text, three=True, horizon_s=INS_HORIZON_S, walk=False)
-    return Target(file_name, convention, _module, _FORM, notes)
+def _python(file_name: str, convention: str, *notes: str) -> Target:
+    return Target(
+        file_name,
+        convention,
+        _FORM,
+        entries=_module,
+        notes=notes,
+        three=True,
+        horizon_s=INS_HORIZON_S,
+        walk=False,
+    )
 
 
 STATE_SPACES = {
     'state_space': Target(
         'state_space.json',
-        Convention(
-            f'{CONTENT}; states (integral, walk, Gauss-Markov ...), R = N^2 f',
-            three=True,
-            horizon_s=INS_HORIZON_S,
-            walk=False,
-        ),
-        _document,
+        f'{CONTENT}; states (integral, walk, Gauss-Markov ...), R = N^2 f',
         JsonForm(),
+        entries=_document,
         notes=(
             'walk is a state even if it is 0: it holds the turn-on bias',
             'walk covers a ramp over the horizon, because a ramp has no state of its own; where K '
             'is not resolved it contains a quarter of the expected K^2',
         ),
+        three=True,
+        horizon_s=INS_HORIZON_S,
+        walk=False,
     ),
     'state_space_python': _python(
         'imu_state_space.py', CONTENT, 'AXES holds N, K and (sigma, tau) of each axis in SI'

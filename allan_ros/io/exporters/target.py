@@ -1,15 +1,178 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One target of an export: its entries, its convention, and the form of its file."""
+"""What an export consists of: its options, the rows of a target, and the entries of its file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from .convention import Convention, Entry
-from .model import FilterNoise
+from ...core.findings import Finding
+from ...core.settings import check, parameter
+
+if TYPE_CHECKING:
+    from .model import FilterNoise
+
+AXIS_RULE = 'worst'
+"""Default axis rule of files with one number per sensor, as Kalibr users expect it."""
+
+FIDELITIES = ('reduction', 'coefficients')
+
+VIO_HORIZON_S = 30.0
+"""A camera or lidar corrects the integration; drift counts over 1 to 30 s."""
+
+INS_HORIZON_S = 100.0
+"""GNSS corrects the integration and may be out for a while; drift counts over 1 to 100 s."""
+
+SIMULATOR_HORIZON_S = 1000.0
+"""A simulated sensor should drift like the real one over 1 to 1000 s."""
+
+Value = Any
+"""A number, a string, a list or a mapping of these: what a file can hold under a key."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Options of a file for a filter."""
+
+    axis: str = parameter(
+        '',
+        'Value of a sensor: the worst of three axes, their root mean square, or each axis where '
+        'the file takes three numbers. Default: each where possible, else worst.',
+        choices=('', 'worst', 'mean', 'each'),
+    )
+    inflate: float = parameter(
+        1.0,
+        'Factor on every noise level, for vibration and model errors that add to the noise at '
+        'rest; measure it with `allan inflate`.',
+        low=1.0,
+        high=1000.0,
+    )
+    filter_rate: float = parameter(
+        0.0,
+        'Rate at which the filter takes samples; 0: that of the recording, or of the filter where '
+        'it has its own.',
+        unit='Hz',
+        low=0.0,
+        high=1e6,
+    )
+    strict: bool = parameter(
+        False,
+        'Refuse to write 95 % upper limits, and reductions that misstate the error growth by more '
+        'than a factor of 2.',
+    )
+    exact: bool = parameter(
+        False,
+        'vins_fusion only: write what its midpoint rule needs, N sqrt(2f), instead of the '
+        'customary N sqrt(f).',
+    )
+    fidelity: str = parameter(
+        'reduction',
+        'N and K of the file: a reduction, with K raised so that the predicted error growth covers '
+        'the complete model, or the bare coefficients.',
+        choices=FIDELITIES,
+    )
+    horizon: float = parameter(
+        0.0,
+        'Longest time that the filter integrates without correction, over which the reduction '
+        'holds; 0: the default of the target (30 s for cameras and lidars, 100 s for GNSS).',
+        unit='s',
+        low=0.0,
+        high=1e6,
+    )
+    topic: str = parameter(
+        '', 'The Imu topic to name in the file; empty: the topic of the recording.'
+    )
+    date: str = parameter(
+        '', 'The date to name in the file; empty: the time of the first recorded sample.'
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key of a file.
+
+    Attributes
+    ----------
+    path : tuple of str
+        The key, after the keys of the mappings that contain it.
+    value : Value
+    words : str
+        Origin of the number: unit, formula, axis, interval. '' for what is not measured.
+    is_limit : bool
+        Whether the number comes from a 95 % upper limit.
+    keep : bool
+        Whether to leave the value in the user's own file alone, because it is not measured.
+    findings : tuple of Finding
+        What the user should know about it.
+    """
+
+    path: tuple[str, ...]
+    value: Value
+    words: str = ''
+    is_limit: bool = False
+    keep: bool = False
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """The last key of the path."""
+        return self.path[-1]
+
+
+def nested(entries: Iterable[Entry]) -> dict[str, Value]:
+    """Return the values of entries as nested mappings."""
+    tree: dict[str, Value] = {}
+    for entry in entries:
+        here = tree
+        for key in entry.path[:-1]:
+            here = here.setdefault(key, {})
+        here[entry.key] = entry.value
+    return tree
+
+
+class Row(NamedTuple):
+    """One key of a file and the quantity that it holds.
+
+    Attributes
+    ----------
+    key : str
+    sensor : 'gyro' or 'accel', or '-' for both
+    what : str
+        N or K; sigma, tau or driving (the density sigma sqrt(2/tau)) of the Gauss-Markov bias;
+        turn_on; common_tau of all axes; rate; topic; zero.
+    unit : str
+        One of `model.QUANTITIES` for N and K, or a unit.
+    limits : (low, high) or None
+        Range that the filter accepts.
+    """
+
+    key: str
+    sensor: str
+    what: str
+    unit: str = ''
+    limits: tuple[float, float] | None = None
+
+
+def rows(table: str) -> tuple[Row, ...]:
+    """Return the rows of a table with the columns of `Row`, limits as low..high."""
+    found = []
+    for line in table.strip().splitlines():
+        key, sensor, what, *rest = line.split()
+        unit = rest[0] if rest else 'density'
+        low, high = map(float, rest[1].split('..')) if len(rest) > 1 else (0.0, 0.0)
+        found.append(Row(key, sensor, what, unit, (low, high) if high else None))
+    return tuple(found)
+
+
+def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
+    """Return the rows of N of gyro and accelerometer, then of K of gyro and accelerometer."""
+    whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
+    return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
 
 
 class Form(Protocol):
@@ -19,13 +182,7 @@ class Form(Protocol):
         """Return a file with these entries and the header in comments."""
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's text with these entries in it and all else unchanged.
-
-        Raises
-        ------
-        AllanError
-            When the form does not support it, or the text does not have this form.
-        """
+        """Return the user's text with these entries in it, or raise `AllanError`."""
 
 
 @dataclass(frozen=True)
@@ -36,16 +193,45 @@ class Target:
     ----------
     file_name : str
         Name of its file in a folder of results.
-    convention : Convention
-    entries : callable
-        From the noise model to the entries.
+    convention : str
+        Convention of the numbers, and the source file of the target that shows it.
     form : Form
+    rows : tuple of Row
+        The keys of the file.
+    parent : tuple of str
+        The mappings that contain the keys.
+    fixed : mapping of key to value
+        Required keys that are not measured; in the user's own file they stay.
     notes : tuple of str
         Further facts for the user of this file.
+    entries : callable or None
+        Yields the entries from the noise, for files that a table cannot describe.
+    three : bool
+        Whether the file takes three numbers per sensor.
+    rate_hz : float or None
+        The filter's own rate; None where it steps with the samples.
+    horizon_s : float
+        Default upper end of the horizons of the reduction, in s.
+    walk : bool
+        Whether the target has a random walk of the bias, and so takes N from the same reduction.
+    bound : bool
+        Whether the reduction bounds the error growth, as a filter needs it; a simulator gets the
+        closest one.
+    exact : bool
+        Whether N is for the midpoint rule, and `ExportOptions.exact` applies.
     """
 
     file_name: str
-    convention: Convention
-    entries: Callable[[FilterNoise], Iterable[Entry]]
+    convention: str
     form: Form
+    rows: tuple[Row, ...] = ()
+    parent: tuple[str, ...] = ()
+    fixed: Mapping[str, Value] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    entries: Callable[[FilterNoise], Iterable[Entry]] | None = None
+    three: bool = False
+    rate_hz: float | None = None
+    horizon_s: float = VIO_HORIZON_S
+    walk: bool = True
+    bound: bool = True
+    exact: bool = False

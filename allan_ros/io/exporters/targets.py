@@ -1,16 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The table of filters and calibration tools: keys, convention and form of each file.
+"""The table of filters, calibration tools and simulators: keys, convention and form of each file.
 
 Each convention was read from the source file that it names. N and K in formulas are the continuous
-densities, f the rate in Hz.
+densities, f the rate in Hz. A simulated sensor should behave like the measured one: its bias is the
+process whose error growth follows that of the model, as far above as below it. `state_space` has
+the targets that take the complete model.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 from functools import partial
 
 from ...core.filters.noise_parameters import (
@@ -18,67 +19,25 @@ from ...core.filters.noise_parameters import (
     madgwick_gain,
     madgwick_ramp_gain,
 )
-from ...core.findings import finding
-from ...core.imu import HOUR, UNITS
-from .convention import INS_HORIZON_S, Convention, Entry, Value
-from .json_form import JsonForm
-from .model import FilterNoise, KeyedTerms, clamped, rounded
-from .target import Target
-from .text_forms import LineForm, MatlabForm, PythonForm
+from ...core.imu import SI_UNITS, UNITS
+from .forms import JsonForm, LineForm, XmlForm, matlab_literal
+from .model import FilterNoise, clamped, rounded
+from .target import INS_HORIZON_S, SIMULATOR_HORIZON_S, Entry, Row, Target, Value, four, rows
 from .yaml_form import YamlForm
 
 ANY_NODE = ('/**', 'ros__parameters')
 """Parameters of whatever node the file is loaded into by --params-file."""
 
+OPENCV = YamlForm(opencv=True)
 
-def keys(noise: str, accel_noise: str, walk: str, accel_walk: str) -> KeyedTerms:
-    """Return the keys of N and K of the gyro and the accelerometer."""
-    return {
-        noise: ('gyro', 'N'),
-        accel_noise: ('accel', 'N'),
-        walk: ('gyro', 'K'),
-        accel_walk: ('accel', 'K'),
-    }
-
-
-def table(
-    keyed: KeyedTerms,
-    quantity: str = 'density',
-    parent: tuple[str, ...] = (),
-    rate_key: str = '',
-) -> Callable[[FilterNoise], Iterator[Entry]]:
-    """Return the entries of a file whose numbers are all of one quantity.
-
-    Parameters
-    ----------
-    keyed : mapping of key to (sensor, term)
-    quantity : str
-        One of `QUANTITIES`.
-    parent : tuple of str
-        The mappings that contain the keys.
-    rate_key : str
-        Key of the rate, if the file has one.
-    """
-
-    def entries(noise: FilterNoise) -> Iterator[Entry]:
-        yield from noise.keyed(keyed, quantity, parent)
-        if rate_key:
-            yield Entry((*parent, rate_key), noise.rate)
-
-    return entries
-
-
-# --- Kalibr and OpenVINS --------------------------------------------------------------------------
-
-KALIBR_KEYS = {
-    'accelerometer_noise_density': ('accel', 'N'),
-    'accelerometer_random_walk': ('accel', 'K'),
-    'gyroscope_noise_density': ('gyro', 'N'),
-    'gyroscope_random_walk': ('gyro', 'K'),
-}
-
-DEFAULT_TOPIC = '/imu0'
-"""As in the examples of Kalibr."""
+KALIBR_ROWS = rows("""
+accelerometer_noise_density  accel  N
+accelerometer_random_walk    accel  K
+gyroscope_noise_density      gyro   N
+gyroscope_random_walk        gyro   K
+rostopic                     -      topic
+update_rate                  -      rate
+""")
 
 
 def _identity(size: int) -> list[list[float]]:
@@ -96,52 +55,6 @@ OPENVINS_NOT_MEASURED: dict[str, Value] = {
     'Tg': [[0.0] * 3] * 3,
 }
 """Required keys: an IMU without errors of scale, axes and time."""
-
-
-def _kalibr(noise: FilterNoise, parent: tuple[str, ...] = ()) -> Iterator[Entry]:
-    yield from noise.keyed(KALIBR_KEYS, parent=parent)
-    given = noise.options.topic
-    topics = [source.topic for source in noise.results.provenance.sources if source.topic]
-    topic = given or next(iter(topics), DEFAULT_TOPIC)
-    yield Entry((*parent, 'rostopic'), topic, keep=not given)
-    yield Entry((*parent, 'update_rate'), noise.rate)
-
-
-def _openvins(noise: FilterNoise) -> Iterator[Entry]:
-    yield from _kalibr(noise, ('imu0',))
-    for key, value in OPENVINS_NOT_MEASURED.items():
-        yield Entry(('imu0', key), value, keep=True)
-
-
-# --- visual and lidar odometry --------------------------------------------------------------------
-
-
-def _vins_fusion(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the keys of VINS.
-
-    The midpoint rule halves two samples and gives each a noise of its own: V noise V' adds
-    gyr_n^2 dt^2 / 2 to the variance of the angle, although white noise adds N^2 dt. The customary
-    N sqrt(f) thus propagates half the variance; N sqrt(2f) propagates all of it. The bias block of
-    V is dt, so K^2 dt needs gyr_w = K sqrt(f).
-    """
-    exact = noise.options.exact
-    said = () if exact else (finding('export_half_of_noise', keys='acc_n and gyr_n'),)
-    white = {'acc_n': ('accel', 'N'), 'gyr_n': ('gyro', 'N')}
-    for entry in noise.keyed(white, 'midpoint' if exact else 'std'):
-        yield replace(entry, findings=said)
-    yield from noise.keyed({'acc_w': ('accel', 'K'), 'gyr_w': ('gyro', 'K')}, 'std')
-
-
-def _basalt(noise: FilterNoise) -> Iterator[Entry]:
-    yield Entry(('value0', 'imu_update_rate'), noise.rate)
-    keyed = {
-        'accel_noise_std': ('accel', 'N'),
-        'gyro_noise_std': ('gyro', 'N'),
-        'accel_bias_std': ('accel', 'K'),
-        'gyro_bias_std': ('gyro', 'K'),
-    }
-    yield from noise.keyed(keyed, parent=('value0',))
-
 
 GTSAM_CODE = '''
 # Error of the numerical integration, not of the IMU; the default is the identity.
@@ -163,93 +76,26 @@ def set_noise(params):
     return params
 '''
 
-# --- autopilots -----------------------------------------------------------------------------------
-
 FLOOR_NOTE = (
     'this is the noise at rest, a floor: propellers, vibration and clipping add to it, and the '
     'defaults of the autopilot allow for them; use lower values only after checking the logs'
 )
 
-Ranges = Mapping[str, tuple[float, float]]
-
-
-def _ranged(keyed: KeyedTerms, ranges: Ranges, noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the parameters of an autopilot, within the ranges that it accepts.
-
-    EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity and (dt bias_noise)^2 to
-    that of the bias, with dt the step of the filter; samples are averaged to it before.
-    """
-    for entry in noise.keyed(keyed, 'std'):
-        yield clamped(entry, *ranges[entry.key])
-
-
-PX4_RANGES = {
-    'EKF2_GYR_NOISE': (1e-4, 0.1),
-    'EKF2_ACC_NOISE': (0.01, 1.0),
-    'EKF2_GYR_B_NOISE': (0.0, 0.01),
-    'EKF2_ACC_B_NOISE': (0.0, 0.01),
-}
-
-ARDUPILOT_RANGES = {
-    'EK3_GYRO_P_NSE': (1e-4, 0.1),
-    'EK3_ACC_P_NSE': (0.01, 1.0),
-    'EK3_GBIAS_P_NSE': (1e-5, 1e-3),
-    'EK3_ABIAS_P_NSE': (1e-5, 0.02),
-}
-
-# --- INS with a Gauss-Markov bias -----------------------------------------------------------------
-
-
-def _imunoise(parent: str, noise: FilterNoise) -> Iterator[Entry]:
-    """Yield arw, vrw, gbstd, abstd and corrtime: the bias noise is 2 sigma^2 / corrtime."""
-    yield from noise.keyed({'arw': ('gyro', 'N')}, 'deg/sqrt(h)', (parent,))
-    yield from noise.keyed({'vrw': ('accel', 'N')}, 'm/s/sqrt(h)', (parent,))
-    for key, sensor, unit in (('gbstd', 'gyro', 'deg/h'), ('abstd', 'accel', 'mGal')):
-        bias = noise.process(sensor, common=True)
-        values = [rounded(sigma / UNITS[unit].factor) for sigma in bias.sigma]
-        value = values if noise.convention.three else values[0]
-        yield Entry((parent, key), value, f'[{unit}]: {bias.words}', findings=bias.findings)
-    words = '[h]: correlation time that suits all axes'
-    yield Entry((parent, 'corrtime'), rounded(noise.common_tau / HOUR), words)
-
-
-def _navego(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the fields of the struct of ins_gnss.m, in SI.
-
-    The filter takes gb_psd and ab_psd for the density of the noise that drives the bias:
-    sigma sqrt(2 / tau) of a Gauss-Markov process.
-    """
-    white = {'arw': ('gyro', 'N'), 'vrw': ('accel', 'N')}
-    yield from noise.keyed(white)
-    for prefix, sensor, unit in (('g', 'gyro', 'rad/s'), ('a', 'accel', 'm/s^2')):
-        bias = noise.process(sensor)
-        density = [rounded(s * math.sqrt(2.0 / t)) for s, t in zip(bias.sigma, bias.tau)]
-        sigma = [rounded(s) for s in bias.sigma]
-        yield Entry((f'{prefix}b_dyn',), sigma, f'[{unit}]: {bias.words}', findings=bias.findings)
-        yield Entry((f'{prefix}b_corr',), [rounded(t) for t in bias.tau], '[s]')
-        words = f'[{unit}/sqrt(Hz)] = sigma sqrt(2 / {prefix}b_corr)'
-        yield Entry((f'{prefix}b_psd',), density, words)
-
-
-# --- filters without such parameters --------------------------------------------------------------
-
-
-def _fusioncore(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield R as a std per sample, and the bias variance that each step adds."""
-    white = {'imu.gyro_noise': ('gyro', 'N'), 'imu.accel_noise': ('accel', 'N')}
-    walk = {'ukf.q_gyro_bias': ('gyro', 'K'), 'ukf.q_accel_bias': ('accel', 'K')}
-    yield from noise.keyed(white, 'std', ANY_NODE)
-    yield from noise.keyed(walk, 'step_variance', ANY_NODE)
+GAUSS_MARKOV_INS = rows("""
+arw       gyro   N           deg/sqrt(h)
+vrw       accel  N           m/s/sqrt(h)
+gbstd     gyro   sigma       deg/h
+abstd     accel  sigma       mGal
+corrtime  -      common_tau  h
+""")
+"""Of KF-GINS, OB_GINS and IC-GVINS: the noise of the bias is 2 sigma^2 / corrtime."""
 
 
 def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
     """Yield the gain, and zeta from the ramp if every axis has one, else from the random walk."""
-    horizon = noise.horizons.high
+    horizon, axes = noise.horizons.high, noise.axes_of('gyro')
     white = noise.level('gyro', 'N')
-    gains = {
-        axis: madgwick_gain(result.fit.selected, horizon)
-        for axis, result in noise.axes_of('gyro').items()
-    }
+    gains = {axis: madgwick_gain(result.fit.selected, horizon) for axis, result in axes.items()}
     mean = math.sqrt(sum(gain**2 for gain in gains.values()) / 3.0)
     gain = mean if noise.rule == 'mean' else max(gains.values())
     if not gain:  # N itself is a limit
@@ -258,82 +104,153 @@ def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
     words += ', '.join(f'{axis} {value:.3g}' for axis, value in gains.items())
     entry = Entry((*ANY_NODE, 'gain'), rounded(gain * noise.options.inflate), words)
     yield clamped(entry, 0.0, 1.0)
-    ramps = [result.fit.noise['R'] for result in noise.axes_of('gyro').values()]
-    path = (*ANY_NODE, 'zeta')
-    if all(ramp.status == 'estimated' for ramp in ramps):
-        level, formula = noise.level('gyro', 'R'), 'sqrt(3/4) |R|'
-        zeta = noise.entry(path, level, formula, 'rad/s^2', lambda r, _: madgwick_ramp_gain(r))
+    if all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
+        term, formula = 'R', 'sqrt(3/4) |R|'
+        drift = madgwick_ramp_gain
     else:
-        level, formula = noise.level('gyro', 'K'), f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
-        zeta = noise.entry(
-            path, level, formula, 'rad/s^2', lambda k, _: madgwick_drift_gain(k, horizon)
-        )
+        term, formula = 'K', f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
+        drift = partial(madgwick_drift_gain, horizon=horizon)
+    level = noise.level('gyro', term)
+    path = (*ANY_NODE, 'zeta')
+    zeta = noise.entry(path, level, formula, 'rad/s^2', lambda value, _: drift(value))
     yield clamped(zeta, -1.0, 1.0)
 
 
-ESTIMATORS = {
+SDF_SENSORS = {'angular_velocity': 'gyro', 'linear_acceleration': 'accel'}
+
+
+def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
+    """Yield the noise elements of SDF's <imu>.
+
+    Gazebo steps the bias with the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)): its stationary
+    standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it rounds the sample to
+    multiples of the precision, which adds precision^2/12 to the variance.
+    """
+    for element, sensor in SDF_SENSORS.items():
+        unit = SI_UNITS[sensor]['B']
+        white = noise.row_entry(Row('stddev', sensor, 'N', 'std'))
+        bias = noise.process(sensor)
+        driving_words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
+        for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
+            path = ('imu', element, name[-1], 'noise')
+            said = i == 0  # the words are about all three axes
+            step, turn_on = axis.rounding, axis.turn_on
+            yield Entry((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
+            yield Entry((*path, 'mean'), 0.0)
+            # at least half of the variance, lest rounding stops the noise altogether
+            variance = white.value[i] ** 2
+            stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
+            words = f'of {sensor} {white.words}' if said else ''
+            yield Entry((*path, 'stddev'), rounded(stddev), words, white.is_limit)
+            if turn_on:
+                words = (
+                    f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
+                )
+                sigma = rounded(noise.options.inflate * turn_on.std)
+                yield Entry((*path, 'bias_stddev'), sigma, words)
+            driving = rounded(bias.sigma[i] * math.sqrt(2.0 / bias.tau[i]))
+            yield Entry(
+                (*path, 'dynamic_bias_stddev'),
+                driving,
+                driving_words if said else '',
+                findings=bias.findings,
+            )
+            yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
+            if step:
+                words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
+                yield Entry((*path, 'precision'), rounded(step), words)
+
+
+AIRSIM_ROWS = {
+    'gyro': ('AngularRandomWalk', 'deg/sqrt(h)', 'GyroBiasStability', 'deg/h', 500.0),
+    'accel': ('VelocityRandomWalk', 'mg/sqrt(Hz)', 'AccelBiasStability', 'ug', 800.0),
+}
+"""Keys and units of N and of the bias, and the default time constant tau of AirSim in s: only
+stability / sqrt(tau) matters."""
+
+
+def _airsim(noise: FilterNoise) -> Iterator[Entry]:
+    """Yield the Imu settings of AirSim, whose bias is a random walk of stability / sqrt(tau)."""
+    parent = noise.target.parent
+    yield Entry((*parent, 'SensorType'), 2)
+    yield Entry((*parent, 'Enabled'), True)
+    for sensor, (white, white_unit, stability, unit, tau) in AIRSIM_ROWS.items():
+        yield noise.row_entry(Row(white, sensor, 'N', white_unit))
+        scale = math.sqrt(tau) / UNITS[unit].factor
+        walk, path = noise.level(sensor, 'K'), (*parent, stability)
+        yield noise.entry(path, walk, f'K sqrt({tau:g} s)', unit, partial(_scaled, scale))
+        yield Entry((*parent, f'{stability}Tau'), tau)
+
+
+def _scaled(scale: float, value: float, rate: float) -> float:
+    return scale * value
+
+
+_ins = partial(Target, horizon_s=INS_HORIZON_S, walk=False)
+_simulator = partial(Target, horizon_s=SIMULATOR_HORIZON_S, walk=False, bound=False)
+
+TARGETS = {
     'kalibr': Target(
         'imu.yaml',
-        Convention(
-            'continuous time; Kalibr divides by sqrt(1/update_rate) itself and refuses values <= 0 '
-            '(kalibr_common/ConfigReader.py)'
-        ),
-        _kalibr,
+        'continuous time; Kalibr divides by sqrt(1/update_rate) itself and refuses values <= 0 '
+        '(kalibr_common/ConfigReader.py)',
         YamlForm(),
+        KALIBR_ROWS,
     ),
     'openvins': Target(
         'kalibr_imu_chain.yaml',
-        Convention(
-            'continuous time; OpenVINS makes them discrete with its time steps '
-            '(ov_msckf/src/state/Propagator.cpp)'
-        ),
-        _openvins,
-        YamlForm(opencv=True),
+        'continuous time; OpenVINS makes them discrete with its time steps '
+        '(ov_msckf/src/state/Propagator.cpp)',
+        OPENCV,
+        KALIBR_ROWS,
+        parent=('imu0',),
+        fixed=OPENVINS_NOT_MEASURED,
         notes=(
             'T_i_b, time_offset, model, Tw, Ta, Tg and the rotations are not measured here: '
             'identity unless your file has them',
         ),
     ),
+    # The midpoint rule halves two samples and gives each a noise of its own: V noise V' adds
+    # gyr_n^2 dt^2 / 2 to the variance of the angle, although white noise adds N^2 dt. The customary
+    # N sqrt(f) thus propagates half the variance; N sqrt(2f) propagates all of it. The bias block
+    # of V is dt, so K^2 dt needs gyr_w = K sqrt(f).
     'vins_fusion': Target(
         'vins_fusion_imu.yaml',
-        Convention(
-            'standard deviation per sample (vins_estimator/src/factor/integration_base.h)',
-            exact=True,
-        ),
-        _vins_fusion,
-        YamlForm(opencv=True),
+        'standard deviation per sample (vins_estimator/src/factor/integration_base.h)',
+        OPENCV,
+        rows("""
+        acc_n  accel  N  std
+        gyr_n  gyro   N  std
+        acc_w  accel  K  std
+        gyr_w  gyro   K  std
+        """),
+        exact=True,
     ),
     'orb_slam3': Target(
         'orb_slam3_imu.yaml',
-        Convention(
-            'continuous time; ORB-SLAM3 multiplies the noises by sqrt(IMU.Frequency) and divides '
-            'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)'
+        'continuous time; ORB-SLAM3 multiplies the noises by sqrt(IMU.Frequency) and divides '
+        'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)',
+        OPENCV,
+        (
+            *four('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
+            Row('IMU.Frequency', '-', 'rate'),
         ),
-        table(
-            keys('IMU.NoiseGyro', 'IMU.NoiseAcc', 'IMU.GyroWalk', 'IMU.AccWalk'),
-            rate_key='IMU.Frequency',
-        ),
-        YamlForm(opencv=True),
     ),
     'lio_sam': Target(
         'lio_sam_imu.yaml',
-        Convention(
-            'continuous time, squared for GTSAM; the walks become the noise of the factor between '
-            'two biases, times the root of the time between (src/imuPreintegration.cpp)'
-        ),
-        table(keys('imuGyrNoise', 'imuAccNoise', 'imuGyrBiasN', 'imuAccBiasN'), parent=ANY_NODE),
+        'continuous time, squared for GTSAM; the walks become the noise of the factor between '
+        'two biases, times the root of the time between (src/imuPreintegration.cpp)',
         YamlForm(),
+        four('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
+        parent=ANY_NODE,
     ),
     'fast_lio': Target(
         'fast_lio_imu.yaml',
-        Convention(
-            "variance per sample; the filter adds (dt F) Q (dt F)' (src/IMU_Processing.hpp, "
-            'IKFoM_toolkit/esekfom/esekfom.hpp)'
-        ),
-        table(
-            keys('gyr_cov', 'acc_cov', 'b_gyr_cov', 'b_acc_cov'), 'variance', (*ANY_NODE, 'mapping')
-        ),
+        "variance per sample; the filter adds (dt F) Q (dt F)' (src/IMU_Processing.hpp, "
+        'IKFoM_toolkit/esekfom/esekfom.hpp)',
         YamlForm(),
+        four('gyr_cov acc_cov b_gyr_cov b_acc_cov', 'variance'),
+        parent=(*ANY_NODE, 'mapping'),
         notes=(
             'the defaults of FAST-LIO (0.1 and 0.0001) are tuned and far above any noise at rest; '
             'approach them in steps with --inflate',
@@ -341,147 +258,216 @@ ESTIMATORS = {
     ),
     'gtsam': Target(
         'gtsam_imu.py',
-        Convention(
-            'continuous covariances, divided or multiplied by the time step '
-            '(gtsam/navigation/PreintegrationParams.h, CombinedImuFactor.cpp)',
-            three=True,
-        ),
-        table(
-            keys(
-                'gyroscopeCovariance',
-                'accelerometerCovariance',
-                'biasOmegaCovariance',
-                'biasAccCovariance',
-            ),
+        'continuous covariances, divided or multiplied by the time step '
+        '(gtsam/navigation/PreintegrationParams.h, CombinedImuFactor.cpp)',
+        LineForm('{key} = {value}', before='\nimport numpy as np\n\n', after=GTSAM_CODE),
+        four(
+            'gyroscopeCovariance accelerometerCovariance biasOmegaCovariance biasAccCovariance',
             'covariance',
         ),
-        PythonForm('{key} = {value}', before='\nimport numpy as np\n\n', after=GTSAM_CODE),
         notes=('the bias covariances are for PreintegrationCombinedParams only',),
+        three=True,
     ),
     'basalt': Target(
         'basalt_imu.json',
-        Convention(
-            'continuous time; Basalt multiplies by sqrt(imu_update_rate) itself '
-            '(basalt/calibration/calibration.hpp, dicrete_time_gyro_noise_std)',
-            three=True,
-        ),
-        _basalt,
+        'continuous time; Basalt multiplies by sqrt(imu_update_rate) itself '
+        '(basalt/calibration/calibration.hpp, dicrete_time_gyro_noise_std)',
         JsonForm(),
+        rows("""
+        imu_update_rate  -      rate
+        accel_noise_std  accel  N
+        gyro_noise_std   gyro   N
+        accel_bias_std   accel  K
+        gyro_bias_std    gyro   K
+        """),
+        parent=('value0',),
         notes=('merge it into your calibration: the cameras are in the same file',),
+        three=True,
     ),
     'msckf_vio': Target(
         'msckf_vio_imu.yaml',
-        Convention("continuous time; Q = Phi G Qc G' Phi' dt (src/msckf_vio.cpp, processModel)"),
-        table(keys('gyro', 'acc', 'gyro_bias', 'acc_bias'), parent=('noise',)),
+        "continuous time; Q = Phi G Qc G' Phi' dt (src/msckf_vio.cpp, processModel)",
         YamlForm(),
+        four('gyro acc gyro_bias acc_bias'),
+        parent=('noise',),
         notes=(
             'load it in the node: <rosparam command="load" file="..."/>, after its other noise',
         ),
     ),
     'fusioncore': Target(
         'fusioncore_imu.yaml',
-        Convention(
-            'R is the square of a standard deviation per sample (sensors/imu.hpp); q is the '
-            'variance that each prediction adds, one per sample (src/ukf.cpp)',
-            horizon_s=INS_HORIZON_S,
-        ),
-        _fusioncore,
+        'R is the square of a standard deviation per sample (sensors/imu.hpp); q is the '
+        'variance that each prediction adds, one per sample (src/ukf.cpp)',
         YamlForm(),
+        rows("""
+        imu.gyro_noise    gyro   N  std
+        imu.accel_noise   accel  N  std
+        ukf.q_gyro_bias   gyro   K  step_variance
+        ukf.q_accel_bias  accel  K  step_variance
+        """),
+        parent=ANY_NODE,
         notes=('q of angular velocity and acceleration is motion of the robot, not measured here',),
+        horizon_s=INS_HORIZON_S,
     ),
+    # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity and (dt bias_noise)^2 to
+    # that of the bias, with dt the step of the filter; samples are averaged to it before.
     'px4': Target(
         'px4_imu.params',
-        Convention(
-            'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
-            'EKF2_PREDICT_US)',
-            rate_hz=100.0,
-            horizon_s=INS_HORIZON_S,
-        ),
-        partial(_ranged, keys(*PX4_RANGES), PX4_RANGES),
+        'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
+        'EKF2_PREDICT_US)',
         LineForm('1\t1\t{key}\t{value}\t9'),  # vehicle, component (the autopilot), 9: a real number
+        rows("""
+        EKF2_GYR_NOISE    gyro   N  std  1e-4..0.1
+        EKF2_ACC_NOISE    accel  N  std  0.01..1
+        EKF2_GYR_B_NOISE  gyro   K  std  0..0.01
+        EKF2_ACC_B_NOISE  accel  K  std  0..0.01
+        """),
         notes=(FLOOR_NOTE,),
+        rate_hz=100.0,
+        horizon_s=INS_HORIZON_S,
     ),
     'ardupilot': Target(
         'ardupilot_imu.parm',
-        Convention(
-            'standard deviation per EK3 step of 12 ms '
-            '(libraries/AP_NavEKF3/AP_NavEKF3_core.cpp, EKF_TARGET_DT)',
-            rate_hz=1.0 / 0.012,
-            horizon_s=INS_HORIZON_S,
-        ),
-        partial(_ranged, keys(*ARDUPILOT_RANGES), ARDUPILOT_RANGES),
+        'standard deviation per EK3 step of 12 ms '
+        '(libraries/AP_NavEKF3/AP_NavEKF3_core.cpp, EKF_TARGET_DT)',
         LineForm('{key},{value}'),
+        rows("""
+        EK3_GYRO_P_NSE   gyro   N  std  1e-4..0.1
+        EK3_ACC_P_NSE    accel  N  std  0.01..1
+        EK3_GBIAS_P_NSE  gyro   K  std  1e-5..1e-3
+        EK3_ABIAS_P_NSE  accel  K  std  1e-5..0.02
+        """),
         notes=(FLOOR_NOTE,),
+        rate_hz=1.0 / 0.012,
+        horizon_s=INS_HORIZON_S,
     ),
-    'kf_gins': Target(
+    'kf_gins': _ins(
         'kf_gins_imu.yaml',
-        Convention(
-            'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-            '2 sigma^2 / corrtime (src/kf_gins.cpp, src/kf-gins/gi_engine.cpp)',
-            three=True,
-            horizon_s=INS_HORIZON_S,
-            walk=False,
-        ),
-        partial(_imunoise, 'imunoise'),
+        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
+        '2 sigma^2 / corrtime (src/kf_gins.cpp, src/kf-gins/gi_engine.cpp)',
         YamlForm(),
+        GAUSS_MARKOV_INS,
+        parent=('imunoise',),
         notes=(
             'gbstd and abstd are also the initial uncertainty of the bias: set initbgstd and '
             'initbastd, because a turn-on bias is mostly larger',
             'gsstd and asstd (scale factors) are not measured here',
             'x, y, z are those of the messages; KF-GINS takes forward, right, down',
         ),
+        three=True,
     ),
-    'ob_gins': Target(
+    'ob_gins': _ins(
         'ob_gins_imu.yaml',
-        Convention(
-            'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-            '2 sigma^2 / corrtime (src/ob_gins.cc, src/preintegration/preintegration_normal.cc)',
-            horizon_s=INS_HORIZON_S,
-            walk=False,
-        ),
-        partial(_imunoise, 'imumodel'),
+        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
+        '2 sigma^2 / corrtime (src/ob_gins.cc, src/preintegration/preintegration_normal.cc)',
         YamlForm(),
+        GAUSS_MARKOV_INS,
+        parent=('imumodel',),
     ),
-    'ic_gvins': Target(
+    'ic_gvins': _ins(
         'ic_gvins_imu.yaml',
-        Convention(
-            'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-            '2 sigma^2 / corrtime (config/gvins.yaml, the preintegration of OB_GINS)',
-            horizon_s=INS_HORIZON_S,
-            walk=False,
-        ),
-        partial(_imunoise, 'imumodel'),
+        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
+        '2 sigma^2 / corrtime (config/gvins.yaml, the preintegration of OB_GINS)',
         YamlForm(),
+        GAUSS_MARKOV_INS,
+        parent=('imumodel',),
     ),
-    'navego': Target(
+    # ins_gnss.m takes gb_psd and ab_psd for the density of the noise that drives the bias.
+    'navego': _ins(
         'navego_imu.m',
-        Convention(
-            'SI fields of the structure that ins_gnss.m takes: Q of arw, vrw, gb_psd, ab_psd '
-            'squared, bias -1/corr (ins-gnss/ins_gnss.m, F_update.m)',
-            three=True,
-            horizon_s=INS_HORIZON_S,
-            walk=False,
-        ),
-        _navego,
-        MatlabForm('imu.{key} = {value};', comment='%'),
+        'SI fields of the structure that ins_gnss.m takes: Q of arw, vrw, gb_psd, ab_psd '
+        'squared, bias -1/corr (ins-gnss/ins_gnss.m, F_update.m)',
+        LineForm('imu.{key} = {value};', comment='%', literal=matlab_literal),
+        rows("""
+        arw      gyro   N
+        vrw      accel  N
+        gb_dyn   gyro   sigma    rad/s
+        gb_corr  gyro   tau      s
+        gb_psd   gyro   driving  rad/s^2/sqrt(Hz)
+        ab_dyn   accel  sigma    m/s^2
+        ab_corr  accel  tau      s
+        ab_psd   accel  driving  m/s^3/sqrt(Hz)
+        """),
         notes=('run it after imu_si_errors.m, which computes gb_psd and ab_psd differently',),
+        three=True,
     ),
     'imu_filter_madgwick': Target(
         'imu_filter_madgwick.yaml',
-        Convention(
-            "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
-            'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
-            horizon_s=10.0,
-            walk=False,
-        ),
-        _madgwick,
+        "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
+        'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
         YamlForm(),
+        entries=_madgwick,
         notes=(
             'the gain allows for noise only: a bias at switching on that is not removed comes on '
             'top, and the default of 0.1 allows for one',
             'zeta acts with a magnetometer (use_mag) only; without one the filter estimates no '
             'bias',
         ),
+        horizon_s=10.0,
+        walk=False,
+    ),
+    'gazebo': _simulator(
+        'gazebo_imu.sdf',
+        'standard deviation per sample, and a Gauss-Markov bias of the driving density '
+        'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
+        XmlForm(),
+        entries=_gazebo,
+        notes=(
+            'put it into <sensor type="imu">; f must be its update_rate',
+            'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
+            'where rounding makes more than a tenth of the white noise',
+        ),
+        three=True,
+    ),
+    'px4_sitl': _simulator(
+        'px4_sitl_imu.xml',
+        'continuous time; the bias is a Gauss-Markov process of this driving density '
+        '(PX4-SITL_gazebo-classic and RotorS, src/gazebo_imu_plugin.cpp)',
+        XmlForm(),
+        rows("""
+        gyroscopeNoiseDensity             gyro   N
+        gyroscopeRandomWalk               gyro   driving  rad/s^2/sqrt(Hz)
+        gyroscopeBiasCorrelationTime      gyro   tau      s
+        gyroscopeTurnOnBiasSigma          gyro   turn_on  rad/s
+        accelerometerNoiseDensity         accel  N
+        accelerometerRandomWalk           accel  driving  m/s^3/sqrt(Hz)
+        accelerometerBiasCorrelationTime  accel  tau      s
+        accelerometerTurnOnBiasSigma      accel  turn_on  m/s^2
+        """),
+        parent=('plugin',),
+        notes=('copy the elements into <plugin name="gazebo_imu_plugin" ...>',),
+    ),
+    'airsim': Target(
+        'airsim_settings.json',
+        'white noise in deg/sqrt(h) and mg/sqrt(Hz); bias as a random walk of '
+        'BiasStability / sqrt(BiasStabilityTau) (AirLib/include/sensors/imu/ImuSimple.hpp)',
+        JsonForm(),
+        entries=_airsim,
+        parent=('DefaultSensors', 'Imu'),
+        notes=('merge it into settings.json',),
+        walk=False,
+        bound=False,
+    ),
+    'gnss_ins_sim': _simulator(
+        'gnss_ins_sim_imu.py',
+        'deg/sqrt(h), m/s/sqrt(h), and a Gauss-Markov bias of the standard deviation '
+        'b_stability (gnss_ins_sim/pathgen/pathgen.py, bias_drift; sim/imu_model.py)',
+        LineForm(
+            "imu_err['{key}'] = np.array({value})",
+            before='\nimport numpy as np\n\nimu_err = {}\n',
+        ),
+        rows("""
+        gyro_arw           gyro   N      deg/sqrt(h)
+        accel_vrw          accel  N      m/s/sqrt(h)
+        gyro_b             gyro   zero
+        gyro_b_stability   gyro   sigma  deg/h
+        gyro_b_corr        gyro   tau    s
+        accel_b            accel  zero
+        accel_b_stability  accel  sigma  m/s^2
+        accel_b_corr       accel  tau    s
+        """),
+        notes=('imu = imu_model.IMU(accuracy=imu_err, axis=6)',),
+        three=True,
     ),
 }
 """Name -> target."""

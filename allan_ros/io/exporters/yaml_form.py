@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from ...core.errors import AllanError
-from .convention import Entry, Value
+from .target import Entry, Value, nested
 
 BLOCK_BEGIN = '>>> allan_ros: this block is replaced by the next merge'
 BLOCK_END = '<<< allan_ros'
@@ -62,7 +62,7 @@ class YamlForm:
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return a file with these entries and the header in comments."""
         first = f'{_OPENCV_MARK}\n' if self.opencv else ''
-        return first + ''.join(f'# {line}\n' for line in header) + _dumped(_tree(entries))
+        return first + ''.join(f'# {line}\n' for line in header) + _dumped(_rows(nested(entries)))
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return the user's text with these entries in it and all else unchanged.
@@ -100,20 +100,13 @@ class YamlForm:
         return merged.replace('\n', '\r\n') if '\r\n' in existing else merged
 
 
-def _tree(entries: Sequence[Entry]) -> dict[str, Any]:
-    tree: dict[str, Any] = {}
-    for entry in entries:
-        here = tree
-        for key in entry.path[:-1]:
-            here = here.setdefault(key, {})
-        here[entry.key] = _rows(entry.value)
-    return tree
-
-
 def _rows(value: Value) -> Any:
+    """Return the value with its lists of numbers marked to be written in one line."""
+    if isinstance(value, dict):
+        return {key: _rows(item) for key, item in value.items()}
     if isinstance(value, list):
-        nested = any(isinstance(item, list) for item in value)
-        return [_rows(item) for item in value] if nested else _Row(value)
+        nested_lists = any(isinstance(item, list) for item in value)
+        return [_rows(item) for item in value] if nested_lists else _Row(value)
     return value
 
 
@@ -238,7 +231,7 @@ def _added(body: str, root: yaml.Node | None, entry: Entry) -> str:
     places = dict(_mappings(root))
     depth = next((n for n in range(len(entry.path) - 1, -1, -1) if entry.path[:n] in places), None)
     if depth is None:
-        return body + _dumped(_tree([entry]))
+        return body + _dumped(_rows(nested([entry])))
     home = places[entry.path[:depth]]
     if _item(home, entry.path[depth]):
         raise AllanError(
@@ -246,9 +239,9 @@ def _added(body: str, root: yaml.Node | None, entry: Entry) -> str:
         )
     below = Entry(entry.path[depth:], entry.value)
     if home.flow_style or not home.value:
-        tree = _inline(_tree([below]))
+        tree = _inline(_rows(nested([below])))
         return _inserted(body, home, tree.strip()[1:-1])
-    return _inserted(body, home, _dumped(_tree([below])))
+    return _inserted(body, home, _dumped(_rows(nested([below]))))
 
 
 def _flat(node: yaml.Node | None, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], str]:

@@ -13,7 +13,7 @@ import yaml
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import Coefficient
-from allan_ros.io.exporters import TARGETS, ExportOptions, export
+from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.results import Results
 
 BARE = ExportOptions(fidelity='coefficients')
@@ -34,6 +34,14 @@ def results(small_results: Results) -> Results:
         known = with_coefficient(known, axis, 'N', Coefficient(n, (0.9 * n, 1.1 * n)))
         known = with_coefficient(known, axis, 'K', Coefficient(k, (0.9 * k, 1.1 * k)))
     return known
+
+
+def export(
+    results: Results, name: str, folder: Path, options: ExportOptions = ExportOptions()
+) -> Path:
+    path = folder / 'exported'
+    path.write_text(make_export(results, name, options).text, encoding='utf-8')
+    return path
 
 
 def kalibr(results: Results, folder: Path, options: ExportOptions = BARE) -> dict:

@@ -310,7 +310,7 @@ def test_the_mean_is_the_root_mean_square(known_results: Results, name: str) -> 
             assert mean[key] == pytest.approx(worst[key] * math.sqrt(2.0 / 3.0), rel=1e-5)
 
 
-WITH_WALK = [name for name in EXPECTED if target_of(name).convention.walk or name == 'airsim']
+WITH_WALK = [name for name in EXPECTED if target_of(name).walk or name == 'airsim']
 """Targets with K of both sensors."""
 
 
@@ -333,7 +333,7 @@ def test_a_limit_is_stated_in_the_file_and_as_a_finding(known_results: Results, 
 @pytest.mark.parametrize('name', WITH_WALK)
 def test_k_is_raised_for_what_it_has_to_cover(known_results: Results, name: str) -> None:
     made = make_export(known_results, name)
-    horizon = target_of(name).convention.horizon_s
+    horizon = target_of(name).horizon_s
     assert f'error growth of the complete model over 1 to {horizon:g} s' in made.text
     assert 'raised from 1.000e-05 to cover the other terms' in made.text
     assert 'raised from none to cover the other terms' in made.text
@@ -378,7 +378,7 @@ WHOLE = {'state_space', 'state_space_python', 'isaac_sim', 'webots', 'gazebo'}
 def test_three_numbers_are_given_where_the_file_takes_them(
     known_results: Results, name: str
 ) -> None:
-    if target_of(name).convention.three and name not in WHOLE:
+    if target_of(name).three and name not in WHOLE:
         found = numbers(known_results, name, axis='each')
         assert any(isinstance(v, list) and len(set(v)) == 3 for v in found.values())
         found = numbers(known_results, name, axis='worst')
@@ -395,6 +395,11 @@ def test_no_character_of_a_path_leaves_the_comment(known_results: Results, name:
     odd = replace(source, path='a\nacc_n: 7\rb\u2028c"""\x00', topic='')
     known = replace(known_results, provenance=replace(known_results.provenance, sources=(odd,)))
     assert numbers(known, name).keys() == numbers(known_results, name).keys()
+    # as everywhere else: what cannot be printed is escaped
+    text = make_export(known, name).text
+    assert (
+        'a\\\\nacc_n: 7' if target_of(name).file_name.endswith('.json') else 'a\\nacc_n: 7'
+    ) in text
 
 
 def test_the_manual_tells_of_every_target(repository: Path) -> None:
