@@ -148,7 +148,7 @@ def units() -> dict[str, Any]:
 
 
 SETTLED_HOURS = {'imu1': 1.1, 'imu2': 1.1, 'imu4': 1.45}
-"""Start of the settled part: the first hour of the units drifts, and imu4 was knocked until 1.43 h."""
+"""Start of the settled part: the units drift for an hour, and imu4 was knocked until 1.43 h."""
 
 BAND_RECORDS = 200
 """Simulated records from which the band of the measured growth comes."""
@@ -158,7 +158,8 @@ def growth() -> None:
     """Print predicted over actual growth of the integral on the settled part of real recordings.
 
     In brackets: 95 % band of the ratio for a sensor that has the model, because few independent
-    intervals of 300 s fit the record.
+    intervals of 300 s fit the record, widened by the interval of the prediction. A ratio outside
+    0.8 to 1.25 is marked by * within this band and by ! outside.
     """
     for name, samples in units().items():
         settled = samples[round(SETTLED_HOURS[name] * 3600 * RATE) :]
@@ -166,7 +167,7 @@ def growth() -> None:
         print(f'{name}: {len(settled) / RATE / 3600:.2f} h; horizons {GROWTH_S} s', flush=True)
         for i, axis in enumerate(AXES):
             model = results[axis].fit.selected
-            bands = _growth_band(model, len(settled) / RATE)
+            bands = _growth_band(results[axis], len(settled) / RATE)
             cells = []
             for horizon, (low, high) in zip(GROWTH_S, bands):
                 actual = REALITY['actual_growth'](settled[:, i], DT, horizon, WINDOW_S)
@@ -176,8 +177,10 @@ def growth() -> None:
             print(f'{name} {axis:8}', *cells, flush=True)
 
 
-def _growth_band(model: ProcessModel, seconds: float) -> list[tuple[float, float]]:
+def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float]]:
     """Return the 95 % band of predicted over actual growth at `GROWTH_S` in records so long."""
+    model = axis.fit.selected
+    known = {growth.horizon: growth for growth in axis.growth if growth.window == WINDOW_S}
     rng, n = np.random.default_rng(9), round(seconds)
     terms = {name: getattr(model.terms, name) for name in 'NBK'}
     records = REALITY['draw'](n, 1.0, {**terms, 'R': model.terms.R}, rng, BAND_RECORDS)
@@ -190,8 +193,13 @@ def _growth_band(model: ProcessModel, seconds: float) -> list[tuple[float, float
             predicted / REALITY['actual_growth'](records[:, i], 1.0, horizon, WINDOW_S)
             for i in range(BAND_RECORDS)
         ]
-        low, high = np.quantile(ratios, [0.025, 0.975])
-        bands.append((float(low), float(high)))
+        low, high = np.log(np.quantile(ratios, [0.025, 0.975]))
+        if (growth := known.get(horizon)) is not None and growth.ci95 is not None:
+            # the errors of prediction and measurement, in quadrature
+            below, above = np.log(np.array(growth.ci95) / growth.std)
+            low, high = min(low, 0.0), max(high, 0.0)
+            low, high = -np.hypot(low, below), np.hypot(high, above)
+        bands.append((float(np.exp(low)), float(np.exp(high))))
     return bands
 
 
