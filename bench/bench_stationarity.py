@@ -4,7 +4,8 @@
 
     python bench/bench_stationarity.py alarms --records 400     clean records of every kind
     python bench/bench_stationarity.py power --records 100      warm-up and steps
-    python bench/bench_stationarity.py coverage --records 20    of K after a warm-up, with fits
+    python bench/bench_stationarity.py coverage --records 40    of K after a warm-up, with fits
+    python bench/bench_stationarity.py widths --records 40      of intervals on clean records
     python bench/bench_stationarity.py real --data DIR          sixths of ADIS16405 recordings
 
 Records are drawn at 1 Hz: the tests take means over 8 s and more, which have the same distribution
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.levels import drift_scatter, level_changes
 from allan_ros.core.allan.stationarity import bias_steps, early_parts
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import Coefficient, fit_noise
@@ -83,13 +85,22 @@ def steps(seconds: int, size: float, count: int, rng: np.random.Generator) -> Fl
     return out
 
 
-def alarms(sums: AllanSums) -> tuple[bool, bool]:
-    """Return whether an early part, or steps, are found."""
+EARLY = ('warm_up', 'settled_part', 'early_part')
+"""Findings of an early part."""
+
+
+def alarms(sums: AllanSums) -> tuple[bool, bool, bool, bool]:
+    """Return whether an early part, steps, a level that changes, or uneven drift are found."""
     one = sums.history.recordings[0]
     sensors = [s for s in SENSORS if s[-1] < len(sums.axes)] or [range(len(sums.axes))]
     early = early_parts(one, sensors)
     age = max((part.age for part in early), default=0)
-    return bool(early), bool(bias_steps(one, age))
+    return (
+        bool(early),
+        bool(bias_steps(one, age)),
+        bool(level_changes([one], age)),
+        bool(drift_scatter([one], sensors, age).any()),
+    )
 
 
 def band(found: int, of: int) -> str:
@@ -101,11 +112,11 @@ def band(found: int, of: int) -> str:
 
 def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
     rng = np.random.default_rng(seed)
-    total = np.zeros(2, int)
+    total = np.zeros(4, int)
     anything = number = 0
     for name, terms in CLEAN.items():
         for hours in (2, 10):
-            found = np.zeros(2, int)
+            found = np.zeros(4, int)
             some = 0
             for _ in range(records):
                 each = alarms(sums_of(draw(gyro(terms), hours * HOUR, rng)))
@@ -145,18 +156,47 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 def show_coverage(records: int, seed: int) -> Iterator[tuple[str, ...]]:
+    """Yield how often a warm-up of three axes is reported and K covered, with the fit."""
     rng = np.random.default_rng(seed)
     for name, terms, hours in (('table 1 X, 2 h', 'QNBKR', 2), ('N + B, 8 h', 'NB', 8)):
-        for fit in (lambda sums: fit_noise(sums), lambda sums: fit_stationary(sums)[1]):
-            covered = number = 0
+        for knock in (False, True):
+            reported = covered = number = 0
             for _ in range(records):
-                y = draw(gyro(terms), hours * HOUR, rng)
+                y = draw(gyro(terms), hours * HOUR, rng, 3)
                 y += warm_up(len(y), 100.0, 300.0)[:, None]
-                for axis in fit(sums_of(y)).axes.values():
+                _, model = fit_stationary(sums_of(y, (3, 6) if knock else None))
+                reported += any(f.id in EARLY for f in model.findings)
+                for axis in model.axes.values():
                     covered += covers(axis.noise['K'], gyro(terms).K)
                     number += 1
-            what = 'settled part' if fit(sums_of(y)).findings else 'all'
-            yield f'{name}, {what}', band(covered, number)
+            label = name + (', knock at 3 s' if knock else '')
+            yield label, band(reported, records), band(covered, number)
+
+
+def show_widths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
+    """Yield coverage of clean noise with the scatter between sixths in the intervals."""
+    rng = np.random.default_rng(seed)
+    for name, terms in (('table 1 X', 'QNBKR'), ('N + K', 'NK')):
+        covered, number, widths = dict.fromkeys('NBK', 0), 0, []
+        for _ in range(records):
+            sums = sums_of(draw(gyro(terms), 2 * HOUR, rng, 3))
+            used, model = fit_stationary(sums)
+            plain = fit_noise(used)
+            for axis, fit in model.axes.items():
+                number += 1
+                for term in 'NBK':
+                    covered[term] += covers(fit.noise[term], getattr(gyro(terms), term))
+                wide, narrow = (width(m.axes[axis].noise['K']) for m in (model, plain))
+                if wide and narrow:
+                    widths.append(wide / narrow)
+        shares = (band(covered[term], number) for term in 'NBK')
+        yield f'{name}, 2 h', *shares, f'{np.mean(widths) - 1.0:+.2%}'
+
+
+def width(c: Coefficient) -> float | None:
+    if c.status == 'estimated' and c.ci95 is not None:
+        return c.ci95[1] - c.ci95[0]
+    return c.upper95
 
 
 def covers(c: Coefficient, truth: float) -> bool:
@@ -227,9 +267,10 @@ def deviations(sums: AllanSums, model) -> tuple[str, str]:
 
 
 TABLES = {
-    'alarms': ('clean records', 'early part', 'steps', 'any of them (95 % limits)'),
+    'alarms': ('clean records', 'early part', 'steps', 'level', 'drift', 'any (95 % limits)'),
     'power': ('effect', 'reported (95 % limits)'),
-    'coverage': ('warm-up 100 deg/h, 300 s, all axes', 'K covered (95 % limits)'),
+    'coverage': ('warm-up 100 deg/h, 300 s, 3 axes', 'reported', 'K covered (95 % limits)'),
+    'widths': ('clean records', 'N covered', 'B covered', 'K covered', 'K interval wider by'),
     'real': ('recording', 'value', 'curve/model, 600-1500 s', 'above 1500 s'),
 }
 
@@ -247,6 +288,7 @@ def main() -> None:
         'alarms': lambda: show_alarms(args.records, args.seed),
         'power': lambda: show_power(args.records, args.seed),
         'coverage': lambda: show_coverage(args.records, args.seed),
+        'widths': lambda: show_widths(args.records, args.seed),
         'real': lambda: show_real(args.data),
     }[args.table]()
     page = DocTable(f'stationarity_{args.table}', TABLES[args.table], PAGE)

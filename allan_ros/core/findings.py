@@ -324,6 +324,9 @@ bias_steps: warning
 level_changes: warning
   The white noise differs {which}: N is {low:.4g} to {high:.4g} {unit}, {value:.4g} in all.
   > The interval of N includes this scatter; look for vibration and temperature.
+drift_changes: info
+  The size of the drift differs {which}, typically by {typical:.0%}.
+  > The intervals of B and K include this scatter; look for changes of temperature.
 misfit: warning
   The model deviates from the data by up to {deviation:.0%} at tau = {tau}; the intervals are
   widened accordingly.

@@ -173,7 +173,7 @@ RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
 """Averaging times at which the recent deviation is compared with the former one."""
 
 
-NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes')
+NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
 """Findings of the fit that the status of an axis shows."""
 
 

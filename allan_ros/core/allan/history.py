@@ -240,6 +240,11 @@ class Recording:
         """Averaging factors of the levels, (levels,)."""
         return 4 ** np.arange(self.level_count.shape[1])
 
+    def cells(self, first: int, last: int | None = None) -> Recording:
+        """Return the same with some of its cells alone; periods and length stay."""
+        number, means = self.cell_samples[first:last], self.cell_means[first:last]
+        return replace(self, cell_samples=number, cell_means=means)
+
     def coarser(self, cells: int, begins: Ints) -> Recording:
         """Return the same in fewer cells than so many, and in longer periods."""
         step = cell_step(self.length, cells)

@@ -21,9 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
-from .curve import WHITE, edf
 from .history import Recording
 from .likelihood import (
     CellMeans,
@@ -34,10 +32,8 @@ from .likelihood import (
     null_model,
     variance_model,
 )
-from .sums import LEVEL_FACTORS
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEAST_CELLS = 24
 """Recordings with fewer cells of data are not tested."""
@@ -105,7 +101,7 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
     found: list[EarlyPart] = []
     left_out = 0
     while left_out <= len(recording.cell_samples) // 2:
-        rest = _without(recording, left_out)
+        rest = recording.cells(left_out)
         tests = [_strongest(rest, sensors, kind, limits) for kind, limits in THRESHOLDS.items()]
         part = max((t for t in tests if t), key=lambda t: t.excess, default=None)
         if part is None:
@@ -306,7 +302,7 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     age : int
         Samples left out at the start.
     """
-    recording = _without(recording, math.ceil(age / recording.step))
+    recording = recording.cells(math.ceil(age / recording.step))
     fine = CellMeans.even(recording, STEP_CELLS)
     if len(fine.begin) < LEAST_CELLS:
         return ()
@@ -324,15 +320,6 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
             walks = steps.walk_before * scale, steps.walk_after * scale
             found.append(replace(steps, ages=ages, walk_before=walks[0], walk_after=walks[1]))
     return tuple(found)
-
-
-def _without(recording: Recording, cells: int) -> Recording:
-    """Return a recording without its first cells."""
-    return replace(
-        recording,
-        cell_samples=recording.cell_samples[cells:],
-        cell_means=recording.cell_means[cells:],
-    )
 
 
 def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> BiasSteps | None:
@@ -386,127 +373,3 @@ def _step_scores(
         whitened = whitened - basis @ (basis.T @ whitened)
     sizes = (whitened**2).sum(axis=0)
     return np.asarray((whitened.T @ at.residual) ** 2 / np.maximum(sizes, 1e-9 * sizes.max()))
-
-
-# --- the level of white noise ---------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class LevelChange:
-    """White noise of one axis that is not the same in all blocks of time, or recordings.
-
-    Attributes
-    ----------
-    axis : int
-    m : int
-        Averaging factor at which it is measured.
-    low, high : float
-        Smallest and largest deviation of a block, relative to that of all.
-    scatter : float
-        Standard deviation of the logarithm of the true deviations of the blocks.
-    probability : float
-        Of such differences if there are none.
-    """
-
-    axis: int
-    m: int
-    low: float
-    high: float
-    scatter: float
-    probability: float
-
-
-BLOCKS = 6
-"""Blocks of periods whose levels are compared."""
-
-LEVEL_PROBABILITY = 2e-4
-"""Probability below which the levels of an axis differ."""
-
-LEVEL_RATIO = 1.02
-"""Ratio of two levels that matters."""
-
-WHITE_SLOPE = 0.25
-"""The variance falls as 1/m where white noise dominates, to this difference of the exponent."""
-
-LEAST_DIFFERENCES = 200
-"""A block or recording with fewer differences is left out."""
-
-
-def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelChange, ...]:
-    """Return the axes whose white noise differs between blocks of time or recordings.
-
-    The levels of one recording are compared in blocks of time, those of several as wholes
-    (Bartlett's test: Proceedings of the Royal Society A 160, 1937).
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    age : int
-        Samples left out at the start of each.
-    """
-    if not recordings:
-        return ()
-    parts = [_level_blocks(r, age, BLOCKS if len(recordings) == 1 else 1) for r in recordings]
-    levels = min(count.shape[1] for count, _ in parts)
-    count = np.concatenate([c[:, :levels] for c, _ in parts])
-    sum_sq = np.concatenate([s[:, :levels] for _, s in parts])
-    if not levels:
-        return ()
-    m = recordings[0].level_m[:levels]
-    scale = 2.0 * m.astype(float) ** 2
-    found = []
-    for axis in range(sum_sq.shape[2]):
-        with np.errstate(divide='ignore', invalid='ignore'):
-            pooled = sum_sq[:, :, axis].sum(axis=0) / (scale * count.sum(axis=0))
-        i = _white_level(pooled, count.min(axis=0))
-        if i is None:
-            continue
-        variance = sum_sq[:, i, axis] / (scale[i] * np.maximum(count[:, i], 1))
-        change = _level_change(axis, int(m[i]), variance, count[:, i])
-        if change is not None:
-            found.append(change)
-    return tuple(found)
-
-
-def _level_blocks(recording: Recording, age: int, blocks: int) -> tuple[Ints, Floats]:
-    """Return counts (blocks, levels) and sums of squares (blocks, levels, axes)."""
-    late = recording.period_begin >= age
-    begins = recording.period_begin[late]
-    count, sum_sq = recording.level_count[late], recording.level_sum_sq[late]
-    edges = np.linspace(age, recording.length, blocks + 1)[:-1]
-    rows = np.unique(np.searchsorted(edges, begins, 'right'), return_index=True)[1]
-    if not len(rows):
-        return count.sum(axis=0)[None], sum_sq.sum(axis=0)[None]
-    return np.add.reduceat(count, rows), np.add.reduceat(sum_sq, rows)
-
-
-def _white_level(variance: Floats, count: Ints) -> int | None:
-    """Return the first level at which the variance falls as of white noise."""
-    with np.errstate(divide='ignore', invalid='ignore'):
-        slopes = np.diff(np.log(variance)) / math.log(4.0)
-    for i, slope in enumerate(slopes):
-        if abs(slope + 1.0) < WHITE_SLOPE and count[i] >= LEAST_DIFFERENCES:
-            return i
-    return None
-
-
-def _level_change(axis: int, m: int, variance: Floats, count: Ints) -> LevelChange | None:
-    stride = max(1, m // LEVEL_FACTORS[0])
-    some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
-    variance, count = variance[some], count[some]
-    if len(count) < 2:
-        return None
-    degrees = np.array([edf(WHITE, m, stride, int(n)) for n in count])
-    pooled = float(degrees @ variance / degrees.sum())
-    ratio = np.log(variance / pooled)
-    size = 1.0 + (np.sum(1.0 / degrees) - 1.0 / degrees.sum()) / (3.0 * (len(count) - 1))
-    statistic = -float(degrees @ ratio) / size
-    probability = float(chdtrc(len(count) - 1, max(statistic, 0.0)))
-    low, high = (math.exp(r / 2.0) for r in (ratio.min(), ratio.max()))
-    if probability > LEVEL_PROBABILITY or high < LEVEL_RATIO * low:
-        return None
-    # DerSimonian & Laird, Controlled Clinical Trials 7, 1986; Var ln s^2 is 2/degrees
-    weights = degrees / 2.0
-    excess = float(weights @ (ratio - weights @ ratio / weights.sum()) ** 2) - (len(count) - 1)
-    spread = max(excess, 0.0) / float(weights.sum() - weights @ weights / weights.sum())
-    return LevelChange(axis, m, low, high, math.sqrt(spread) / 2.0, probability)

@@ -14,15 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..allan.levels import LevelChange, drift_scatter, level_changes, level_excess
 from ..allan.settled import settled_sums
-from ..allan.stationarity import (
-    BiasSteps,
-    EarlyPart,
-    LevelChange,
-    bias_steps,
-    early_parts,
-    level_changes,
-)
+from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding, finding
@@ -106,10 +100,30 @@ def fit_stationary(
     used, model, found = _without_early_part(sums, method, settle, parts, complete)
     age = max((part.age for part in parts), default=0)
     found += [_steps_finding(sums, steps) for steps in _steps(sums, age)]
-    for change in level_changes(sums.history.recordings, age):
-        found += _level_finding(sums, change, model)
-        model = _widened(model, sums.axes[change.axis], change.scatter)
-    return used, replace(model, findings=(*found, *model.findings))
+    model, scattered = _with_scatter(sums, age, model)
+    return used, replace(model, findings=(*found, *scattered, *model.findings))
+
+
+def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseModel, list[Finding]]:
+    """Return the model with intervals widened by the scatter between periods, and findings."""
+    recordings = sums.history.recordings
+    which = 'between recordings' if len(recordings) > 1 else 'within the recording'
+    found = []
+    excess = level_excess(recordings, len(sums.axes), age)
+    for axis, scatter in zip(sums.axes, excess.tolist()):
+        model = _widened(model, axis, 'N', scatter)
+    for change in level_changes(recordings, age):
+        found += _level_finding(sums, change, model, which)
+        model = _widened(model, sums.axes[change.axis], 'N', change.scatter)
+    drift = dict(zip(sums.axes, drift_scatter(recordings, _sensors(sums), age).tolist()))
+    for axis, scatter in drift.items():
+        for term in ('B', 'K'):
+            model = _widened(model, axis, term, scatter)
+    scattered = tuple(axis for axis, scatter in drift.items() if scatter)
+    if scattered:
+        typical = math.expm1(max(drift.values()))
+        found.append(finding('drift_changes', scattered, which=which, typical=typical))
+    return model, found
 
 
 def _without_early_part(
@@ -171,7 +185,9 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps) -> Finding:
     )
 
 
-def _level_finding(sums: AllanSums, change: LevelChange, model: NoiseModel) -> list[Finding]:
+def _level_finding(
+    sums: AllanSums, change: LevelChange, model: NoiseModel, which: str
+) -> list[Finding]:
     """Return the finding of white noise that varies; none where N is not resolved."""
     name = sums.axes[change.axis]
     noise = model.axes[name].noise['N']
@@ -181,32 +197,41 @@ def _level_finding(sums: AllanSums, change: LevelChange, model: NoiseModel) -> l
     (low, unit), (high, _), (value, _) = (
         to_datasheet('N', sensor, noise.value * ratio) for ratio in (change.low, change.high, 1.0)
     )
-    several = len(sums.history.recordings) > 1
-    which = 'between recordings' if several else 'within the recording'
     return [
         finding('level_changes', (name,), which=which, low=low, high=high, value=value, unit=unit)
     ]
 
 
-def _widened(model: NoiseModel, axis: str, scatter: float) -> NoiseModel:
-    """Return the model with the interval of N of one axis widened by a relative scatter."""
+def _widened(model: NoiseModel, axis: str, term: str, scatter: float) -> NoiseModel:
+    """Return the model with the interval of a term of one axis widened by a relative scatter."""
     fit = model.axes[axis]
-    noise = fit.noise['N']
-    if noise.ci95 is None or not noise.value or not noise.ci95[0] > 0.0:
+    noise = fit.noise[term]
+    value, limit = noise.value, noise.upper95
+    if not scatter:
         return model
-    low, high = (
-        math.exp(math.hypot(math.log(limit / noise.value), 1.96 * scatter)) for limit in noise.ci95
-    )
-    wider = replace(noise, ci95=(noise.value / low, noise.value * high))
-    axes = {**model.axes, axis: replace(fit, noise={**fit.noise, 'N': wider})}
+    if noise.ci95 is not None and value and noise.ci95[0] <= value <= noise.ci95[1]:
+        low, high = (
+            value * math.exp(sign * math.hypot(math.log(end / value), 1.96 * scatter))
+            if end > 0.0
+            else 0.0
+            for sign, end in zip((-1.0, 1.0), noise.ci95)
+        )
+        noise = replace(noise, ci95=(low, high))
+    if limit is not None:
+        noise = replace(noise, upper95=limit * math.exp(1.645 * scatter))
+    axes = {**model.axes, axis: replace(fit, noise={**fit.noise, term: noise})}
     return replace(model, axes=axes)
 
 
-def _early_parts(sums: AllanSums) -> Iterator[EarlyPart]:
+def _sensors(sums: AllanSums) -> list[list[int]]:
+    """Return the positions of the axes of each sensor."""
     names = [sensor_of(axis) for axis in sums.axes]
-    sensors = [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
+    return [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
+
+
+def _early_parts(sums: AllanSums) -> Iterator[EarlyPart]:
     for recording in sums.history.recordings[:TESTED_RECORDINGS]:
-        yield from early_parts(recording, sensors)
+        yield from early_parts(recording, _sensors(sums))
 
 
 def _edge(sums: AllanSums, age: int) -> int | None:

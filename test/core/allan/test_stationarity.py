@@ -4,30 +4,14 @@
 
 import numpy as np
 import pytest
+from support.drift import AXES, DEG_H, NOISE, SECONDS, SENSORS, sums_of_noise
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.likelihood import CellMeans, variance_model
-from allan_ros.core.allan.stationarity import bias_steps, early_parts, level_changes
+from allan_ros.core.allan.stationarity import bias_steps, early_parts
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
-
-SENSORS = ((0, 1, 2),)
-AXES = ('gyro_x', 'gyro_y', 'gyro_z')
-DEG_H = np.pi / 180 / 3600
-NOISE = NoiseTerms(N=0.242 * np.pi / 180 / 60, B=5.2 * DEG_H)
-SECONDS = 7200
-
-
-def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0):
-    """Return sums at 1 Hz of three axes of noise and an early part."""
-    rng = np.random.default_rng(seed)
-    y = np.stack([simulate_axis(seconds, 1.0, terms, rng) for _ in AXES], axis=1)
-    engine = RunningAllan(axes=AXES)
-    y += np.reshape(early, (-1, 1))
-    engine.update(y, 0, (seconds - 1) * 10**9)
-    engine.end_segment()
-    return engine.sums
 
 
 def parts_of(sums):
@@ -125,35 +109,3 @@ def test_a_random_walk_is_no_row_of_steps():
     terms = NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)
     for seed in range(3):
         assert bias_steps(sums_of_noise(terms, 10 + seed).history.recordings[0]) == ()
-
-
-def test_white_noise_that_changes_is_found_and_widens_the_interval_of_n():
-    rng = np.random.default_rng(7)
-    y = rng.normal(size=(200_000, 3))
-    y[100_000:150_000, 0] *= 1.1
-    engine = RunningAllan(axes=AXES)
-    engine.update(y, 0, (len(y) - 1) * 10**9)
-    sums = engine.sums
-    (change,) = level_changes(sums.history.recordings)
-    assert change.axis == 0 and 1.05 < change.high / change.low < 1.12
-    _, model = fit_stationary(sums)
-    (found,) = (f for f in model.findings if f.id == 'level_changes')
-    assert found.axes == ('gyro_x',) and 'within the recording' in found.message
-    low, high = model.axes['gyro_x'].noise['N'].ci95
-    assert high / low > 1.1
-    low, high = model.axes['gyro_y'].noise['N'].ci95
-    assert high / low < 1.02
-
-
-def test_recordings_with_different_noise_are_reported():
-    rng = np.random.default_rng(8)
-    total = None
-    for scale in (1.0, 1.15, 0.9):
-        engine = RunningAllan(axes=AXES)
-        engine.update(scale * rng.normal(size=(30_000, 3)), 0, 29_999 * 10**9)
-        total = engine.sums if total is None else total + engine.sums
-    _, model = fit_stationary(total)
-    found = [f for f in model.findings if f.id == 'level_changes']
-    assert len(found) == 3 and 'between recordings' in found[0].message
-    low, high = model.axes['gyro_x'].noise['N'].ci95
-    assert low < 0.9 and high > 1.15

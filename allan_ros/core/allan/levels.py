@@ -1,0 +1,322 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scatter of the noise between parts: sixths of a recording, or several recordings.
+
+The level of white noise is compared by Bartlett's test (Proceedings of the Royal Society A 160,
+1937), the size of the drift by its likelihood, with a normal distribution of its logarithm between
+the parts. Intervals of the coefficients include the scatter, because one recording of noise that
+varies determines the average, not the coefficient of another time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.special import chdtrc
+
+from .curve import WHITE, edf
+from .history import Recording
+from .likelihood import CellMeans, null_model, variance_model
+from .sums import LEVEL_FACTORS
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+PARTS = 6
+"""Parts of a single recording."""
+
+LEVEL_PROBABILITY = 2e-4
+"""Probability below which the levels of an axis differ."""
+
+LEVEL_RATIO = 1.02
+"""Ratio of two levels that matters."""
+
+WHITE_SLOPE = 0.25
+"""The variance falls as 1/m where white noise dominates, to this difference of the exponent."""
+
+LEAST_DIFFERENCES = 200
+"""A part with fewer differences is left out."""
+
+EXCESS_PROBABILITY = 1e-3
+"""Probability of the scatter between periods above which it is that of normal noise."""
+
+
+@dataclass(frozen=True)
+class LevelChange:
+    """White noise of one axis that is not the same in all blocks of time, or recordings.
+
+    Attributes
+    ----------
+    axis : int
+    m : int
+        Averaging factor at which it is measured.
+    low, high : float
+        Smallest and largest deviation of a block, relative to that of all.
+    scatter : float
+        Standard deviation of the logarithm of the true deviations of the blocks.
+    probability : float
+        Of such differences if there are none.
+    """
+
+    axis: int
+    m: int
+    low: float
+    high: float
+    scatter: float
+    probability: float
+
+
+def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelChange, ...]:
+    """Return the axes whose white noise differs between sixths of a recording, or recordings.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    age : int
+        Samples left out at the start of each.
+    """
+    parts = PARTS if len(recordings) == 1 else 1
+    found = []
+    for axis, (m, variance, count) in _white_levels(recordings, age, parts).items():
+        one = _scatter(m, variance, count)
+        if one and one.probability < LEVEL_PROBABILITY and one.high >= LEVEL_RATIO * one.low:
+            found.append(LevelChange(axis, m, one.low, one.high, one.scatter, one.probability))
+    return tuple(found)
+
+
+def level_excess(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
+    """Return the standard deviation of ln N, (axes,), beyond that of normal noise.
+
+    Heavy tails or bursts scatter the variances of single periods more than chi-squared; what they
+    add to the variance of the mean is their excess over the number of periods. 0 where the excess
+    is not significant.
+    """
+    out = np.zeros(axes)
+    for axis, level in _white_levels(recordings, age, 0).items():
+        found = _scatter(*level)
+        if found is not None and found.probability < EXCESS_PROBABILITY:
+            out[axis] = found.scatter / math.sqrt(found.parts)
+    return out
+
+
+def _white_levels(
+    recordings: Sequence[Recording], age: int, parts: int
+) -> dict[int, tuple[int, Floats, Ints]]:
+    """Return (m, variances, counts) of the parts by axis, where there is white noise.
+
+    Parameters
+    ----------
+    recordings, age
+        As of `level_changes`.
+    parts : int
+        Of each recording; 0 for its periods.
+    """
+    split = [_level_parts(recording, age, parts) for recording in recordings]
+    levels = min((count.shape[1] for count, _ in split), default=0)
+    if not levels:
+        return {}
+    count = np.concatenate([c[:, :levels] for c, _ in split])
+    sum_sq = np.concatenate([s[:, :levels] for _, s in split])
+    m = recordings[0].level_m[:levels]
+    scale = 2.0 * m.astype(float) ** 2
+    found = {}
+    for axis in range(sum_sq.shape[2]):
+        with np.errstate(divide='ignore', invalid='ignore'):
+            pooled = sum_sq[:, :, axis].sum(axis=0) / (scale * count.sum(axis=0))
+        i = _white_level(pooled, np.median(count, axis=0))
+        if i is not None:
+            variance = sum_sq[:, i, axis] / (scale[i] * np.maximum(count[:, i], 1))
+            found[axis] = int(m[i]), variance, count[:, i]
+    return found
+
+
+def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floats]:
+    """Return counts (parts, levels) and sums of squares (parts, levels, axes)."""
+    late = recording.period_begin >= age
+    begins = recording.period_begin[late]
+    count, sum_sq = recording.level_count[late], recording.level_sum_sq[late]
+    if not parts:
+        return count, sum_sq
+    edges = np.linspace(age, recording.length, parts + 1)[:-1]
+    rows = np.unique(np.searchsorted(edges, begins, 'right'), return_index=True)[1]
+    if not len(rows):
+        return count.sum(axis=0)[None], sum_sq.sum(axis=0)[None]
+    return np.add.reduceat(count, rows), np.add.reduceat(sum_sq, rows)
+
+
+def _white_level(variance: Floats, count: Floats) -> int | None:
+    """Return the first level at which the variance falls as of white noise."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        slopes = np.diff(np.log(variance)) / math.log(4.0)
+    for i, slope in enumerate(slopes):
+        if abs(slope + 1.0) < WHITE_SLOPE and count[i] >= LEAST_DIFFERENCES:
+            return i
+    return None
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Scatter of deviations: of how many parts, their extremes relative to all, ln s.d., p."""
+
+    parts: int
+    low: float
+    high: float
+    scatter: float
+    probability: float
+
+
+def _scatter(m: int, variance: Floats, count: Ints) -> _Scatter | None:
+    """Return the scatter of the levels of parts beyond that of normal noise; None if too few."""
+    some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
+    variance, count = variance[some], count[some]
+    if len(count) < 2:
+        return None
+    stride = max(1, m // LEVEL_FACTORS[0])
+    of_count = {n: edf(WHITE, m, stride, n) for n in set(count.tolist())}
+    degrees = np.array([of_count[n] for n in count.tolist()])
+    pooled = float(degrees @ variance / degrees.sum())
+    ratio = np.log(variance / pooled)
+    size = 1.0 + (np.sum(1.0 / degrees) - 1.0 / degrees.sum()) / (3.0 * (len(count) - 1))
+    statistic = -float(degrees @ ratio) / size
+    probability = float(chdtrc(len(count) - 1, max(statistic, 0.0)))
+    low, high = (math.exp(r / 2.0) for r in (ratio.min(), ratio.max()))
+    # DerSimonian & Laird, Controlled Clinical Trials 7, 1986; Var ln s^2 is 2/degrees
+    weights = degrees / 2.0
+    excess = float(weights @ (ratio - weights @ ratio / weights.sum()) ** 2) - (len(count) - 1)
+    spread = max(excess, 0.0) / float(weights.sum() - weights @ weights / weights.sum())
+    return _Scatter(len(count), low, high, math.sqrt(spread) / 2.0, probability)
+
+
+# --- the size of the drift ------------------------------------------------------------------------
+
+LOG_SIZES = np.arange(-8.0, 8.01, 0.2)
+"""Logarithms of the variance of the drift of a part, relative to that of all, that are tried."""
+
+LOG_SCATTERS = np.arange(0.2, 4.01, 0.2)
+"""Standard deviations of these logarithms that are tried."""
+
+DRIFT_RATIO = 10.0
+"""Twice the log likelihood ratio of a scatter, of the axes of one sensor together."""
+
+PART_CELLS = 128
+"""Most cells of a part."""
+
+
+def drift_scatter(
+    recordings: Sequence[Recording], sensors: Sequence[Sequence[int]], age: int = 0
+) -> Floats:
+    """Return the standard deviation of ln B and ln K between the parts, (axes,).
+
+    The drift of each part is that of all times a factor; the likelihood of the factor is that of
+    the means of the cells of the part, with the white noise of the part. 0 for the axes of a sensor
+    whose drift does not differ significantly.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        The longest first.
+    sensors : sequence of sequences of int
+        Positions of the axes of each sensor.
+    age : int
+        Samples left out at the start of each.
+    """
+    axes = sum(len(s) for s in sensors)
+    scatter = np.zeros(axes)
+    if not recordings:
+        return scatter
+    parts = [p for r in recordings for p in _parts(r, age, PARTS if len(recordings) == 1 else 1)]
+    if len(parts) < 2:
+        return scatter
+    step = recordings[0].step
+    model = variance_model(means := CellMeans.of(recordings[0].cells(math.ceil(age / step))))
+    if len(means.begin) < PARTS + 2:
+        return scatter
+    white = _white_levels(recordings, age, PARTS if len(recordings) == 1 else 1)
+    gains = np.zeros((axes, len(LOG_SCATTERS)))
+    for axis in range(axes):
+        values = model.contrasts @ means.means[:, axis]
+        if not float(values @ values) > 0.0:
+            continue
+        variances = null_model(values, model).variances
+        if not variances[1:].any():
+            continue
+        level = white[axis][1] if axis in white else np.ones(1)
+        ratios = level / level.mean() if len(level) == len(parts) else np.ones(len(parts))
+        sizes = np.array(
+            [
+                _size_likelihood(part.means[:, axis], part, variances, ratio, width / step)
+                for (part, width), ratio in zip(parts, ratios)
+            ]
+        )
+        gains[axis] = _gains(sizes)
+    for sensor in sensors:
+        rows = list(sensor)
+        if gains[rows].sum(axis=0).max() > DRIFT_RATIO:
+            best = gains[rows].argmax(axis=1)
+            scatter[rows] = np.where(gains[rows].max(axis=1) > 0.0, LOG_SCATTERS[best], 0.0) / 2.0
+    return scatter
+
+
+def _parts(recording: Recording, age: int, parts: int) -> list[tuple[CellMeans, int]]:
+    """Return the means of each part, and the length of its cells in samples."""
+    first = math.ceil(age / recording.step)
+    edges = np.linspace(first, max(len(recording.cell_samples), first), parts + 1)
+    edges = edges.round().astype(int)
+    found = [
+        (CellMeans.even(recording.cells(int(a), int(b)), PART_CELLS), recording.step)
+        for a, b in pairwise(edges)
+    ]
+    return [(means, step) for means, step in found if len(means.begin) > PARTS]
+
+
+def _size_likelihood(
+    means: Floats, part: CellMeans, variances: Floats, white_ratio: float, width: float
+) -> Floats:
+    """Return twice the log likelihood of each size of the drift of a part.
+
+    Parameters
+    ----------
+    means : (cells,) float64 array
+    part : CellMeans
+    variances : (3,) float64 array
+        Of all, for cells of unit length.
+    white_ratio : float
+        White noise of the part, relative to all.
+    width : float
+        Length of the cells of the part.
+    """
+    model = variance_model(part)
+    values = model.contrasts @ means
+    white = variances[0] / width * white_ratio * model.units[0]
+    drift = variances[1] * model.units[1] + variances[2] * width * model.units[2]
+    white[np.diag_indices_from(white)] += 1e-9 * np.trace(white + drift) / len(values)
+    eigenvalues, vectors = eigh(drift, white)
+    power = (vectors.T @ values) ** 2
+    total = 1.0 + np.exp(LOG_SIZES)[:, None] * np.maximum(eigenvalues, 0.0)
+    return -np.asarray((np.log(total) + power / total).sum(axis=1))
+
+
+def _gains(sizes: Floats) -> Floats:
+    """Return twice the log likelihood ratio of each scatter against none.
+
+    Parameters
+    ----------
+    sizes : (parts, sizes) float64 array
+        Twice the log likelihood of each size of each part.
+    """
+    best = sizes.max(axis=1, keepdims=True)
+    likelihoods = np.exp((sizes - best) / 2.0)
+    distances = (LOG_SIZES[:, None] - LOG_SIZES) ** 2
+    out = []
+    for scatter in LOG_SCATTERS:
+        weights = np.exp(-distances / (2.0 * scatter**2))
+        weights /= weights.sum(axis=1, keepdims=True)
+        mean = np.maximum(likelihoods @ weights.T, 1e-300)
+        out.append(2.0 * np.log(mean).sum(axis=0).max())
+    return np.array(out) - float((sizes - best).sum(axis=0).max())

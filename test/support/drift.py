@@ -1,0 +1,26 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sums of a simulated gyro at 1 Hz, with an effect added."""
+
+import numpy as np
+
+from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.simulate import simulate_axis
+
+SENSORS = ((0, 1, 2),)
+AXES = ('gyro_x', 'gyro_y', 'gyro_z')
+DEG_H = np.pi / 180 / 3600
+NOISE = NoiseTerms(N=0.242 * np.pi / 180 / 60, B=5.2 * DEG_H)
+SECONDS = 7200
+
+
+def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0):
+    """Return sums at 1 Hz of three axes of noise and an early part."""
+    rng = np.random.default_rng(seed)
+    y = np.stack([simulate_axis(seconds, 1.0, terms, rng) for _ in AXES], axis=1)
+    engine = RunningAllan(axes=AXES)
+    y += np.reshape(early, (-1, 1))
+    engine.update(y, 0, (seconds - 1) * 10**9)
+    engine.end_segment()
+    return engine.sums
