@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, TextIO
 
 from ..core.errors import one_line
-from ..core.findings import Finding, grouped
+from ..core.findings import Finding, duration_text, grouped
 
 WIDTH = 100
 """Columns where there is no terminal and ``COLUMNS`` does not say."""
@@ -95,7 +95,7 @@ def progress_line(
         return _fitted(label, f'  {counted}', columns)
     share = min(done / total, 1.0)
     filled = round(share * BAR)
-    left = f', {time_left((total - done) / speed)} left' if speed > 0 and done < total else ''
+    left = f', {duration_text((total - done) / speed)} left' if speed > 0 and done < total else ''
     bar = f'  [{"#" * filled}{"." * (BAR - filled)}] {share:4.0%}'
     rest = f'{bar}  {counted}{left}'
     return _fitted(label, rest if len(label) + len(rest) <= columns else f'{bar}{left}', columns)
@@ -105,16 +105,6 @@ def _fitted(label: str, rest: str, columns: int) -> str:
     """Return both in one line; a label that is too long loses its beginning."""
     room = max(columns - len(rest), 8)
     return (label if len(label) <= room else f'...{label[3 - room :]}') + rest
-
-
-def time_left(seconds: float) -> str:
-    """Format a remaining time: 40 s, 3 min 05 s, 2 h 10 min."""
-    seconds = round(seconds)
-    if seconds < 60:
-        return f'{seconds} s'
-    if seconds < 3600:
-        return f'{seconds // 60} min {seconds % 60:02d} s'
-    return f'{seconds // 3600} h {seconds % 3600 // 60:02d} min'
 
 
 NARROWEST = 40

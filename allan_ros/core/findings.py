@@ -14,7 +14,7 @@ from typing import Literal
 
 from .errors import one_line
 
-__all__ = ['CATALOGUE', 'SEVERITIES', 'Finding', 'Severity', 'finding', 'grouped']
+__all__ = ['CATALOGUE', 'SEVERITIES', 'Finding', 'Severity', 'duration_text', 'finding', 'grouped']
 
 Severity = Literal['info', 'warning', 'error']
 
@@ -422,6 +422,18 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     values = {'when': '', **values}
     message, remedy = (one_line(t.format(**values)) for t in (wording.message, wording.remedy))
     return Finding(id, wording.severity, message, remedy, axes)
+
+
+def duration_text(seconds: float, digits: int = 2) -> str:
+    """Return a duration in a suitable unit.
+
+    >>> duration_text(90.0), duration_text(1234.0, digits=3), duration_text(86400.0 * 3.456)
+    ('90 s', '20.6 min', '3.5 days')
+    """
+    for unit, size in (('days', 86400.0), ('h', 3600.0), ('min', 60.0)):
+        if seconds >= 2.0 * size:
+            return f'{float(f"{seconds / size:.{digits}g}"):g} {unit}'
+    return f'{float(f"{seconds:.{digits}g}"):g} s'
 
 
 NUMBER = re.compile(

@@ -126,15 +126,6 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
     return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
 
 
-def duration_text(seconds: float) -> str:
-    """Return a duration in a suitable unit."""
-    if seconds < 120.0:
-        return f'{significant(seconds, 3)} s'
-    if seconds < 7200.0:
-        return f'{significant(seconds / 60.0, 3)} min'
-    return f'{significant(seconds / 3600.0, 3)} h'
-
-
 def region_text(region: Region) -> str:
     """Return which noise dominates in which range, and the slope of the curve there."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)

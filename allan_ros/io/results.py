@@ -15,7 +15,7 @@ from ..core.allan.curve import allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, DeviationCurve, Measured, Run, differences
 from ..core.errors import AllanError
-from ..core.findings import Finding
+from ..core.findings import Finding, duration_text
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
@@ -29,7 +29,7 @@ from .datasheets import (
     datasheet_findings,
     load_sensor,
 )
-from .format import duration_text, interval_text, pretty_unit, shown_unit, value_text
+from .format import interval_text, pretty_unit, shown_unit, value_text
 from .recorded import Provenance, RecordingSums
 
 if TYPE_CHECKING:
@@ -354,7 +354,7 @@ def headline(results: Results) -> str:
     name = results.identity.label or 'IMU'
     return (
         f'{name}: {results.samples:,} samples at {results.rate_hz:.5g} Hz, '
-        f'{duration_text(results.duration_s)} of static data in {results.segments:,} '
+        f'{duration_text(results.duration_s, 3)} of static data in {results.segments:,} '
         f'segment{"" if results.segments == 1 else "s"}, fitted by {results.method}'
     )
 

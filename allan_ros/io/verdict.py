@@ -9,11 +9,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from ..core.compare import Comparison
-from ..core.findings import Finding, grouped
+from ..core.findings import Finding, duration_text, grouped
 from ..core.fit.duration import ADVISED_TERMS, longest_recommended, recommended_duration
-from ..core.fit.findings import about
 from ..core.imu import AXES, SENSORS, sensor_of
-from .format import duration_text, pretty_unit, shown_unit, significant
+from .format import pretty_unit, shown_unit, significant
 from .results import Results
 
 Level = Literal['healthy', 'attention', 'unknown', 'failed']
@@ -133,7 +132,7 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
         why = errors[0].message if errors else 'No coefficient is resolved.'
         return f'Nothing could be measured. {why}'
     if results.duration_s < TOO_SHORT_S:
-        return f'Too short to judge: {duration_text(results.duration_s)} at rest.'
+        return f'Too short to judge: {duration_text(results.duration_s, 3)} at rest.'
     if not comparisons:
         return 'No datasheet and no earlier run to compare with.'
     unsettled = [c for c in comparisons if c.verdict == 'open']
@@ -210,7 +209,7 @@ def _duration(results: Results) -> Iterator[str]:
     resolved = _and([f'{term} on {count} of {len(axes)} axes' for term, count in counts.items()])
     if set(counts.values()) == {len(axes)}:
         resolved = 'N, B and K on every axis'
-    yield f'{duration_text(results.duration_s)} at rest resolve {resolved}.'
+    yield f'{duration_text(results.duration_s, 3)} at rest resolve {resolved}.'
 
 
 def _warnings(results: Results) -> Iterator[str]:
@@ -248,7 +247,8 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
     advice = time_to_record(results)
     if advice is not None:
         seconds, terms = advice
-        yield f'Record {about(seconds)} at rest, warmed up, to resolve or bound {_and(terms)}.'
+        time = duration_text(seconds)
+        yield f'Record {time} at rest, warmed up, to resolve or bound {_and(terms)}.'
     elif _too_short(results) and level == 'unknown' and not remedies:
         yield 'Record at least a minute at rest.'
     if not comparisons and measured(results):

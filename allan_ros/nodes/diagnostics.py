@@ -16,9 +16,8 @@ from ..core.allan.recent import RecentNoise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference
 from ..core.errors import one_line
-from ..core.findings import Finding, finding
+from ..core.findings import Finding, duration_text, finding
 from ..core.fit.duration import recommended_duration
-from ..core.fit.findings import about
 from ..core.fit.model import TERMS, Coefficient
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
@@ -27,7 +26,6 @@ from ..io.datasheets import beyond_limit
 from ..io.format import (
     LIMIT_DIGITS,
     ShownUnit,
-    duration_text,
     interval_text,
     shown_unit,
     significant,
@@ -148,7 +146,7 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
 
 def _state_text(view: InputView, static_s: float) -> str:
     h = view.health
-    static = f'{duration_text(static_s)} of static data'
+    static = f'{duration_text(static_s, 3)} of static data'
     if h.state == 'waiting':
         return 'waiting for the first message'
     if h.state == 'learning':
@@ -216,7 +214,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
-            ('next coefficient', _next_term(view, view.result, static_s) or None),
+            ('next coefficient', _next_term(view, view.result) or None),
         ]
     pairs += [
         ('evidence [s]', static_s),
@@ -314,7 +312,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
             verb='rose' if step.ratio > 1.0 else 'fell',
             before=f'{significant(before, 3)}',
             after=f'{significant(before * step.ratio, 3)} {unit.name}',
-            ago=duration_text(recent.since_s),
+            ago=duration_text(recent.since_s, 3),
             low=low,
             high=high,
         )
@@ -334,29 +332,33 @@ def _summary(view: AxisView, static_s: float) -> str:
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU still for a minute'
     if view.result is None:
-        return f'no coefficients yet, from {duration_text(static_s)} of static data'
+        return f'no coefficients yet, from {duration_text(static_s, 3)} of static data'
     shown = []
     for term in ('N', 'B', 'K'):
         unit = shown_unit(view.axis, term, 'datasheet')
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')
-    known = f'{", ".join(shown) or "no coefficient"} from {duration_text(static_s)} of static data'
-    upcoming = _next_term(view, view.result, static_s)
+    known = (
+        f'{", ".join(shown) or "no coefficient"} from {duration_text(static_s, 3)} of static data'
+    )
+    upcoming = _next_term(view, view.result)
     return f'{known}; {upcoming}' if upcoming else known
 
 
-def _next_term(view: AxisView, result: AxisResult, static_s: float) -> str:
+def _next_term(view: AxisView, result: AxisResult) -> str:
     """Return how long a rest resolves what is missing and matters; '' where nothing is."""
     if view.method != 'gls':
         return ''  # the prediction holds for that fit only
-    limits = {c.term: c.limit for c in view.comparisons if c.axis == view.axis}
-    advice = recommended_duration(result.fit, static_s, limits)
+    limits = {c.term: c.limit for c in view.comparisons if c.tau is None}
+    segments = view.sums.segments if view.sums else ()
+    longest = max((s.samples for s in segments), default=0) * result.tau0
+    advice = recommended_duration(result.fit, longest, limits)
     if advice is None:
         return ''
     seconds, terms = advice
     need = 'needs' if len(terms) == 1 else 'need'
-    return f'{" and ".join(terms)} {need} {about(seconds)} at rest'
+    return f'{" and ".join(terms)} {need} {duration_text(seconds)} at rest'
 
 
 def _longest_tau(sums: AllanSums) -> float | None:

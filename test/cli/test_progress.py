@@ -9,20 +9,12 @@ import io
 import pytest
 
 from allan_ros.cli import console as progress
-from allan_ros.cli.console import Progress, progress_line, time_left
+from allan_ros.cli.console import Progress, progress_line
 
 
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
-
-
-@pytest.mark.parametrize(
-    ('seconds', 'text'),
-    [(0.2, '0 s'), (59.6, '1 min 00 s'), (185.0, '3 min 05 s'), (7800.0, '2 h 10 min')],
-)
-def test_time_left_in_words(seconds: float, text: str) -> None:
-    assert time_left(seconds) == text
 
 
 def test_the_line_says_share_speed_and_time_left() -> None:

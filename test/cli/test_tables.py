@@ -44,7 +44,7 @@ def test_every_coefficient_is_there_whatever_the_width(small_results: Results, w
 
 def test_headline(small_results: Results) -> None:
     assert headline(small_results) == (
-        'unit 7: 60,000 samples at 50 Hz, 20.0 min of static data in 1 segment, fitted by gls'
+        'unit 7: 60,000 samples at 50 Hz, 20 min of static data in 1 segment, fitted by gls'
     )
 
 
@@ -93,7 +93,7 @@ def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results
 
 def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:
     lines = lines_of(replace(small_results, duration_s=5.0, findings=()), 'si', 100)
-    assert lines[1] == 'not judged: Too short to judge: 5.00 s at rest.'
+    assert lines[1] == 'not judged: Too short to judge: 5 s at rest.'
 
 
 def test_findings_follow_the_units(small_results: Results) -> None:

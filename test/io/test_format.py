@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from allan_ros.core.fit import Coefficient
 from allan_ros.io.format import (
     ShownUnit,
-    duration_text,
     interval_text,
     shown_signal_unit,
     shown_unit,
@@ -79,10 +78,3 @@ def test_units() -> None:
     assert shown_unit('accel_z', 'B', 'datasheet') == ('ug', pytest.approx(1.0 / 9.80665e-6))
     assert shown_unit('gyro_y', 'K', 'si') == ('rad/s^2/sqrt(Hz)', 1.0)
     assert shown_signal_unit('gyro_y', 'datasheet') == ('deg/s', pytest.approx(180.0 / math.pi))
-
-
-@pytest.mark.parametrize(
-    ('seconds', 'text'), [(34.5, '34.5 s'), (655.0, '10.9 min'), (7200.0, '2.00 h')]
-)
-def test_durations(seconds: float, text: str) -> None:
-    assert duration_text(seconds) == text

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..findings import Finding, finding
+from ..findings import Finding, duration_text, finding
 from ..imu import SI_UNITS, sensor_of
 from .duration import recommended_duration
 from .goodness import few_averages
@@ -168,15 +168,17 @@ def _shape_findings(
     for lines in _neighbours(fit.processes.sinusoid):
         found.append(line_finding(name, unit, lines, tau0))
     for process in fit.processes.gauss_markov:
-        time = about(process.correlation_time)
+        time = duration_text(process.correlation_time)
         found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
     if fit.misfit > 0.0 and fit.deviation is not None:
         relative, tau = fit.deviation
-        misfit = finding('misfit', name, deviation=abs(relative), tau=about(tau))
+        misfit = finding('misfit', name, deviation=abs(relative), tau=duration_text(tau))
         small = abs(relative) < SMALL_DEVIATION
         found.append(replace(misfit, severity='info') if small else misfit)
     if selected.levels_off:
-        found.append(finding('levels_off', name, tau=about(_precise_until(selected) * tau0)))
+        found.append(
+            finding('levels_off', name, tau=duration_text(_precise_until(selected) * tau0))
+        )
     return found
 
 
@@ -220,7 +222,7 @@ def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: f
     if largest.frequency < SLOWEST_VIBRATION:
         thermal = largest.frequency * SHORTEST_THERMAL_S < 1.0
         id = 'slow_cycle' if thermal else 'slow_disturbance'
-        period = about(1.0 / largest.frequency)
+        period = duration_text(1.0 / largest.frequency)
         return finding(id, name, period=period, amplitude=amplitude, unit=unit)
     rate = 1.0 / tau0
     alias = ''
@@ -252,13 +254,5 @@ def _time_findings(
     if advice is not None:
         seconds, terms = advice
         named = ' and '.join(terms)
-        found.append(finding('record_longer', name, terms=named, how_long=about(seconds)))
+        found.append(finding('record_longer', name, terms=named, how_long=duration_text(seconds)))
     return found
-
-
-def about(seconds: float) -> str:
-    """Return a time with two digits in a suitable unit."""
-    for unit, size, least in (('days', 86400.0, 2.0), ('h', 3600.0, 2.0), ('min', 60.0, 2.0)):
-        if seconds >= least * size:
-            return f'{float(f"{seconds / size:.2g}"):g} {unit}'
-    return f'{float(f"{seconds:.2g}"):g} s'

@@ -19,10 +19,9 @@ from ..allan.settled import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..findings import Finding, finding
+from ..findings import Finding, duration_text, finding
 from ..imu import SENSORS, sensor_of, to_datasheet
 from . import TERMS, Coefficient, NoiseModel, fit_noise
-from .findings import about
 
 LEAST_REST = 0.5
 """The settled part is used if at least this fraction of the samples remains."""
@@ -140,7 +139,7 @@ def _without_early_part(
     changes = sorted(_changes(complete, settled), key=lambda change: -change.size)
     if not changes:
         return sums, complete, []
-    early = about((_edge(sums, last.age) or 0) * sums.tau0)
+    early = duration_text((_edge(sums, last.age) or 0) * sums.tau0)
     certain = settle and max(part.excess for part in parts) >= CERTAIN
     found = finding(
         'settled_part' if certain else 'early_part',
@@ -262,8 +261,10 @@ def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
         'warm_up',
         axes,
         what=_what(sums, [part]),
-        when=f'in about {about(remaining)}' if remaining > 0.0 else f'after {about(duration)}',
-        how_long=about(2.0 * duration),
+        when=f'in about {duration_text(remaining)}'
+        if remaining > 0.0
+        else f'after {duration_text(duration)}',
+        how_long=duration_text(2.0 * duration),
     )
 
 

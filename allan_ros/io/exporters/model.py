@@ -24,11 +24,11 @@ from ...core.filters.noise_parameters import (
     white_std,
 )
 from ...core.filters.reductions import Horizons, States, closest_process, common_correlation_time
-from ...core.findings import Finding, finding
+from ...core.findings import Finding, duration_text, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ...core.noise import ProcessModel
 from ..axis_result import AxisResult
-from ..format import LIMIT_DIGITS, VALUE_DIGITS, duration_text, significant
+from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results import Results
 from .target import AXIS_RULE, Entry, ExportOptions, Row, Target
 
@@ -369,7 +369,7 @@ def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> lis
     limits = [entry.key for entry in entries if entry.is_limit]
     lines = [
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
-        f'source: {_sources(results)}; {duration_text(results.duration_s)} at rest, '
+        f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
         f'date: {noise.options.date or _recorded(results)}',
         f'convention: {target.convention}',

@@ -23,10 +23,10 @@ import scipy
 
 from ... import __version__
 from ...core.allan.spectrum import Spectrum
-from ...core.findings import Finding, grouped
+from ...core.findings import Finding, duration_text, grouped
 from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
-from ..format import SENSOR_NAMES, duration_text, significant, text_in_units
+from ..format import SENSOR_NAMES, significant, text_in_units
 from ..results import Results
 from ..signal_summary import SignalSummary
 from ..verdict import WORDS, Verdict, finding_text, verdict_of
@@ -90,7 +90,7 @@ def _counts(results: Results) -> Iterator[tuple[str, str]]:
     yield (
         'used',
         f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
-        f'{duration_text(results.duration_s)} in {results.segments} '
+        f'{duration_text(results.duration_s, 3)} in {results.segments} '
         f'segment{"" if results.segments == 1 else "s"}',
     )
     for name, number in vars(counts).items():
@@ -252,7 +252,7 @@ def _header(
     number = results.segments
     facts = [
         f'{results.samples:,} samples at {significant(results.rate_hz, 4)} Hz',
-        f'{duration_text(results.duration_s)} at rest in {number} '
+        f'{duration_text(results.duration_s, 3)} at rest in {number} '
         f'segment{"" if number == 1 else "s"}',
         recorded_on(results),
     ]

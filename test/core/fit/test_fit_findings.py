@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.engine import RunningAllan
-from allan_ros.core.findings import finding
-from allan_ros.core.fit.findings import about, joined, line_finding
+from allan_ros.core.findings import duration_text, finding
+from allan_ros.core.fit.findings import joined, line_finding
 from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.fit.model import Sinusoid
 
@@ -22,7 +22,7 @@ from allan_ros.core.fit.model import Sinusoid
     ],
 )
 def test_times_are_said_as_one_would(seconds, words):
-    assert about(seconds) == words
+    assert duration_text(seconds) == words
 
 
 def test_findings_that_read_alike_are_one():

@@ -274,7 +274,7 @@ def test_the_file_is_word_for_word(known_results: Results, name: str) -> None:
 def test_the_header_says_all_that_is_asked_of_it(known_results: Results, name: str) -> None:
     text = make_export(known_results, name, ExportOptions(inflate=2.0)).text
     for words in (
-        'source: runs/one.mcap /imu/data; 2.00 h at rest',
+        'source: runs/one.mcap /imu/data; 2 h at rest',
         'date: recorded from 2023-11-14 22:13:20 UTC on',
         'convention: ',
         'rate: f = ',
