@@ -11,7 +11,7 @@ from typing import Any
 
 from ..core.compare import FAMILY_ERROR, Difference, differences
 from ..core.errors import AllanError, one_line
-from ..core.filters.inflation import AxisInflation, measure_inflation
+from ..core.filters.noise_parameters import AxisInflation, measure_inflation
 from ..core.filters.reductions import Horizons
 from ..core.imu import SI_UNITS, sensor_of
 from .datasheets import Datasheet, DatasheetComparison, against_datasheet, comparison_to_document

@@ -21,10 +21,9 @@ from scipy.special import chdtri
 from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..noise import ProcessModel
-from .growth import predicted_growth
+from .growth import drift_model, predicted_growth
 from .noise_parameters import NORMAL_LIMIT
-from .reductions import drift_model
-from .state_space import StateSpace, state_space, with_slope
+from .state_space import StateSpace, state_space
 
 Floats = NDArray[np.float64]
 
@@ -51,13 +50,11 @@ class TurnOnBias:
     Attributes
     ----------
     recordings : int
-        Number of recordings.
-    mean : float
-        Mean over them of the means of the recordings, in the unit of the samples.
-    std : float
-        Standard deviation of the means of the recordings.
+        How many there are.
+    mean, std : float
+        Mean and standard deviation of their means, in the unit of the samples.
     ci95 : (low, high)
-        95 % interval of ``std``, for normally distributed means.
+        Interval of ``std``, for normally distributed means.
     """
 
     recordings: int
@@ -67,13 +64,7 @@ class TurnOnBias:
 
 
 def turn_on_bias(means: Floats) -> TurnOnBias | None:
-    """Return the scatter of the means of recordings; None for fewer than two.
-
-    Parameters
-    ----------
-    means : (recordings,) float64 array
-        Mean of the samples of each recording.
-    """
+    """Return the scatter of the means of recordings, (recordings,); None for fewer than two."""
     free = len(means) - 1
     if free < 1:
         return None
@@ -220,10 +211,8 @@ class AxisBias:
         Of the 10 s after the latest mean.
     end_ns : int
         Time of the latest mean.
-    optimal_s : float
-        Averaging time whose mean predicts the bias best.
-    within_s : float
-        How long the bias stays within the tolerance.
+    optimal_s, within_s : float
+        As of `optimal_window` and `time_within`.
     tolerance : float
         In the unit of the samples.
     """
@@ -255,15 +244,7 @@ class BiasTracker:
         self._kept: dict[str, deque[tuple[int, float]]] = {}
 
     def take(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
-        """Take the latest means of an axis; those that are known already are skipped.
-
-        Parameters
-        ----------
-        axis : str
-        end_ns : sequence of int
-            Ends of the means in ns, increasing.
-        values : sequence of float
-        """
+        """Take the latest means of an axis with their ends; known ones are skipped."""
         kept = self._kept.setdefault(axis, deque(maxlen=KEPT_MEANS))
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
             kept.clear()
@@ -326,7 +307,7 @@ def filter_space(model: BiasModel) -> StateSpace:
     if not space.white and not space.walk:
         # without any noise the variance of the walk would become 0
         space = replace(space, white=1e-12)
-    return with_slope(space) if model.slope_std else space
+    return replace(space, slope=bool(model.slope_std))
 
 
 def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
@@ -342,16 +323,7 @@ def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
 def time_within(model: BiasModel, tolerance: float) -> float:
     """Return how long the bias stays within +-``tolerance`` (95 %) of a long-run estimate of it.
 
-    Parameters
-    ----------
-    model : BiasModel
-    tolerance : float
-        In the unit of the samples, above 0.
-
-    Returns
-    -------
-    float
-        Seconds; 0 where the estimate itself is not that good, `LONGEST_S` at the most.
+    In s; 0 where the estimate itself is not that good, `LONGEST_S` at the most.
 
     Raises
     ------

@@ -23,16 +23,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import AllanError
-from ..noise import ProcessModel
+from ..fit.model import AxisFit
+from ..noise import NoiseTerms, ProcessModel
 
 Floats = NDArray[np.float64]
 Kernels = tuple[Floats, Floats, Floats]
 """G, C and H at some lags: theta with theta, integral with theta, integral with integral."""
+
+SLOW_SINUSOID_HZ = 0.1
+"""Slower sinusoids are a drift of the sensor (temperature cycles); faster ones are motion."""
+
+GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
+GROWTH_WINDOW_S = 100.0
+"""Horizons of `growth_table`, and the time over which the bias was averaged before, in s."""
 
 _SERIES_BELOW = 1.0
 _SERIES_TERMS = 20
@@ -112,6 +121,104 @@ def growth_interval(
         below = below + np.maximum(middle - bottom, 0.0) ** 2
         above = above + np.maximum(top - middle, 0.0) ** 2
     return np.sqrt(np.maximum(total - np.sqrt(below), 0.0)), np.sqrt(total + np.sqrt(above))
+
+
+def drift_model(model: ProcessModel) -> ProcessModel:
+    """Return the model without quantization and without sinusoids that are motion."""
+    slow = tuple(pair for pair in model.sinusoids if pair[1] <= SLOW_SINUSOID_HZ)
+    return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow)
+
+
+def has_drift(model: ProcessModel) -> bool:
+    """Return whether the model has any process beyond quantization and white noise."""
+    one = drift_model(model)
+    return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Error of the angle (gyro) or velocity (accelerometer) some time after the last correction.
+
+    Attributes
+    ----------
+    horizon, window : float
+        Time without correction, and time before over which the bias was averaged, in s.
+    std : float
+        Standard deviation that the selected model predicts: the unit of the samples times s.
+    ci95 : (low, high) or None
+        95 % interval from those of the terms; None where a term has no interval.
+    """
+
+    horizon: float
+    window: float
+    std: float
+    ci95: tuple[float, float] | None
+
+
+def growth_table(fit: AxisFit) -> tuple[Growth, ...]:
+    """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
+
+    Terms that are not resolved are 0 in the prediction and at their 95 % limit at the upper end.
+    """
+    h = np.array(GROWTH_S)
+    model = drift_model(fit.selected)
+    std = predicted_growth(model, h, GROWTH_WINDOW_S)
+    ends: list[tuple[float, float] | None] = [None] * len(h)
+    if has_intervals(fit):
+        low, high = (drift_model(one) for one in interval_models(fit))
+        limits = {
+            term: getattr(high.terms, term) or _finite(fit.noise[term].upper95) for term in 'NBKR'
+        }
+        high = replace(high, terms=NoiseTerms(**limits))
+        bounds = growth_interval(model, low, high, h, GROWTH_WINDOW_S)
+        ends = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
+    return tuple(
+        Growth(float(one), GROWTH_WINDOW_S, float(value), ci95)
+        for one, value, ci95 in zip(h, std, ends)
+    )
+
+
+def _finite(value: float | None) -> float:
+    return value if value is not None and math.isfinite(value) else 0.0
+
+
+def has_intervals(fit: AxisFit) -> bool:
+    """Return whether every term of the selected model has an interval."""
+    return all(_interval(fit, term) is not None for term in 'NBKR')
+
+
+def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
+    """Return the interval of a term of the selected model, from 0 to its limit if it has only one.
+
+    (0, 0) for a term that is not in the model.
+    """
+    if not getattr(fit.selected.terms, term):
+        return 0.0, 0.0
+    coefficient = fit.noise[term]
+    if coefficient.ci95 is not None:
+        return max(coefficient.ci95[0], 0.0), coefficient.ci95[1]
+    limit = _finite(coefficient.upper95)
+    return (0.0, limit) if limit else None
+
+
+def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
+    """Return the selected model with every level at the lower, and at the upper end."""
+    intervals = {
+        term: _interval(fit, term) or (abs(getattr(fit.selected.terms, term)),) * 2
+        for term in 'NBKR'
+    }
+    low, high = (
+        ProcessModel(
+            NoiseTerms(**{term: ends[end] for term, ends in intervals.items()}),
+            tuple(
+                (max(p.sigma_ci95[end], 0.0), p.correlation_time)
+                for p in fit.processes.gauss_markov
+            ),
+            fit.selected.sinusoids,
+        )
+        for end in (0, 1)
+    )
+    return low, high
 
 
 def growth_parts(

@@ -43,19 +43,10 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {'sqrt': math.sqrt, 'abs': abs, 'max
 
 
 class Expression:
-    """One formula, checked when it is made.
+    """One formula, checked when it is made: `AllanError` if it is more than arithmetic.
 
     >>> Expression('sqrt(3/4) * N / sqrt(h)').value({'N': 2.0, 'h': 3.0})
     1.0
-
-    Parameters
-    ----------
-    text : str
-
-    Raises
-    ------
-    AllanError
-        When it is too long, or holds anything but arithmetic.
     """
 
     def __init__(self, text: str) -> None:
@@ -73,13 +64,7 @@ class Expression:
         self.names = frozenset(names)
 
     def value(self, values: Mapping[str, float]) -> float:
-        """Return its value.
-
-        Raises
-        ------
-        AllanError
-            When a name has no value, or the result is no finite number.
-        """
+        """Return its value; `AllanError` if a name has none, or the result is not finite."""
         missing = sorted(self.names - values.keys())
         if missing:
             raise AllanError(
@@ -238,9 +223,8 @@ def propose(
     ----------
     parameter : FilterParameter
     axes : mapping of axis name to AxisFit
-    rate : float
-        f in Hz.
-    constants : mapping of name to float
+    rate, constants
+        f in Hz, and further names of the expression.
     horizon : float
         Upper end of the horizons of the reduction, in s.
 

@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from ..fit.model import AxisFit, Coefficient
 from ..imu import AXES, SENSORS
-from ..noise import NoiseTerms, ProcessModel
-from .growth import growth_interval, predicted_growth
-from .reductions import Horizons, Reduction, States, drift_model, has_drift, reduce_model
+from ..noise import ProcessModel
+from .growth import drift_model, has_drift, has_intervals, interval_models
+from .reductions import Horizons, Reduction, States, reduce_model
 
 NORMAL_LIMIT = 1.6448536269514722
 """Standard deviations below which 95 % of the errors lie."""
@@ -54,13 +54,12 @@ class Level:
 
     Attributes
     ----------
-    axis : str
-    term : str
-        N, B, K or R, or 'sigma' of a Gauss-Markov process.
+    axis, term : str
+        The term is N, B, K or R, or 'sigma' of a Gauss-Markov process.
     value : float
         Finite and above 0: the estimate, or the 95 % upper limit where there is none.
     ci95 : (low, high) or None
-        95 % interval of an estimate, where the method gives one.
+        Interval of an estimate, where the method gives one.
     is_limit : bool
         Whether the value is only an upper limit.
     raised_from : float or None
@@ -78,15 +77,7 @@ class Level:
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """Level of one noise term of a sensor.
-
-    Attributes
-    ----------
-    values : (x, y, z)
-        In SI, including the inflation; three times the same unless each axis has its own.
-    levels : tuple of Level
-        The axes that determine the values.
-    """
+    """Level of one noise term of a sensor: x, y, z with inflation, and the axes they come from."""
 
     values: tuple[float, float, float]
     levels: tuple[Level, ...]
@@ -94,14 +85,7 @@ class SensorLevel:
 
 @dataclass(frozen=True)
 class AxisReduction:
-    """The reduction of one axis, and the levels that its N and K have.
-
-    Attributes
-    ----------
-    reduction : Reduction
-    white, walk : Level
-        N and K of the reduction. K is present even where the states have no walk.
-    """
+    """The reduction of one axis, with the levels of its N and K (None without a walk)."""
 
     reduction: Reduction
     white: Level
@@ -113,21 +97,11 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
 
     With the limit a filter overestimates the noise and relies more on its other sensors.
 
-    Parameters
-    ----------
-    axis : str
-        Its name, for messages.
-    fit : AxisFit
-    term : str
-        One of Q, N, B, K, R.
-    strict : bool
-        Refuse an upper limit.
-
     Raises
     ------
     AllanError
         When there is neither a positive estimate nor a finite limit, or ``strict`` and only a
-        limit.
+        limit. The message names ``axis``.
     """
     coefficient = fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -247,8 +221,8 @@ def reduced_ends(
         When a needed term has neither a value nor a limit.
     """
     reduced = reduce_axis(axis, fit, 'walk', horizons)
-    low, high = (reduce_model(one, 'walk', horizons) for one in _interval_models(fit))
-    known = _has_intervals(fit)
+    low, high = (reduce_model(one, 'walk', horizons) for one in interval_models(fit))
+    known = has_intervals(fit)
     assert reduced.walk is not None
     ends = {}
     for level, bottom, top in (
@@ -264,97 +238,6 @@ def reduced_ends(
     return ends
 
 
-@dataclass(frozen=True)
-class Growth:
-    """Error of the angle (gyro) or velocity (accelerometer) some time after the last correction.
-
-    Attributes
-    ----------
-    horizon, window : float
-        Time without correction, and time before over which the bias was averaged, in s.
-    std : float
-        Standard deviation that the selected model predicts: the unit of the samples times s.
-    ci95 : (low, high) or None
-        95 % interval from those of the terms; None where a term has no interval.
-    """
-
-    horizon: float
-    window: float
-    std: float
-    ci95: tuple[float, float] | None
-
-
-def growth_table(fit: AxisFit) -> tuple[Growth, ...]:
-    """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
-
-    Terms that are not resolved are 0 in the prediction and at their 95 % limit at the upper end.
-    """
-    h = np.array(GROWTH_S)
-    model = drift_model(fit.selected)
-    std = predicted_growth(model, h, GROWTH_WINDOW_S)
-    ends: list[tuple[float, float] | None] = [None] * len(h)
-    if _has_intervals(fit):
-        low, high = (drift_model(one) for one in _interval_models(fit))
-        limits = {
-            term: getattr(high.terms, term) or _finite(fit.noise[term].upper95) for term in 'NBKR'
-        }
-        high = replace(high, terms=NoiseTerms(**limits))
-        bounds = growth_interval(model, low, high, h, GROWTH_WINDOW_S)
-        ends = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
-    return tuple(
-        Growth(float(one), GROWTH_WINDOW_S, float(value), ci95)
-        for one, value, ci95 in zip(h, std, ends)
-    )
-
-
-GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
-GROWTH_WINDOW_S = 100.0
-"""Horizons of `growth_table`, and the time over which the bias was averaged before, in s."""
-
-
-def _finite(value: float | None) -> float:
-    return value if value is not None and math.isfinite(value) else 0.0
-
-
-def _has_intervals(fit: AxisFit) -> bool:
-    """Return whether every term of the selected model has an interval."""
-    return all(_interval(fit, term) is not None for term in 'NBKR')
-
-
-def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
-    """Return the interval of a term of the selected model, from 0 to its limit if it has only one.
-
-    (0, 0) for a term that is not in the model.
-    """
-    if not getattr(fit.selected.terms, term):
-        return 0.0, 0.0
-    coefficient = fit.noise[term]
-    if coefficient.ci95 is not None:
-        return max(coefficient.ci95[0], 0.0), coefficient.ci95[1]
-    limit = _finite(coefficient.upper95)
-    return (0.0, limit) if limit else None
-
-
-def _interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
-    """Return the selected model with every level at the lower, and at the upper end."""
-    intervals = {
-        term: _interval(fit, term) or (abs(getattr(fit.selected.terms, term)),) * 2
-        for term in 'NBKR'
-    }
-    low, high = (
-        ProcessModel(
-            NoiseTerms(**{term: ends[end] for term, ends in intervals.items()}),
-            tuple(
-                (max(p.sigma_ci95[end], 0.0), p.correlation_time)
-                for p in fit.processes.gauss_markov
-            ),
-            fit.selected.sinusoids,
-        )
-        for end in (0, 1)
-    )
-    return low, high
-
-
 _NAMES = {
     'none': 'white noise alone',
     'walk': 'a random walk',
@@ -368,16 +251,9 @@ def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
 
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
-    """Return the level of a sensor with three axes.
+    """Return the level of a sensor from those of x, y, z by one of `RULES`, times the inflation.
 
-    Parameters
-    ----------
-    levels : three of Level
-        Of x, y and z.
-    rule : str
-        One of `RULES`. The mean is of the variances.
-    inflation : float
-        Factor on the values.
+    The mean is that of the variances.
     """
     x, y, z = (level.value * inflation for level in levels)
     if rule == 'each':
@@ -395,13 +271,6 @@ def white_std(density: float, rate: float) -> float:
 
     A step of 1/f with it adds (N sqrt(f) / f)^2 = N^2/f to the variance of the integral. The same
     holds for K and the rate of the bias.
-
-    Parameters
-    ----------
-    density : float
-        N or K.
-    rate : float
-        f in Hz.
     """
     return density * math.sqrt(rate)
 
@@ -480,16 +349,8 @@ def white_variances(
 ) -> dict[str, Variances]:
     """Return (inflation N)^2 f of each sensor that has three axes with a value or a limit of N.
 
-    Parameters
-    ----------
-    axes : mapping of axis name to AxisFit
-    rate : float
-        f in Hz.
-    inflation : float
-        Factor on N.
-    horizon : float
-        0: N is the white noise alone. Else N is raised until white noise bounds the growth of the
-        error up to this time in s: for a filter without a state for the bias.
+    With a horizon in s, N is raised until white noise bounds the growth of the error up to it: for
+    a filter without a state for the bias.
     """
     variances = {}
     for sensor, names in _sensors(axes):
@@ -527,3 +388,62 @@ def _sensors(axes: Mapping[str, object]) -> list[tuple[str, Sequence[str]]]:
     """Return the sensors whose axes are all there, with the names of these."""
     named = [(sensor, AXES[rows]) for sensor, rows in SENSORS.items()]
     return [(sensor, names) for sensor, names in named if all(name in axes for name in names)]
+
+
+@dataclass(frozen=True)
+class TermInflation:
+    """N or K of a reduction, at rest and at rest with motors on, in SI."""
+
+    rest: float
+    running: float
+
+    @property
+    def use(self) -> float:
+        """The value for a filter: the larger of the two."""
+        return max(self.rest, self.running)
+
+    @property
+    def factor(self) -> float:
+        """The value for a filter over the one at rest, at least 1."""
+        return self.use / self.rest
+
+
+@dataclass(frozen=True)
+class AxisInflation:
+    """Inflation of N and K of one axis."""
+
+    white: TermInflation
+    walk: TermInflation
+
+
+def measure_inflation(
+    rest: Mapping[str, AxisFit],
+    running: Mapping[str, AxisFit],
+    horizons: Horizons = Horizons(1.0, 30.0),
+) -> dict[str, AxisInflation]:
+    """Return what running motors add to N and K of each common axis of a robot at rest.
+
+    Parameters
+    ----------
+    rest, running : mapping of axis name to AxisFit
+        Motors off, motors on.
+    horizons : Horizons
+        Range over which the reductions bound the growth of the error.
+
+    Raises
+    ------
+    AllanError
+        When there is no common axis, or an axis has neither a value nor a limit of N or K.
+    """
+    common = [axis for axis in rest if axis in running]
+    if not common:
+        raise AllanError('the two results have no axis in common: give two recordings of one IMU')
+    inflation = {}
+    for axis in common:
+        quiet, loud = (reduce_axis(axis, fits[axis], 'walk', horizons) for fits in (rest, running))
+        assert quiet.walk is not None and loud.walk is not None
+        inflation[axis] = AxisInflation(
+            TermInflation(quiet.white.value, loud.white.value),
+            TermInflation(quiet.walk.value, loud.walk.value),
+        )
+    return inflation

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..noise import NoiseTerms, ProcessModel
-from .growth import predicted_growth
+from .growth import drift_model, has_drift, predicted_growth
 from .state_space import state_space
 
 Floats = NDArray[np.float64]
@@ -35,9 +35,6 @@ SHORTEST_HORIZON_S = 1.0
 """Lower end of a range of horizons that is given by its upper end only."""
 
 HORIZONS_PER_RANGE = 30
-
-SLOW_SINUSOID_HZ = 0.1
-"""Slower sinusoids are a drift of the sensor (temperature cycles); faster ones are motion."""
 
 POOR_RATIO = 2.0
 """A reduction whose growth is off by more than this factor does not describe the sensor."""
@@ -77,10 +74,8 @@ class Reduction:
     Attributes
     ----------
     states : one of `STATES`
-    white : float
-        N.
-    walk : float
-        K; 0 where the states have no walk, or nothing drifts.
+    white, walk : float
+        N and K; K is 0 where the states have no walk, or nothing drifts.
     gauss_markov : tuple of (sigma, tau)
     horizons : Horizons
         Where the growth that the filter predicts bounds that of the complete model.
@@ -121,19 +116,13 @@ def reduce_model(
     Where the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count
     as white noise and raise N.
 
-    Parameters
-    ----------
-    model : ProcessModel
-        The selected model. Quantization and sinusoids faster than `SLOW_SINUSOID_HZ` have bounded
-        integrals and are left out.
-    states : str
-        One of `STATES`.
-    horizons : Horizons
+    Quantization and sinusoids faster than `SLOW_SINUSOID_HZ` have bounded integrals and are left
+    out.
 
     Raises
     ------
     AllanError
-        When the states are unknown.
+        When the states are not one of `STATES`.
 
     Examples
     --------
@@ -192,18 +181,6 @@ def growth_ratio(
     return float(ratio.min()), float(ratio.max())
 
 
-def drift_model(model: ProcessModel) -> ProcessModel:
-    """Return the model without quantization and without sinusoids that are motion."""
-    slow = tuple(pair for pair in model.sinusoids if pair[1] <= SLOW_SINUSOID_HZ)
-    return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow)
-
-
-def has_drift(model: ProcessModel) -> bool:
-    """Return whether the model has any process beyond quantization and white noise."""
-    one = drift_model(model)
-    return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
-
-
 def _split(model: ProcessModel, quick: int) -> tuple[float, ProcessModel]:
     """Return N with the ``quick`` shortest processes counted as white noise, and what remains."""
     by_time = sorted(model.gauss_markov, key=lambda pair: pair[1])
@@ -238,7 +215,6 @@ def closest_process(
     model : ProcessModel
         Its white noise hides drift at short horizons.
     horizons : Horizons
-        Range over which the growth of the error is compared.
     tau : float or None
         Correlation time in s; None to choose it.
     bound : bool

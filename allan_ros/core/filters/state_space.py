@@ -15,7 +15,7 @@ times are a constant factor apart follow its Allan variance from about 3 s to 30
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,13 +63,7 @@ class StateSpace:
         return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
 
     def transition(self, dt: float) -> Floats:
-        """Return Phi, (size, size), over a step of ``dt`` s; states in the order of the module.
-
-        Raises
-        ------
-        AllanError
-            When the step is not above 0 and finite.
-        """
+        """Return Phi, (size, size), over a step of ``dt`` s; states in the order of the module."""
         _check_step(dt)
         phi = np.eye(self.size)
         phi[0, 1] = dt
@@ -81,13 +75,7 @@ class StateSpace:
         return phi
 
     def noise(self, dt: float) -> Floats:
-        """Return Qd, (size, size): the covariance that a step of ``dt`` s adds to the states.
-
-        Raises
-        ------
-        AllanError
-            When the step is not above 0 and finite.
-        """
+        """Return Qd, (size, size): the covariance that a step of ``dt`` s adds to the states."""
         _check_step(dt)
         q = np.zeros((self.size, self.size))
         k2 = self.walk**2
@@ -102,13 +90,7 @@ class StateSpace:
         return q
 
     def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
-        """Return the covariance of the states before any sample.
-
-        Parameters
-        ----------
-        walk, slope : float
-            Standard deviations of the constant part of the bias and of its slope.
-        """
+        """Return the covariance before any sample, from the std of walk and slope."""
         variances = [0.0, walk**2, *(sigma**2 for sigma, _ in self.gauss_markov)]
         return np.diag(variances + [slope**2] * self.slope)
 
@@ -130,11 +112,6 @@ def state_space(model: ProcessModel) -> StateSpace:
     flicker = flicker_processes(terms.B, terms.N) if terms.B else ()
     slow = terms.B / math.sqrt(3.0 * math.pi * LONGEST_FLICKER_S)
     return StateSpace(terms.N, math.hypot(terms.K, slow), (*flicker, *model.gauss_markov))
-
-
-def with_slope(space: StateSpace) -> StateSpace:
-    """Return the states with a constant slope of the walk as the last one."""
-    return replace(space, slope=True)
 
 
 def flicker_processes(

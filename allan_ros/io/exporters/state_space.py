@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.filters.noise_parameters import AxisReduction, Growth, reduce_axis
+from ...core.filters.growth import Growth
+from ...core.filters.noise_parameters import AxisReduction, reduce_axis
 from ...core.filters.reductions import STATES, Horizons, Reduction
 from ...core.filters.state_space import StateSpace
 from ...core.imu import SI_UNITS, sensor_of

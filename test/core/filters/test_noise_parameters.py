@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.filters.growth import growth_table
 from allan_ros.core.filters.noise_parameters import (
     RULES,
     Level,
     axis_level,
     expected_variance,
-    growth_table,
     madgwick_drift_gain,
     madgwick_gain,
     madgwick_ramp_gain,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.growth import predicted_growth
-from allan_ros.core.filters.reductions import STATES, Horizons, has_drift, reduce_model
+from allan_ros.core.filters.growth import has_drift, predicted_growth
+from allan_ros.core.filters.reductions import STATES, Horizons, reduce_model
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 
 DEG = math.pi / 180.0

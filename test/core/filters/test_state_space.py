@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.state_space import StateSpace, flicker_processes, with_slope
+from allan_ros.core.filters.state_space import StateSpace, flicker_processes
 from allan_ros.core.noise import FLICKER_FLOOR, ProcessModel
 
 
@@ -30,7 +30,7 @@ def van_loan(space: StateSpace, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize('dt', [0.004, 1.0, 30.0])
 def test_matrices_are_those_of_the_continuous_model(dt):
-    space = with_slope(StateSpace(1.0, 0.3, ((2.0, 3.0), (1.0, 100.0), (0.5, 1e4))))
+    space = StateSpace(1.0, 0.3, ((2.0, 3.0), (1.0, 100.0), (0.5, 1e4)), slope=True)
     phi, noise = van_loan(space, dt)
     np.testing.assert_allclose(space.transition(dt), phi, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(space.noise(dt), noise, rtol=1e-5, atol=1e-9)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.inflation import measure_inflation
+from allan_ros.core.filters.noise_parameters import measure_inflation
 from allan_ros.core.fit import AxisFit, Coefficient
 
 
