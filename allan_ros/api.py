@@ -23,7 +23,7 @@ from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.fit import METHODS
 from .core.fit.curve_fit import fit_curve
-from .core.imu import AXES, ImuBatch, joined
+from .core.imu import AXES, SAMPLE_SI, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter
 from .core.simulate import Faults, simulate_imu
 from .io.axis_result import AxisCurve, AxisResult
@@ -31,8 +31,8 @@ from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
-from .io.readers.memory import recording_in_memory, without_absent
-from .io.readers.recording import SI, ReadOptions
+from .io.readers.arrays import recording_in_memory, without_absent
+from .io.readers.recording import ReadOptions
 from .io.recorded import (
     Observer,
     ReadJob,
@@ -193,7 +193,7 @@ def analyze(
         recorded = add_recordings(read)
         return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
     recording = recording_in_memory(
-        source, rate, axes, gyro_unit or SI['gyro'], accel_unit or SI['accel']
+        source, rate, axes, gyro_unit or SAMPLE_SI['gyro'], accel_unit or SAMPLE_SI['accel']
     )
     job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
     recorded = read_recording(job, recording)

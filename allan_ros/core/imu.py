@@ -153,6 +153,8 @@ UNITS = {
     'rad/s': Unit('rad/s', 1.0),
     'deg/s': Unit('rad/s', DEGREE),
     'deg/h': Unit('rad/s', DEGREE / HOUR),
+    'mrad/s': Unit('rad/s', 1e-3),
+    'mdeg/s': Unit('rad/s', 1e-3 * DEGREE),
     'rad/s^2/sqrt(Hz)': Unit('rad/s^2/sqrt(Hz)', 1.0),
     'rad/s/sqrt(s)': Unit('rad/s^2/sqrt(Hz)', 1.0),
     'deg/h^1.5': Unit('rad/s^2/sqrt(Hz)', DEGREE / HOUR**1.5),
@@ -178,6 +180,18 @@ UNITS = {
     'ug/h': Unit('m/s^3', MICRO_G / HOUR),
 }
 """All known units."""
+
+SAMPLE_SI = {sensor: units['B'] for sensor, units in SI_UNITS.items()}
+"""Sensor -> SI unit of its samples."""
+
+SAMPLE_UNITS = {
+    'gyro': ('rad/s', 'mrad/s', 'deg/s', 'mdeg/s', 'deg/h'),
+    'accel': ('m/s^2', 'g', 'mg'),
+}
+"""Sensor -> units that recordings and drivers use for its samples."""
+
+STAMP_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+"""Unit of a stamp -> its size in nanoseconds."""
 
 
 def sensor_of(axis: str) -> str:
@@ -209,6 +223,11 @@ def to_si(value: float, unit: str, si: str) -> float:
         fitting = ', '.join(name for name, u in UNITS.items() if u.si == si)
         raise AllanError(f'unit {unit!r} does not fit here: use one of {fitting}')
     return value * known.factor
+
+
+def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
+    """Return the factors to SI of the six axes, (6,)."""
+    return np.repeat([UNITS[gyro_unit].factor, UNITS[accel_unit].factor], 3)
 
 
 class ImuIdentity(NamedTuple):

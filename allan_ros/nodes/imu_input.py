@@ -33,10 +33,9 @@ from sensor_msgs.msg import Imu
 
 from ..core.errors import one_line
 from ..core.findings import Finding, finding
-from ..core.imu import ImuBatch
+from ..core.imu import ImuBatch, sample_factors
 from ..core.stream.transport import TransportStatistics
 from ..io.readers.cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
-from ..io.readers.recording import ACCEL_UNITS, GYRO_UNITS
 from .settings import InputSettings
 
 try:
@@ -153,10 +152,7 @@ class ImuInput:
         self._received_ns: list[int] = []
         self._last_number: dict[bytes, int | None] = {}
         self._publisher_count, self._alone = 1, True
-        self._scale = np.repeat(
-            [GYRO_UNITS[settings.gyro_unit], ACCEL_UNITS[settings.accel_unit]], 3
-        )
-        """Size of the unit of each axis in SI units."""
+        self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
         # Best effort connects to every publisher; reliable publishers still deliver in order.
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
+from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, parameter
-from ..io.readers.recording import ACCEL_UNITS, GYRO_UNITS
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,13 @@ class InputSettings(CheckedSettings):
     gyro_unit: str = parameter(
         'rad/s',
         'Unit of angular_velocity as the driver publishes it; ROS requires rad/s.',
-        choices=tuple(GYRO_UNITS),
+        choices=SAMPLE_UNITS['gyro'],
         read_only=True,
     )
     accel_unit: str = parameter(
         'm/s^2',
         'Unit of linear_acceleration as the driver publishes it; ROS requires m/s^2.',
-        choices=tuple(ACCEL_UNITS),
+        choices=SAMPLE_UNITS['accel'],
         read_only=True,
     )
     plain_callback: bool = parameter(

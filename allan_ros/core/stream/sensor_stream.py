@@ -59,10 +59,7 @@ class StreamSums(NamedTuple):
     def joined(self, other: StreamSums) -> StreamSums:
         """Return both together.
 
-        Raises
-        ------
-        AllanError
-            When they are of different rates.
+        Raises AllanError when they are of different rates.
         """
         spectra = (self.spectrum, other.spectrum)
         both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]

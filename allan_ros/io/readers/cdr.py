@@ -91,18 +91,11 @@ class DecodedImus:
     def drop_absent(
         self, sensor: str, rows: Rows, first: NDArray[np.float64], trust_covariance: bool
     ) -> None:
-        """Set a sensor to NaN where it is absent.
+        """Set 'gyro' or 'accel' of these messages to NaN where it is absent.
 
-        Parameters
-        ----------
-        sensor : 'gyro' or 'accel'
-        rows : slice or array
-            The messages in question.
-        first : (n,) array
-            Their covariance[0].
-        trust_covariance : bool
-            Whether -1 and NaN always count as absent; otherwise only without valid data (finite
-            numbers of which one is not zero), as many drivers do not know what -1 means.
+        It is absent where covariance[0], given as ``first``, is -1 or NaN. Many drivers do not
+        know what -1 means, so unless ``trust_covariance``, valid data (finite numbers of which one
+        is not zero) are kept.
         """
         declared = np.arange(len(self.frames))[rows][(first == ABSENT) | np.isnan(first)]
         if not trust_covariance:
@@ -118,28 +111,16 @@ class DecodedImus:
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
     """Return the record layout of an Imu message with a frame_id of that serialized size.
 
-    Parameters
-    ----------
-    encoding : 'cdr' or 'ros1'
-    order : '<' or '>'
-    frame_bytes : int
-        As in the length field: with the final NUL in CDR, without in ROS 1.
-    itemsize : int, optional
-        Length of the payload where it is longer than the message, by padding at the end.
-
-    Raises
-    ------
-    ValueError
-        When ``itemsize`` is too small for the message.
+    The byte order is '<' or '>', and the size is that in the length field: with the final NUL in
+    CDR, without in ROS 1. An ``itemsize`` above the size of the message means padding at the end;
+    a smaller one raises ValueError.
     """
-    fields: list[tuple[str, Any, int]] = []
+    start = 4
     if encoding == 'cdr':
-        start = ENCAPSULATION_BYTES
-        fields += [('representation', '>u2', 0)]
+        fields: list[tuple[str, Any, int]] = [('representation', '>u2', 0)]
         fields += [('sec', f'{order}i4', start)]
     else:
-        start = 4
-        fields += [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
+        fields = [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
     fields += [('nanosec', f'{order}u4', start + 4), ('frame_bytes', f'{order}u4', start + 8)]
     fields += [('frame_id', (np.void, frame_bytes), start + 12)]
     offset = start + 12 + frame_bytes
@@ -148,15 +129,9 @@ def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 
     for name, count in _VECTORS:
         fields += [(name, (f'{order}f8', (count,)), offset)]
         offset += count * _DOUBLE
-    names, formats, offsets = zip(*fields)
-    return np.dtype(
-        {
-            'names': list(names),
-            'formats': list(formats),
-            'offsets': list(offsets),
-            'itemsize': itemsize or offset,
-        }
-    )
+    names, formats, offsets = map(list, zip(*fields))
+    size = itemsize or offset
+    return np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': size})
 
 
 def decode_imus(
@@ -173,10 +148,7 @@ def decode_imus(
     trust_covariance : bool
         Whether a sensor with covariance[0] = -1 or NaN is absent even if its data are valid.
 
-    Raises
-    ------
-    MalformedMessage
-        For the first payload that is not an Imu message.
+    Raises MalformedMessage for the first payload that is not an Imu message.
     """
     n = len(payloads)
     decoded = DecodedImus.empty(n)
@@ -257,14 +229,11 @@ def _first(rows: Rows) -> int:
 
 
 def _order_and_frame_bytes(kind: int, encoding: Encoding, index: int) -> tuple[str, int]:
-    raw_length = (kind & 0xFFFFFFFF).to_bytes(4, 'little')
-    representation = kind >> 32
-    if encoding == 'ros1':
-        return '<', int.from_bytes(raw_length, 'little')
-    if representation == LITTLE_ENDIAN:
-        return '<', int.from_bytes(raw_length, 'little')
+    representation, length = kind >> 32, kind & 0xFFFFFFFF
+    if encoding == 'ros1' or representation == LITTLE_ENDIAN:
+        return '<', length
     if representation == BIG_ENDIAN:
-        return '>', int.from_bytes(raw_length, 'big')
+        return '>', int.from_bytes(length.to_bytes(4, 'little'), 'big')
     raise MalformedMessage(index, f'its encapsulation {representation:#06x} is not plain CDR')
 
 
@@ -341,10 +310,7 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
     int, str, float
         Header stamp in ns, frame_id, and temperature in degC.
 
-    Raises
-    ------
-    MalformedMessage
-        When the payload is no such message.
+    Raises MalformedMessage when the payload is no such message.
     """
     try:
         if encoding == 'cdr':
@@ -364,28 +330,18 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
     return sec * NANOSECONDS + nanosec, frame_id, celsius
 
 
-PATCHED_SENSORS = ('gyro', 'accel')
-"""Sensors whose covariance is written; that of the orientation never is."""
-
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 """The first two bytes of the encapsulation -> byte order."""
 
-_FRAME_BYTES_AT = ENCAPSULATION_BYTES + 8
-"""Offset of the length of frame_id, after sec and nanosec."""
+_FRAME_AT = ENCAPSULATION_BYTES + 12
+"""Offset of frame_id, after sec, nanosec and its length."""
 
-_FRAME_AT = _FRAME_BYTES_AT + 4
-
-_COVARIANCE = 9
-"""Numbers in a covariance."""
-
-_COVARIANCE_BYTES = 8 * _COVARIANCE
+_COVARIANCE_BYTES = 9 * _DOUBLE
 
 _UNKNOWN = bytes(_COVARIANCE_BYTES)
 """All zeros: the covariance is unknown (sensor_msgs/Imu.msg)."""
 
-_LENGTH = {order: struct.Struct(f'{order}I') for order in '<>'}
-
-_NUMBERS = {order: struct.Struct(f'{order}{_COVARIANCE}d') for order in '<>'}
+_NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 
 
 class CovariancePatch:
@@ -422,20 +378,14 @@ class CovariancePatch:
     def patch(self, payload: bytes) -> bytes:
         """Return the message with its covariances filled; the same object if none was filled.
 
-        Raises
-        ------
-        MalformedMessage
-            When the payload is not an Imu message in plain CDR.
+        Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """
-        order, frame_bytes = _order_and_frame_size(payload)
-        offsets = _covariance_offsets(order, frame_bytes, len(payload))
-        if self._frame:
-            frame = payload[_FRAME_AT : _FRAME_AT + frame_bytes]
-            if frame.rstrip(b'\0') != self._frame:
-                return payload
+        order, offsets, frame = _layout(payload)
+        if self._frame and frame.rstrip(b'\0') != self._frame:
+            return payload
         patched = None
         for sensor, covariance in self._packed[order]:
-            start = offsets[sensor]
+            start = offsets[f'{sensor}_covariance']
             stop = start + _COVARIANCE_BYTES
             if not self._is_free(payload[start:stop], order):
                 continue
@@ -457,74 +407,59 @@ class CovariancePatch:
 def without_gyro_bias(
     payload: bytes, bias: tuple[float, float, float], rate_limit: float, first_ns: int, last_ns: int
 ) -> bytes:
-    """Return the message with the bias taken off the angular velocity.
+    """Return an Imu message in CDR with a bias in rad/s taken off the angular velocity.
 
-    The same object comes back where the stamp is outside of ``first_ns`` .. ``last_ns``, an angular
-    velocity differs from the bias by more than ``rate_limit``, or is not a number.
+    The same object comes back where the stamp is outside of ``first_ns`` .. ``last_ns``, in which
+    the bias is valid, or an angular velocity is not a number or differs from the bias by more than
+    ``rate_limit`` in rad/s.
 
-    Parameters
-    ----------
-    payload : bytes
-        An Imu in CDR.
-    bias : (x, y, z)
-        In rad/s.
-    rate_limit : float
-        In rad/s.
-    first_ns, last_ns : int
-        Times at which the bias is valid.
-
-    Raises
-    ------
-    MalformedMessage
-        When the payload is no Imu in plain CDR.
+    Raises MalformedMessage when the payload is not an Imu message in plain CDR.
     """
-    order, frame_bytes = _order_and_frame_size(payload)
-    _covariance_offsets(order, frame_bytes, len(payload))  # checks the length
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', payload, ENCAPSULATION_BYTES)
-    if not first_ns <= seconds * 10**9 + nanoseconds <= last_ns:
+    order, offsets, _ = _layout(payload)
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', payload, offsets['sec'])
+    if not first_ns <= seconds * NANOSECONDS + nanoseconds <= last_ns:
         return payload
-    fields = imu_dtype('cdr', order, frame_bytes, len(payload)).fields
-    assert fields is not None
-    start = fields['gyro'][1]
-    rates = struct.unpack_from(f'{order}3d', payload, start)
+    rates = struct.unpack_from(f'{order}3d', payload, offsets['gyro'])
     corrected = [rate - known for rate, known in zip(rates, bias)]
     if not all(abs(rate) <= rate_limit for rate in corrected):
         return payload
     patched = bytearray(payload)
-    struct.pack_into(f'{order}3d', patched, start, *corrected)
+    struct.pack_into(f'{order}3d', patched, offsets['gyro'], *corrected)
     return bytes(patched)
 
 
 def frame_id_of(payload: bytes) -> str:
-    """Return header.frame_id of a CDR payload.
+    """Return header.frame_id of an Imu message in CDR.
 
-    Raises
-    ------
-    MalformedMessage
-        When the payload is not an Imu message in plain CDR.
+    Raises MalformedMessage when the payload is not an Imu message in plain CDR.
     """
+    return _layout(payload)[2].rstrip(b'\0').decode(errors='replace')
+
+
+def _layout(payload: bytes) -> tuple[str, dict[str, int], bytes]:
+    """Return the byte order of an Imu message in CDR, the offsets of its fields, and frame_id."""
     order, frame_bytes = _order_and_frame_size(payload)
-    _covariance_offsets(order, frame_bytes, len(payload))
-    frame = payload[_FRAME_AT : _FRAME_AT + frame_bytes]
-    return frame.rstrip(b'\0').decode(errors='replace')
+    offsets = _offsets(order, frame_bytes, len(payload))
+    return order, offsets, payload[_FRAME_AT : _FRAME_AT + frame_bytes]
 
 
 def _order_and_frame_size(payload: bytes) -> tuple[str, int]:
     order = _ORDERS.get(payload[:2])
     if order is None or len(payload) < _FRAME_AT:
         raise MalformedMessage(0, f'{len(payload)} bytes that do not begin as plain CDR')
-    (frame_bytes,) = _LENGTH[order].unpack_from(payload, _FRAME_BYTES_AT)
+    frame_bytes = int.from_bytes(
+        payload[_FRAME_AT - 4 : _FRAME_AT], 'little' if order == '<' else 'big'
+    )
     if frame_bytes > len(payload):
         raise MalformedMessage(0, f'its frame_id of {frame_bytes} bytes does not fit')
     return order, frame_bytes
 
 
 @lru_cache(maxsize=256)
-def _covariance_offsets(order: str, frame_bytes: int, length: int) -> dict[str, int]:
-    """Return the offsets of the covariances in a payload of that length."""
+def _offsets(order: str, frame_bytes: int, length: int) -> dict[str, int]:
+    """Return the offsets of the fields in a payload of that length."""
     try:
         fields = imu_dtype('cdr', order, frame_bytes, length).fields
     except ValueError as error:
         raise MalformedMessage(0, f'{length} bytes are too few for an Imu') from error
-    assert fields is not None
-    return {sensor: fields[f'{sensor}_covariance'][1] for sensor in PATCHED_SENSORS}
+    return {name: entry[1] for name, entry in (fields or {}).items()}

@@ -64,10 +64,8 @@ class BagFiles:
 def bag_files(path: Path) -> BagFiles:
     """Return the files of a bag: a folder with or without metadata.yaml, or one file.
 
-    Raises
-    ------
-    AllanError
-        When the folder contains no bag, or one of its files is missing or not a regular file.
+    Raises AllanError when the folder contains no bag, or one of its files is missing or not a
+    regular file.
     """
     if not path.is_dir():
         return BagFiles(path, (path,))
@@ -159,10 +157,7 @@ def _count(value: object) -> int:
 def open_storage(path: Path) -> Iterator[tuple[Storage, str]]:
     """Open one storage file, decompressed if necessary, and return it with its format.
 
-    Raises
-    ------
-    AllanError
-        When it is missing, not a storage file, or damaged.
+    Raises AllanError when it is missing, not a storage file, or damaged.
     """
     compression = frame_compression(first_bytes(path))
     if not compression:

@@ -65,10 +65,7 @@ def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = byte
     index : callable
         Returns the MessageIndex records of the chunk, empty where there are none.
 
-    Raises
-    ------
-    struct.error
-        When a record extends beyond the end of the data.
+    Raises struct.error when a record extends beyond the end of the data.
     """
     return _uniform(data, ids) or _by_index(data, ids, index()) or _one_by_one(data, ids)
 

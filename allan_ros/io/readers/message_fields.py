@@ -52,10 +52,7 @@ def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
 
     The list is empty where there is none, or the bag has no usable schema.
 
-    Raises
-    ------
-    AllanError
-        When the schema mentions an Imu, but ``rosbags`` is not installed.
+    Raises AllanError when the schema mentions an Imu, but ``rosbags`` is not installed.
     """
     definitions = _definitions(topic)
     return list(_search(topic.type, definitions, ())) if definitions else []

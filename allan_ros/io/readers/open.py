@@ -46,10 +46,7 @@ def open_recordings(
     paths : iterable of path
     options : ReadOptions, optional
 
-    Raises
-    ------
-    AllanError
-        For the first path that cannot be read.
+    Raises AllanError for the first path that cannot be read.
     """
     options = options or ReadOptions()
     return [_open(Path(path), options) for path in paths]
@@ -94,10 +91,8 @@ def _family(path: Path) -> str:
 def first_bytes(path: Path) -> bytes:
     """Return the first bytes of a file.
 
-    Raises
-    ------
-    AllanError
-        When it is missing, unreadable, not a regular file, empty, or a Git-LFS pointer.
+    Raises AllanError when it is missing, unreadable, not a regular file, empty, or a Git-LFS
+    pointer.
     """
     try:
         with open_regular(path) as file:

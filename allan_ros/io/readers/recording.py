@@ -4,40 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...core.findings import Finding
-from ...core.imu import STANDARD_GRAVITY, ImuBatch
+from ...core.imu import SAMPLE_SI, SAMPLE_UNITS, STAMP_UNITS, ImuBatch, sample_factors
 from ...core.settings import check, parameter
 from ..signal import TemperatureTrace
 
 BATCH = 32768
 """Samples per batch: enough to make the cost of a batch negligible, few enough for the cache."""
 
-GYRO_UNITS = {
-    'rad/s': 1.0,
-    'mrad/s': 1e-3,
-    'deg/s': np.pi / 180,
-    'mdeg/s': np.pi / 180e3,
-    'deg/h': np.pi / 180 / 3600,
-}
-"""Unit -> factor to rad/s."""
-
-ACCEL_UNITS = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1e3}
-"""Unit -> factor to m/s^2."""
-
-STAMP_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
-"""Unit -> factor to nanoseconds."""
-
 Report = Callable[[Finding], None]
 """Takes the findings of a reader."""
-
-SI = {'gyro': 'rad/s', 'accel': 'm/s^2'}
-"""Sensor -> unit of its samples where nothing else is stated."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +35,12 @@ class ReadOptions:
     gyro_unit: str = parameter(
         '',
         'unit of the angular rate; empty: as the recording states, else rad/s',
-        choices=('', *GYRO_UNITS),
+        choices=('', *SAMPLE_UNITS['gyro']),
     )
     accel_unit: str = parameter(
         '',
         'unit of the acceleration; empty: as the recording states, else m/s^2',
-        choices=('', *ACCEL_UNITS),
+        choices=('', *SAMPLE_UNITS['accel']),
     )
     stamp_unit: str = parameter(
         's', 'unit of the stamp column of a table or array', choices=tuple(STAMP_UNITS)
@@ -73,11 +52,19 @@ class ReadOptions:
     def __post_init__(self) -> None:
         check(self)
 
-    def scale(self) -> NDArray[np.float64] | None:
-        """Return the factors to SI of the six axes, or None where all are 1."""
-        gyro = GYRO_UNITS[self.gyro_unit or SI['gyro']]
-        accel = ACCEL_UNITS[self.accel_unit or SI['accel']]
-        return None if gyro == accel == 1.0 else np.repeat([gyro, accel], 3)
+    def in_si(self, batch: ImuBatch) -> ImuBatch:
+        """Return samples that are in these units in SI."""
+        known = self.with_units()
+        factors = sample_factors(known.gyro_unit, known.accel_unit)
+        if (factors == 1.0).all():
+            return batch
+        return replace(batch, samples=batch.samples * factors)
+
+    def with_units(self, found: Mapping[str, str] = {}) -> ReadOptions:
+        """Return the options with the units found, by sensor, else those given, else SI."""
+        gyro = found.get('gyro') or self.gyro_unit or SAMPLE_SI['gyro']
+        accel = found.get('accel') or self.accel_unit or SAMPLE_SI['accel']
+        return replace(self, gyro_unit=gyro, accel_unit=accel)
 
 
 @dataclass(frozen=True)
@@ -88,6 +75,12 @@ class SourceInfo:
     topic: str
     type: str
     storage: str
+
+
+def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
+    """Yield the samples, at most `BATCH` at a time (views)."""
+    for first in range(0, len(whole), BATCH):
+        yield whole[first : first + BATCH]
 
 
 class Recording:
@@ -112,11 +105,7 @@ class Recording:
     ) -> None:
         self.info = info
         self.messages = messages
-        self.options = replace(
-            options,
-            gyro_unit=options.gyro_unit or SI['gyro'],
-            accel_unit=options.accel_unit or SI['accel'],
-        )
+        self.options = options.with_units()
         self._read = read
         self._read_temperature = read_temperature
         self._findings: list[Finding] = []
@@ -124,10 +113,7 @@ class Recording:
     def batches(self) -> Iterator[ImuBatch]:
         """Yield the samples in order, about `BATCH` at a time, with one frame_id per batch.
 
-        Raises
-        ------
-        AllanError
-            When a part of the recording cannot be read.
+        Raises AllanError when a part of the recording cannot be read.
         """
         self._findings = []
         yield from self._read(self._findings.append)

@@ -16,12 +16,12 @@ import numpy as np
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import AXES, ImuBatch, sensor_of
+from ...core.imu import AXES, ImuBatch, joined, sensor_of
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .cdr import DecodedImus, MalformedMessage, decode_imus, decode_temperature
 from .folder import METADATA, BagFiles, bag_files, open_storage
 from .message_fields import IMU_TYPE, imu_fields, is_unknown, nested_decoder
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import (
     MAX_MESSAGE_BYTES,
     Block,
@@ -82,10 +82,7 @@ class ImuSource:
 def open_bag(path: Path, options: ReadOptions) -> Recording:
     """Open a bag as one recording of its Imu topic.
 
-    Raises
-    ------
-    AllanError
-        When it is not a readable bag, or several topics could be meant.
+    Raises AllanError when it is not a readable bag, or several topics could be meant.
     """
     bag = bag_files(path)
     survey = _survey(bag)
@@ -225,7 +222,6 @@ def _read(
             encoding='ros1' if topic.encoding == 'ros1' else 'cdr',
             trust_covariance=options.trust_covariance,
         )
-    scale = options.scale()
     kept: Counter[str] = Counter()
     total = 0
     for file in bag.files:
@@ -236,7 +232,7 @@ def _read(
             read = 0
             for batch in _gathered(_decoded(file, source, storage.blocks(ids), decode, kept)):
                 read += len(batch)
-                yield batch if scale is None else replace(batch, samples=batch.samples * scale)
+                yield options.in_si(batch)
             _compare(storage.stated(ids, read), read, file, report)
             total += read
     if bag.described is not None and source.key in bag.described:
@@ -307,24 +303,12 @@ def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
     count = 0
     for batch in batches:
         if held and (batch.frame_id != held[0].frame_id or count >= BATCH):
-            yield from _split(held)
+            yield from in_batches(joined(held))
             held, count = [], 0
         held.append(batch)
         count += len(batch)
     if held:
-        yield from _split(held)
-
-
-def _split(held: list[ImuBatch]) -> Iterator[ImuBatch]:
-    record = [batch.record_ns for batch in held if batch.record_ns is not None]
-    whole = ImuBatch(
-        np.concatenate([batch.stamps_ns for batch in held]),
-        np.concatenate([batch.samples for batch in held]),
-        np.concatenate(record),
-        held[0].frame_id,
-    )
-    for start in range(0, len(whole), BATCH):
-        yield whole[start : start + BATCH]
+        yield from in_batches(joined(held))
 
 
 def _decompressed(payloads: Payloads) -> Iterator[Payloads]:

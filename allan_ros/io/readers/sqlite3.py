@@ -244,10 +244,7 @@ def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     shown : Path
         Name for messages, which differs for a decompressed copy.
 
-    Raises
-    ------
-    AllanError
-        When it is not a rosbag2 database or damaged.
+    Raises AllanError when it is not a rosbag2 database or damaged.
     """
     # A write-ahead log contains the last messages of a recorder that was killed. Without one the
     # file is opened as immutable, which works on read-only media too.

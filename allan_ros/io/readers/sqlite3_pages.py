@@ -97,10 +97,7 @@ class Rows:
     def block(self, ids: set[int]) -> Block:
         """Return the messages of these topics in the order of their record time.
 
-        Raises
-        ------
-        Unusual
-            When one of them continues in other pages.
+        Raises Unusual when one of them continues in other pages.
         """
         mine = among(self.topics, ids)
         columns = (self.record_ns, self._start, self._length, self._page_end)
@@ -133,10 +130,7 @@ class MessagePages:
     root : int
         Number of the table's first page.
 
-    Raises
-    ------
-    Unusual
-        When the file is not an SQLite database.
+    Raises Unusual when the file is not an SQLite database.
     """
 
     def __init__(self, file: BinaryIO, root: int) -> None:
@@ -155,10 +149,7 @@ class MessagePages:
     def rows(self) -> Iterator[Rows]:
         """Yield the rows in the order of their ids.
 
-        Raises
-        ------
-        Unusual
-            When the next row is not a plain one.
+        Raises Unusual when the next row is not a plain one.
         """
         at_a_time = max(1, READ_BYTES // self._page_bytes)
         waiting = np.empty(0, np.int64)
@@ -328,10 +319,8 @@ def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
     counts : (pages,) array
         Cells of each page.
 
-    Raises
-    ------
-    Unusual
-        When the ids do not increase from page to page: a damaged tree contains pages twice.
+    Raises Unusual when the ids do not increase from page to page: a damaged tree contains pages
+    twice.
     """
     last = np.cumsum(counts) - 1
     ends = np.concatenate([last - counts + 1, last])

@@ -58,10 +58,7 @@ class Topic:
     schema_format, schema : str
         Definition of the type: 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
 
-    Raises
-    ------
-    ValueError
-        When a name contains control characters, which means that the file is damaged.
+    Raises ValueError when a name contains control characters, which means that the file is damaged.
     """
 
     id: int
@@ -159,10 +156,7 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
 def optional_package(module: str, purpose: str) -> Any:
     """Import a module of a package that need not be installed.
 
-    Raises
-    ------
-    AllanError
-        When it is not; the message names the purpose and how to install the package.
+    Raises AllanError when it is not; the message names the purpose and how to install the package.
     """
     try:
         return importlib.import_module(module)
@@ -191,10 +185,8 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     limit : int
         Size at which decompression stops.
 
-    Raises
-    ------
-    ValueError
-        When the compression is unknown, the data are damaged or expand beyond the limit.
+    Raises ValueError when the compression is unknown, the data are damaged or expand beyond the
+    limit.
     """
     if compression in ('', 'none'):
         return bytes(data)
@@ -245,11 +237,8 @@ def decompress_messages(
 ) -> Iterator[list[bytes | memoryview]]:
     """Yield messages that were compressed one by one, in groups of limited total size.
 
-    Raises
-    ------
-    ValueError
-        When a message is damaged or larger than `MAX_MESSAGE_BYTES`; its second argument is the
-        number of intact messages before it.
+    Raises ValueError when a message is damaged or larger than `MAX_MESSAGE_BYTES`; its second
+    argument is the number of intact messages before it.
     """
     group: list[bytes | memoryview] = []
     done = size = 0
@@ -271,10 +260,8 @@ def decompress_messages(
 def decompress_file(source: Path, compression: str, target: Path) -> None:
     """Decompress a storage file into another.
 
-    Raises
-    ------
-    AllanError
-        When it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is full.
+    Raises AllanError when it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is
+    full.
     """
     remedy = 'copy it again; check the space for temporary files'
     errors: tuple[type[Exception], ...] = (OSError, EOFError, RuntimeError, ValueError)
@@ -365,10 +352,7 @@ class ChunkStorage(ABC, Generic[Chunk]):
         shown : Path
             Name for messages, which differs for a decompressed copy.
 
-        Raises
-        ------
-        AllanError
-            When the file is of another format or damaged.
+        Raises AllanError when the file is of another format or damaged.
         """
         with translated(shown, (OSError,), cls.REMEDY):
             file = open_regular(path)

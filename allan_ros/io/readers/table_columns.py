@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TextIO
 
 from ...core.errors import AllanError
-from ...core.imu import AXES, SENSORS
-from .recording import ACCEL_UNITS, GYRO_UNITS, SI, STAMP_UNITS, ReadOptions
+from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
+from .recording import ReadOptions
 
 LEFT_OUT = '-'
 
@@ -39,8 +39,6 @@ _ACCEL = re.compile(
 )
 
 _SENSORS = (('gyro', _GYRO), ('accel', _ACCEL))
-
-_SENSOR_UNITS = {'gyro': GYRO_UNITS, 'accel': ACCEL_UNITS}
 
 _TIME = re.compile(r'(?:^|_)(t|time|timestamp|timestamps|stamp|stamps)(?:_(s|ms|us|ns))?$')
 
@@ -96,10 +94,7 @@ class TableLayout:
     def rows(self, lines: Iterable[str]) -> Iterator[list[str]]:
         """Yield the cells of each row; a quoted cell may contain line breaks.
 
-        Raises
-        ------
-        csv.Error
-            When a quote is not closed, or a cell is longer than 128 kB.
+        Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
         """
         return _split(lines, self.delimiter)
 
@@ -107,10 +102,7 @@ class TableLayout:
 def bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
     """Yield the lines of a text file.
 
-    Raises
-    ------
-    AllanError
-        When one is longer than `MAX_LINE`.
+    Raises AllanError when one is longer than `MAX_LINE`.
     """
     number, read = 0, file.readline
     while line := read(MAX_LINE):
@@ -141,10 +133,7 @@ def is_number(cell: str) -> bool:
 def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
     """Return the columns of a table, from its first lines.
 
-    Raises
-    ------
-    AllanError
-        When there is no row, no name for the columns, or no sensor among them.
+    Raises AllanError when there is no row, no name for the columns, or no sensor among them.
     """
     comment = ''
     lines = bounded_lines(path, file)
@@ -263,18 +252,18 @@ def _roles(
         found = [(s, match) for s, form in _SENSORS if (match := form.search(base))]
         if found:
             sensor, match = found[0]
-            known = _SENSOR_UNITS[sensor]
+            known = SAMPLE_UNITS[sensor]
             stated = unit or getattr(options, f'{sensor}_unit')
             if not stated and not _is_si(base):
-                assumed.setdefault(sensor, (SI[sensor], name))
-            stated = stated or SI[sensor]
+                assumed.setdefault(sensor, (SAMPLE_SI[sensor], name))
+            stated = stated or SAMPLE_SI[sensor]
             if stated not in known:
                 raise AllanError(
                     f'{path}: the unit of column {name!r} is unknown: use one of {", ".join(known)}'
                 )
             units.setdefault(sensor, stated)
             axis = SENSORS[sensor].start + 'xyz'.index(match[1])
-            axes.setdefault(axis, (column, known[stated]))
+            axes.setdefault(axis, (column, UNITS[stated].factor))
         elif match := _RECORD.match(base):
             record = ((column, STAMP_UNITS[match[1] or options.stamp_unit]),)
         elif _SECONDS.search(base):
@@ -335,7 +324,7 @@ def _is_si(base: str) -> bool:
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:
-    """Split 'Gyro X [deg/s]' into 'gyro_x' and 'deg/s', with units as in `GYRO_UNITS`."""
+    """Split 'Gyro X [deg/s]' into 'gyro_x' and 'deg/s', with units as in `UNITS`."""
     text = name.strip().lower()
     unit = ''
     if match := _BRACKET.match(text):

@@ -15,7 +15,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from decimal import Decimal, DecimalException
 from io import TextIOWrapper
 from pathlib import Path
@@ -42,10 +42,7 @@ INT64 = np.iinfo(np.int64)
 def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers as a recording.
 
-    Raises
-    ------
-    AllanError
-        When it has no rows, or its columns are unknown.
+    Raises AllanError when it has no rows, or its columns are unknown.
     """
     with _text(path) as file:
         layout = read_layout(path, file, options)
@@ -55,21 +52,14 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
         None,
         lambda report: _read(path, layout, report),
         lambda frame_id: _temperature(path, layout),
-        replace(
-            options,
-            gyro_unit=layout.units.get('gyro', options.gyro_unit),
-            accel_unit=layout.units.get('accel', options.accel_unit),
-        ),
+        options.with_units(layout.units),
     )
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
     """Write the batches in the form above and return the number of rows.
 
-    Raises
-    ------
-    AllanError
-        When only some of the batches have record times.
+    Raises AllanError when only some of the batches have record times.
     """
     delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
     written = 0

@@ -23,7 +23,7 @@ from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch
 from ..files import open_regular
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
+from .recording import ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import damaged, optional_package
 
 TOPICS = ('sensor_combined', 'vehicle_imu')
@@ -49,10 +49,7 @@ REMEDY = 'copy the log again'
 def open_ulog(path: Path, options: ReadOptions) -> Recording:
     """Open a PX4 log as a recording of one IMU.
 
-    Raises
-    ------
-    AllanError
-        When it cannot be read, has no IMU, or has several and none was chosen.
+    Raises AllanError when it cannot be read, has no IMU, or has several and none was chosen.
     """
     log = _parsed(path)
     found = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
@@ -62,9 +59,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
         batch, integration_s = _samples(name, data.data)
     except (KeyError, ValueError, OverflowError) as error:
         raise damaged(path, f'topic {name}: {error}', REMEDY) from error
-    scale = options.scale()
-    if scale is not None:
-        batch = ImuBatch(batch.stamps_ns, batch.samples * scale, batch.record_ns, batch.frame_id)
+    batch = options.in_si(batch)
 
     def read(report: Report) -> Iterator[ImuBatch]:
         if log.file_corruption:
@@ -90,8 +85,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
                     full=1.0 / integration_s,
                 )
             )
-        for first in range(0, len(batch), BATCH):
-            yield batch[first : first + BATCH]
+        yield from in_batches(batch)
 
     info = SourceInfo(str(path), name, data.name, 'ulog')
     return Recording(info, len(batch), read, options=options)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from allan_ros.core.imu import STANDARD_GRAVITY
 from allan_ros.io.readers import arrays
 from allan_ros.io.readers.open import open_recordings
-from allan_ros.io.readers.recording import STANDARD_GRAVITY
 
 RNG = np.random.default_rng(3)
 N = 1000

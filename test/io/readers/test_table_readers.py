@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from allan_ros.core.imu import ImuBatch
+from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
 from allan_ros.io.readers import table_columns, tables
-from allan_ros.io.readers.recording import STANDARD_GRAVITY
 
 DEG = np.pi / 180
 ROW = '1,2,3,4,5,6'
