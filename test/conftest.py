@@ -8,6 +8,7 @@ import os
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -35,6 +36,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run the tests of one file in one worker, which keeps its fixtures and fits."""
     for item in items:
         item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT))))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Any:
+    """Leave the tests in test/launch to launch_testing, and keep it away from the others.
+
+    Where it is installed, it imports each module before pytest does. A module that skips itself, or
+    that fails, then ends the collection of all tests.
+    """
+    if 'launch' in module_path.relative_to(ROOT).parts:
+        return None
+    return pytest.Module.from_parent(parent, path=module_path)
 
 
 @pytest.fixture(scope='session')
