@@ -54,13 +54,16 @@ COMMANDS = (
     ('ros2 run allan_ros allan_monitor --help', 'usage'),
     ('ros2 run allan_ros allan_monitor --typo', 'unrecognized'),
     ('ros2 run allan_ros allan_player missing.mcap', 'missing.mcap'),
-    ('ros2 run allan_ros allan_imu_relay --ros-args -r imu/data:=/a -r imu/data_with_covariance:=/a',
-     'relayed to itself'),
-    ('ros2 allan simulate --hours 0.05 --rate 100 -o {folder}/run.csv', ''),
+    (
+        'ros2 run allan_ros allan_imu_relay --ros-args -r imu/data:=/a '
+        '-r imu/data_with_covariance:=/a',
+        'relayed to itself',
+    ),
+    ('ros2 allan simulate --hours 0.05 --rate 100 {folder}/run.csv', ''),
     ('ros2 allan analyze {folder}/run.csv -o {folder}/results', ''),
     ('ros2 allan check {folder}/run.csv', ''),
     ('ros2 run allan_ros allan sensors', 'adis16475-3'),
-)  # fmt: skip
+)
 """Command, and a text of the line of its output that is shown; '' for the last line."""
 
 
