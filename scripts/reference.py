@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import importlib
 import inspect
 import re
 import sys
@@ -21,7 +20,7 @@ from typing import Any
 
 import allan_ros
 from allan_ros.cli.console import add_console_options
-from allan_ros.cli.parser import EXITS, VERBS
+from allan_ros.cli.parser import EXITS, VERBS, command_of
 from allan_ros.core.findings import CATALOGUE
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
@@ -172,9 +171,8 @@ def cli_page() -> str:
 
 
 def _verb_section(verb: str) -> str:
-    module = importlib.import_module(f'allan_ros.cli.{verb}')
     parser = argparse.ArgumentParser(prog=f'allan {verb}', add_help=False)
-    module.add_arguments(parser)
+    command_of(verb).add_arguments(parser)
     rows = '\n'.join(
         _option_row(action) for action in parser._actions if action.help != argparse.SUPPRESS
     )

@@ -4,7 +4,7 @@
 
 An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
 recordings of the same IMU: their sums are added. A folder of separate recordings is a batch: each
-has its own results, with a summary of all.
+has its own results, with a summary of all; so has each IMU topic of a bag with several.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
@@ -16,25 +16,28 @@ has its own results, with a summary of all.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
-from ..io.documents import load
+from ..io.datasheets import load_sensor
+from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.plot_style import PictureSettings, load_style
 from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
 from ..io.verdict import Verdict, verdict_of
-from .batch import recordings_in, run_batch
-from .console import Console
-from .options import add_settings, settings_of
+from .console import Console, coloured, painted
+from .options import Command, add_settings, settings_of
+from .tables import LEVEL_COLOURS, print_results
 
-EXIT_FAILED = 3
+EXIT_UNKNOWN, EXIT_FAILED = 1, 3
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
 """Exit code -> what it means, besides those of every verb."""
@@ -43,9 +46,6 @@ EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit ex
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb; defaults are those of the settings classes."""
     parser.add_argument('inputs', nargs='+', metavar='INPUT', help='a recording')
-    parser.add_argument(
-        '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
-    )
     spread = parser.add_argument_group('several recordings')
     spread.add_argument(
         '--jobs', type=int, default=1, metavar='N', help='recordings read in parallel (default 1)'
@@ -62,10 +62,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='read them on the Dask cluster of this scheduler, as tcp://host:8786; '
         'its workers must see the same paths',
     )
+    add_output_arguments(parser)
+    add_reading_arguments(parser)
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the results, and of the files that are written."""
+    parser.add_argument(
+        '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
+    )
     add_settings(parser, 'result', ResultSettings)
     add_fail_on(parser)
     add_settings(parser, 'pictures', PictureSettings)
-    add_reading_arguments(parser)
 
 
 def add_fail_on(parser: argparse.ArgumentParser) -> None:
@@ -108,13 +116,17 @@ def read_jobs(
 
 def run(args: argparse.Namespace) -> int:
     """Read, fit, show and write."""
+    from .batch import by_topic, recordings_in, run_batch
+
     check_result_arguments(args)
     console = Console.of(args)
     paths = [path for given in args.inputs for path in recordings_in(given)]
     jobs = read_jobs(paths, args, bool(args.output))
     console.detail(f'settings: {_settings_text(jobs[0].reading, jobs[0].segmenter)}')
-    if len(paths) > len(args.inputs) and not args.merge:
-        return run_batch(jobs, args)
+    if not args.merge and (len(paths) == 1 or len(paths) > len(args.inputs)):
+        separate = by_topic(jobs)
+        if len(separate) > 1:
+            return run_batch(separate, args)
     outcomes = list(_spread(jobs, args, console))
     lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
@@ -134,7 +146,6 @@ def check_result_arguments(args: argparse.Namespace) -> None:
         When a target of ``--export``, the datasheet, the earlier run or the style of the pictures
         is unknown, there is no folder to write to, or a number is out of its range.
     """
-    from ..io.datasheets import load_sensor
     from ..io.exporters import target_of
 
     settings_of(ResultSettings, args)
@@ -150,6 +161,36 @@ def check_result_arguments(args: argparse.Namespace) -> None:
             raise AllanError(f'{option} writes into the folder of -o: give one')
 
 
+def fitted(
+    recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
+) -> tuple[Results, list[str]]:
+    """Fit the sums, and write the files into the folder, if one is given.
+
+    Returns
+    -------
+    results : Results
+    names : list of str
+        Of the files.
+    """
+    console, settings = Console.of(args), settings_of(ResultSettings, args)
+    with console.timed(f'fitted by {settings.method}'):
+        results = fit_recorded(recorded, settings)
+    if not folder:
+        return results, []
+    from ..io.result_files import write_result_files
+
+    with console.timed('drawn and written'):
+        results, paths = write_result_files(
+            folder,
+            results,
+            command=args.command_line,
+            units=settings.units,
+            targets=settings.export,
+            pictures=settings_of(PictureSettings, args),
+        )
+    return results, sorted(path.name for path in paths)
+
+
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """Fit the sums, write the files where ``--output`` says, and print the results.
 
@@ -159,34 +200,16 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         Exit code: 3 where ``--fail-on`` applies, 1 where nothing could be computed, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
-    with console.timed(f'fitted by {settings.method}'):
-        results = fit_recorded(recorded, settings)
-    written = ''
-    if args.output:
-        from ..io.result_files import write_result_files
-
-        with console.timed('drawn and written'):
-            results, paths = write_result_files(
-                args.output,
-                results,
-                command=args.command_line,
-                units=settings.units,
-                targets=settings.export,
-                pictures=settings_of(PictureSettings, args),
-            )
-        written = f'written to {args.output}: {", ".join(sorted(path.name for path in paths))}'
+    results, names = fitted(recorded, args, args.output)
+    written = f'written to {args.output}: {", ".join(names)}' if names else ''
     verdict = verdict_of(results, units=settings.units)
     if console.json:
-        from ..io.documents import results_to_document
-
         document = results_to_document(results)
         console.document({**document, 'verdict': verdict.to_document()})
         console.findings(results.findings)
         if written:
             console.say(written)
     elif not (console.quiet and written):
-        from .tables import print_results
-
         print_results(results, verdict, settings.units, console.verbose)
         if written:
             print(f'\n{written}')
@@ -211,7 +234,7 @@ def _spread(
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     if args.scheduler:
-        from .cluster import on_cluster
+        from .batch import on_cluster
 
         return on_cluster(jobs, args.scheduler, console)
     if min(args.jobs, len(jobs)) > 1:
@@ -233,3 +256,90 @@ def _read_text(recorded: RecordingSums) -> str:
         f'{source.path}: {counts.received:,} samples from {source.storage}'
         f'{f", {what}" if what else ""}; {counts.used:,} used'
     )
+
+
+def add_check_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `allan check`."""
+    parser.add_argument('inputs', nargs='+', metavar='INPUT', help='a recording, or its results')
+    add_settings(parser, 'result', ResultSettings, without=['export'])
+    add_fail_on(parser)
+    add_reading_arguments(parser)
+
+
+def check(args: argparse.Namespace) -> int:
+    """Read, fit, check, and print one line."""
+    settings = settings_of(ResultSettings, args)
+    if settings.sensor:
+        load_sensor(settings.sensor)  # a wrong name is reported before hours are read
+    if settings.baseline:
+        load(settings.baseline)
+    console = Console.of(args)
+    results = _checked(args, settings, console)
+    verdict = verdict_of(results, units=settings.units)
+    code = 0
+    if verdict.level == 'failed' or fails(verdict, results, args.fail_on):
+        code = EXIT_FAILED
+    elif verdict.level == 'unknown':
+        code = EXIT_UNKNOWN
+    if console.json:
+        console.document({'inputs': args.inputs, 'exit_code': code, **verdict.to_document()})
+    elif not console.quiet:
+        word = 'failed' if code == EXIT_FAILED else verdict.level
+        line = f'{word}: {args.inputs[0]}: {verdict.summary}'
+        print(painted(line, word, LEVEL_COLOURS[verdict.level], coloured(sys.stdout)))
+        for reason in verdict.reasons if console.verbose else ():
+            print(f'  {reason}')
+    return code
+
+
+def _checked(args: argparse.Namespace, settings: ResultSettings, console: Console) -> Results:
+    """Return the results of a document, or of recordings, which are read and fitted."""
+    first = Path(args.inputs[0])
+    if len(args.inputs) == 1 and (first.suffix == '.json' or (first / RESULTS).is_file()):
+        results = load(first, settings.method)
+        return results.compared(settings.sensor, settings.baseline, settings.margin)
+    recorded = read_in_turn(read_jobs(args.inputs, args), console)
+    return fit_recorded(add_recordings(recorded), settings)
+
+
+def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `allan merge`."""
+    parser.add_argument(
+        'inputs', nargs='+', metavar='RUN', help='sums of one run, or the folder they are in'
+    )
+    add_output_arguments(parser)
+
+
+def merge(args: argparse.Namespace) -> int:
+    """Read, add, fit, show and write."""
+    check_result_arguments(args)
+    return show_results(add_recordings(map(load_sums, args.inputs)), args)
+
+
+CHECK = """
+Check one IMU: one line and an exit code, for production lines and continuous integration.
+
+The input is a recording, a results.json or the folder of an analysis. It is compared with the
+datasheet of --sensor, with the accepted earlier run of --baseline, or with both. The exit code is 0
+for healthy, 1 if it could not be judged (no reference, too little data), 3 if it failed.
+
+  allan check my_bag --sensor adis16475-3
+  allan check today.mcap --baseline accepted/results.json --fail-on warning
+  allan check results --sensor my_imu.yaml --json | jq .level
+"""
+
+MERGE = """
+Add the sums of several runs of one IMU, and fit them together.
+
+An input is the folder of an analysis, its sums.json, or a checkpoint of a node. The result is what
+one analysis of all recordings would give, to rounding.
+
+  allan merge monday tuesday -o both
+  allan merge monday/sums.json ~/.ros/imu.json
+"""
+
+COMMANDS = {
+    'analyze': Command(__doc__ or '', add_arguments, run, EXITS),
+    'check': Command(CHECK, add_check_arguments, check, {EXIT_FAILED: 'checked and failed'}),
+    'merge': Command(MERGE, add_merge_arguments, merge, EXITS),
+}

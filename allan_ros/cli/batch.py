@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Analyze a folder of separate recordings: results for each, and a summary of all."""
+"""Analyze separate recordings or topics: results for each, and a summary of all.
+
+They are read in this process, in several, or on a Dask cluster.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +11,24 @@ import argparse
 import csv
 import io
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
+from typing import Any
 
-from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError, one_line
-from ..core.findings import Finding
+from ..core.findings import Finding, finding
 from ..core.fit.duration import ADVISED_TERMS
 from ..core.imu import sensor_of
 from ..io.files import write_atomic
 from ..io.format import shown_unit, value_text
-from ..io.plot_style import PictureSettings
+from ..io.readers.open import topics_of
 from ..io.recorded import ReadJob, RecordingSums, read_recording
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
+from .analyze import fitted
 from .console import Console
-from .options import settings_of
 
 METADATA = 'metadata.yaml'
 
@@ -41,9 +44,21 @@ SPLIT = re.compile(r'^(.*)_\d+$')
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of one recording, or the reason why there are none."""
+    """The results of one recording, or the reason why there are none.
+
+    Attributes
+    ----------
+    path : str
+    name : str
+        Its file name, with the topic where the recording has several.
+    folder : str
+        Name of the folder of its files.
+    results, verdict, error
+    """
 
     path: str
+    name: str
+    folder: str
     results: Results | None = None
     verdict: Verdict | None = None
     error: str = ''
@@ -101,52 +116,65 @@ def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outco
     """Do the jobs in this process, in several, or on a Dask cluster, in their order."""
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
+    names = names_of(jobs)
     if args.scheduler:
-        from .cluster import on_cluster
-
-        for job, recorded in zip(jobs, on_cluster(jobs, args.scheduler, Console.of(args))):
+        read = on_cluster(jobs, args.scheduler, Console.of(args))
+        for job, name, recorded in zip(jobs, names, read):
             if isinstance(recorded, Finding):
-                yield Outcome(job.path, error=str(recorded))
+                yield Outcome(job.path, name, folder_name(name), error=str(recorded))
             else:
-                yield analyze_one(job, args, recorded)
+                yield analyze_one(job, name, args, recorded)
         return
     if min(args.jobs, len(jobs)) == 1:
-        yield from (analyze_one(job, args) for job in jobs)
+        yield from map(analyze_one, jobs, names, [args] * len(jobs))
         return
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
     with ProcessPoolExecutor(min(args.jobs, len(jobs)), mp_context=get_context('spawn')) as pool:
-        yield from pool.map(analyze_one, jobs, [args] * len(jobs))
+        yield from pool.map(analyze_one, jobs, names, [args] * len(jobs))
 
 
 def analyze_one(
-    job: ReadJob, args: argparse.Namespace, recorded: RecordingSums | None = None
+    job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
     """Read (unless it was read) and fit one recording, and write its files into its folder."""
-    settings = settings_of(ResultSettings, args)
+    outcome = Outcome(job.path, name, folder_name(name))
+    folder = Path(args.output) / outcome.folder if args.output else None
     try:
-        results = fit_recorded(recorded or read_recording(job), settings)
-        if args.output:
-            from ..io.result_files import write_result_files
-
-            results, _ = write_result_files(
-                Path(args.output) / folder_name(job.path),
-                results,
-                command=args.command_line,
-                units=settings.units,
-                targets=settings.export,
-                pictures=settings_of(PictureSettings, args),
-            )
-        verdict = verdict_of(results, units=settings.units)
+        results, _ = fitted(recorded or read_recording(job), args, folder)
     except AllanError as error:
-        return Outcome(job.path, error=str(error))
-    return Outcome(job.path, results, verdict)
+        return replace(outcome, error=str(error))
+    return replace(outcome, results=results, verdict=verdict_of(results, units=args.units))
 
 
-def folder_name(path: str) -> str:
+def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
+    """Return the jobs, one for each Imu topic of a bag unless the options name the topic."""
+    separate = []
+    for job in jobs:
+        topics = [] if job.reading.topic else topics_of(job.path)
+        each = [replace(job, reading=replace(job.reading, topic=topic)) for topic in topics]
+        separate += each if len(each) > 1 else [job]
+    return separate
+
+
+def names_of(jobs: Sequence[ReadJob]) -> list[str]:
+    """Return a name for each job whose folder no other job has."""
+    names: list[str] = []
+    for job in jobs:
+        several = sum(other.path == job.path for other in jobs) > 1
+        name = Path(job.path).name + (f' {job.reading.topic}' if several else '')
+        taken, number, one = {folder_name(other) for other in names}, 1, name
+        while folder_name(one) in taken:
+            number += 1
+            one = f'{name} {number}'
+        names.append(one)
+    return names
+
+
+def folder_name(name: str) -> str:
     """Return the name of the folder for the results of one recording."""
-    return Path(path).name.replace('.', '_')
+    return re.sub(r'[^\w+-]+', '_', name)
 
 
 SUMMARY = ('summary.csv', 'summary.md', 'summary.html')
@@ -168,7 +196,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
     writer = csv.writer(file, lineterminator='\n')
     writer.writerow(COLUMNS)
     for outcome in outcomes:
-        name = one_line(Path(outcome.path).name)
+        name = one_line(outcome.name)
         if outcome.results is None or outcome.verdict is None:
             writer.writerow([name, 'error', *[''] * (len(COLUMNS) - 2)])
             continue
@@ -189,7 +217,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
 def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
     """Yield the rows of the summary: N, B and K of each sensor, the range over its axes."""
     for outcome in outcomes:
-        name = one_line(Path(outcome.path).name)
+        name = one_line(outcome.name)
         if outcome.results is None or outcome.verdict is None:
             yield [name, 'error', one_line(outcome.error)]
             continue
@@ -228,7 +256,7 @@ def _html(outcomes: Sequence[Outcome], units: str) -> str:
     body = ''
     for outcome, row in zip(outcomes, _rows(outcomes, units)):
         name, *cells = row
-        link = f'<a href="{escape(folder_name(outcome.path))}/report.html">{escape(name)}</a>'
+        link = f'<a href="{escape(outcome.folder)}/report.html">{escape(name)}</a>'
         filled = [*cells, *[''] * (len(_head(units)) - len(row))]
         first = link if outcome.results is not None else escape(name)
         body += f'<tr><th>{first}</th>{"".join(f"<td>{escape(c)}</td>" for c in filled)}</tr>\n'
@@ -255,3 +283,84 @@ def _document(outcome: Outcome) -> dict[str, object]:
         'verdict': outcome.verdict.to_document(),
         'results': document,
     }
+
+
+CONNECT_S = 10.0
+"""Seconds to wait for a scheduler."""
+
+ASK_S = 30.0
+"""Seconds between two checks that the cluster has workers."""
+
+ALONE_S = 120.0
+"""Seconds without any worker after which the job fails: a cluster restarts dead workers within
+seconds, on a busy machine within a minute."""
+
+
+def on_cluster(
+    jobs: Sequence[ReadJob],
+    address: str,
+    console: Console,
+    work: Callable[[ReadJob], RecordingSums] = read_recording,
+) -> Iterator[RecordingSums | Finding]:
+    """Do the jobs on a cluster whose workers have this package and see the same paths.
+
+    Jobs of a worker that dies are repeated by another. A job that kills several workers
+    (``distributed.scheduler.allowed-failures``) is given up and replaced by a finding.
+
+    Raises
+    ------
+    AllanError
+        When Dask is not installed, no scheduler answers at the address, it has no workers, or a job
+        raised the error.
+    """
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise AllanError(
+            '--scheduler needs Dask, which is not installed: pip install "allan_ros[dask]"'
+        ) from error
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError, ImportError) as error:
+        raise AllanError(
+            f'no Dask scheduler answers at {address}: check the address and that it runs'
+        ) from error
+    outcomes: dict[ReadJob, RecordingSums | Finding] = {}
+    with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
+        # a result of an earlier analysis is no answer: the recording may have changed
+        futures = client.map(work, jobs, pure=False)
+        doubtful: list[ReadJob] = []
+        for job, future in zip(jobs, futures):
+            try:
+                recorded = _made(client, future)
+            except KilledWorker:
+                doubtful.append(job)
+                continue
+            outcomes[job] = recorded
+            progress.advance(recorded.provenance.counts.received)
+        # a dying worker also loses its queued jobs: running alone shows which job is the cause
+        for job in doubtful:
+            try:
+                outcomes[job] = _made(client, client.submit(work, job, pure=False))
+            except KilledWorker:
+                outcomes[job] = finding('recording_lost', path=job.path)
+    yield from (outcomes[job] for job in jobs)
+
+
+def _made(client: Any, future: Any) -> RecordingSums:
+    """Wait for a job as long as there are workers, and return its result."""
+    from distributed import TimeoutError as Unfinished
+
+    alone = 0.0
+    while alone < ALONE_S:
+        try:
+            made: RecordingSums = future.result(timeout=ASK_S)
+            return made
+        except Unfinished:
+            if future.status == 'error':  # a timeout of the job itself, such as a remote disk
+                raise
+            alone = 0.0 if client.nthreads() else alone + ASK_S
+    raise AllanError(
+        f'the cluster at {client.scheduler.address} has no worker: start workers with '
+        'allan_ros, or check their logs for the reason'
+    )

@@ -22,7 +22,7 @@ from ..core.errors import AllanError
 from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_bounded
 from .console import Console
-from .options import add_settings, settings_of
+from .options import Command, add_settings, settings_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,3 +100,6 @@ def _text(path: str) -> str:
         raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
     except UnicodeDecodeError:
         raise AllanError(f'{path}: is not UTF-8 text: give the YAML or JSON file itself') from None
+
+
+COMMANDS = {'export': Command(__doc__ or '', add_arguments, run)}

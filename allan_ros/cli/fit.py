@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import AllanError
 from .console import Console
+from .options import Command
 
 if TYPE_CHECKING:
     from ..core.fit import AxisFit
@@ -128,3 +129,6 @@ def _document(source: str, fits: Mapping[str, AxisFit], doubtful: list[str]) -> 
             'gof_z': fit.gof_z,
         }
     return {'schema': 'allan_ros/curve_fit/1', 'source': source, 'axes': axes, 'doubts': doubtful}
+
+
+COMMANDS = {'fit': Command(__doc__ or '', add_arguments, run)}

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import shlex
 import signal
@@ -18,7 +17,7 @@ from pathlib import Path
 from .. import __version__
 from ..core.errors import AllanError
 from ..one_thread import keep_to_one_thread
-from .config import words_with_config
+from .options import words_with_config
 from .parser import (
     EXIT_ERROR,
     EXIT_FAULT,
@@ -27,6 +26,8 @@ from .parser import (
     EXIT_USAGE,
     VERBS,
     build_parser,
+    command_of,
+    complete,
     verb_parser,
 )
 
@@ -75,8 +76,7 @@ def _run(words: Sequence[str]) -> int:
         sys.stdout.flush()  # a closed pipe raises here, where it is caught
         raise
     args.command_line = shlex.join(['allan', *configured])
-    code: int = importlib.import_module(f'.{args.verb}', __package__).run(args)
-    return code
+    return command_of(args.verb).run(args)
 
 
 def _fault_text(error: Exception) -> str:
@@ -102,8 +102,6 @@ def console() -> None:
         # a file name may contain characters outside the encoding of the terminal
         stream.reconfigure(errors='backslashreplace')  # type: ignore[union-attr]
     if '_ARGCOMPLETE' in os.environ:
-        from .completion import complete
-
         complete()
     # asked to end, it cleans up as after Ctrl-C
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -1,17 +1,49 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings dataclasses as command-line options; their fields define all defaults."""
+"""Options of the command line: from settings dataclasses, with defaults from a config file.
+
+`allan.toml` or the section [tool.allan] of pyproject.toml sets defaults. Keys are the names of
+options, as in ``units = "si"``. Those at the top hold for every verb that has the option; those of
+a table, as [analyze], for this verb. The command line takes precedence.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
-from dataclasses import fields
+import difflib
+import importlib
+import sys
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, TypeVar
 
+from ..core.errors import AllanError
 from ..core.settings import AUTO, describe
 
 T = TypeVar('T')
+
+
+@dataclass(frozen=True)
+class Command:
+    """One verb of the command line.
+
+    Attributes
+    ----------
+    description : str
+        What its help says first, with examples.
+    add_arguments : callable
+        Adds its arguments to a parser.
+    run : callable
+        Does the work and returns the exit code.
+    exits : mapping of int to str
+        Exit codes of its own, and what they mean.
+    """
+
+    description: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
+    exits: Mapping[int, str] = field(default_factory=dict)
 
 
 def add_settings(
@@ -93,3 +125,105 @@ def _metavar(default: object, choices: tuple[str, ...]) -> str:
     if isinstance(default, tuple):
         return 'A,B,..'
     return 'TEXT' if isinstance(default, str) else 'NUMBER'
+
+
+FILE, PROJECT = 'allan.toml', 'pyproject.toml'
+"""Config files in the current folder; the first one with settings is used."""
+
+NOT_CONFIGURED = ('help', 'version', 'completion')
+
+
+def words_with_config(
+    words: list[str], parser: argparse.ArgumentParser, verbs: Mapping[str, object]
+) -> list[str]:
+    """Return the words of the command line with the options of the config file in front.
+
+    Parameters
+    ----------
+    words : list of str
+        The verb, then what follows.
+    parser : argparse.ArgumentParser
+        That of the verb.
+    verbs : mapping
+        The names of all verbs.
+
+    Raises
+    ------
+    AllanError
+        When the file cannot be read, or has an option that no verb or not this verb has.
+    """
+    verb, *given = words
+    path, settings = find_config(Path())
+    if not settings:
+        return words
+    options = {
+        name[2:]: action
+        for name, action in parser._option_string_actions.items()
+        if name.startswith('--') and action.dest not in NOT_CONFIGURED
+    }
+    tables = {key for key, value in settings.items() if isinstance(value, Mapping)}
+    strangers = tables.difference(verbs)
+    if strangers:
+        raise AllanError(f'{path}: [{min(strangers)}] is no verb: use {", ".join(verbs)}')
+    own = settings.get(verb, {})
+    added: list[str] = []
+    for key in own:
+        if key not in options:
+            close = difflib.get_close_matches(key, options, 1)
+            hint = f': did you mean {close[0]}?' if close else ''
+            raise AllanError(f'{path}: allan {verb} has no option --{key}{hint}')
+    shared = {k: v for k, v in settings.items() if k not in tables and k in options}
+    for key, value in {**shared, **own}.items():
+        added += _as_words(f'--{key}', value, options[key], path)
+    return [verb, *added, *given]
+
+
+def find_config(folder: Path) -> tuple[Path, Mapping[str, Any]]:
+    """Return the config file of a folder and its settings; none where there is no file.
+
+    Raises
+    ------
+    AllanError
+        When the file is not TOML, or this Python cannot read TOML.
+    """
+    for name in (FILE, PROJECT):
+        path = folder / name
+        if not path.is_file():
+            continue
+        text = path.read_text(encoding='utf-8', errors='replace')
+        if name == PROJECT and '[tool.allan' not in text:
+            continue
+        tree = _parsed(path, text)
+        settings = tree if name == FILE else tree.get('tool', {}).get('allan', {})
+        if settings:
+            return path, settings
+    return folder, {}
+
+
+def _parsed(path: Path, text: str) -> Mapping[str, Any]:
+    try:
+        toml = importlib.import_module('tomllib' if sys.version_info >= (3, 11) else 'tomli')
+    except ImportError as error:
+        raise AllanError(
+            f'{path}: needs Python 3.11 or tomli: pip install tomli, or move the file away'
+        ) from error
+    try:
+        tree: Mapping[str, Any] = toml.loads(text)
+    except ValueError as error:  # TOMLDecodeError is one
+        raise AllanError(f'{path}: is not TOML: {error}') from error
+    return tree
+
+
+def _as_words(option: str, value: object, action: argparse.Action, path: Path) -> list[str]:
+    """Return an option of the config file as words of a command line."""
+    if action.nargs == 0:
+        if not isinstance(value, bool):
+            raise AllanError(f'{path}: {option[2:]} is a switch: give true or false')
+        return [option] if value else []
+    if isinstance(value, list):
+        if isinstance(action, argparse._AppendAction):
+            return [f'{option}={each}' for each in value]
+        value = ','.join(map(str, value))
+    if isinstance(value, (bool, Mapping)):
+        raise AllanError(f'{path}: {option[2:]} needs a text or a number')
+    return [f'{option}={value}']

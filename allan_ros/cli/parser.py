@@ -1,21 +1,25 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of the command line: short usage, help with groups, and suggestions for misspelled
-words."""
+"""The parser of the command line: short usage, help with groups, suggestions for misspelled words,
+and shell completion with argcomplete, which is imported only for a completion request."""
 
 from __future__ import annotations
 
 import argparse
 import difflib
 import importlib
+import os
 import re
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from .. import __version__
+from ..core.errors import AllanError
 from .console import add_console_options
+from .options import Command
 
 EXIT_USAGE = 2
 """Exit code for a wrong command line, as in argparse and shells."""
@@ -45,8 +49,10 @@ VERBS = {
     'inflate': 'what running motors add to the noise of a robot at rest',
     'simulate': 'write a recording of an IMU whose noise is known',
 }
-"""Verb -> what it does. Each is the module of that name in this package, with
-``add_arguments(parser)`` and ``run(args) -> int``; ``EXITS`` lists exit codes of its own."""
+"""Verb -> what it does."""
+
+MODULES = {'check': 'analyze', 'merge': 'analyze', 'inflate': 'compare'}
+"""Verb -> its module in this package, where that has another name."""
 
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
@@ -173,13 +179,20 @@ def build_parser(verb: str = '') -> AllanParser:
     for name, what in VERBS.items():
         sub = verbs.add_parser(name, help=what)
         if name == verb:
-            module = importlib.import_module(f'.{name}', __package__)
-            sub.description = module.__doc__
-            sub.epilog = _exits_text({**EXITS, **getattr(module, 'EXITS', {})})
-            module.add_arguments(sub)
+            command = command_of(name)
+            sub.description = command.description
+            sub.epilog = _exits_text({**EXITS, **command.exits})
+            command.add_arguments(sub)
             add_console_options(sub)
             sub.shorten_usage()
     return parser
+
+
+def command_of(verb: str) -> Command:
+    """Return the command of a verb, whose module is imported."""
+    module = importlib.import_module(f'.{MODULES.get(verb, verb)}', __package__)
+    command: Command = module.COMMANDS[verb]
+    return command
 
 
 def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
@@ -199,11 +212,118 @@ class _Completion(argparse.Action):
         values: object,
         _option: str | None = None,
     ) -> None:
-        from .completion import registration
-
         print(registration(str(values)))
         parser.exit()
 
 
 def _exits_text(exits: dict[int, str]) -> str:
     return '\n'.join(['exit codes:', *(f'  {code:<4} {what}' for code, what in exits.items())])
+
+
+RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy')
+"""Suffixes of the files that `analyze` reads."""
+
+DOCUMENTS = ('.json',)
+"""Suffix of what `merge` and `export` read."""
+
+INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
+"""Verb -> suffixes of its inputs, where they are not recordings."""
+
+
+def registration(shell: str) -> str:
+    """Return the code that a shell evaluates to complete ``allan``.
+
+    Raises
+    ------
+    AllanError
+        When argcomplete is not installed.
+    """
+    try:
+        from argcomplete import shellcode
+    except ImportError as error:
+        raise AllanError(
+            '--completion needs argcomplete: pip install argcomplete, or apt install '
+            'python3-argcomplete'
+        ) from error
+    code: str = shellcode(['allan'], shell='fish' if shell == 'fish' else 'bash')
+    if shell == 'zsh' and 'compdef' not in code:  # argcomplete before 3.0 supports bash only
+        code = f'autoload -U bashcompinit\nbashcompinit\n{code}'
+    return code
+
+
+def complete() -> None:
+    """Answer a completion request and exit; return if argcomplete is not installed."""
+    try:
+        import argcomplete
+    except ImportError:
+        return
+
+    words = os.environ.get('COMP_LINE', '').split()
+    parser = build_parser(next((word for word in words if word in VERBS), ''))
+    _attach(parser)
+    argcomplete.autocomplete(parser)
+
+
+def _attach(parser: argparse.ArgumentParser) -> None:
+    """Attach a completer to every argument without choices."""
+    from argcomplete.completers import FilesCompleter
+
+    completers: dict[str, Any] = {
+        'inputs': FilesCompleter(INPUTS.get(parser.prog, RECORDINGS)),
+        'results': FilesCompleter(DOCUMENTS),
+        'baseline': FilesCompleter(DOCUMENTS),
+        'sensor': _quiet(_sensors),
+        'name': _quiet(_sensors),
+        'to': _quiet(_targets),
+        'export': _quiet(_target_lists),
+        'topic': _quiet(_topics),
+    }
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                _attach(sub)
+        elif action.dest in completers and not action.choices:
+            action.completer = completers[action.dest]  # type: ignore[attr-defined]
+
+
+def _quiet(words: Callable[..., Iterable[str]]) -> Callable[..., list[str]]:
+    """Return a completer that offers nothing when the words cannot be determined."""
+
+    def completer(**asked: Any) -> list[str]:
+        try:
+            return list(words(**asked))
+        except (AllanError, OSError):
+            return []
+
+    return completer
+
+
+def _sensors(**_: Any) -> Iterable[str]:
+    from ..io.datasheets import sensor_names
+
+    return sensor_names()
+
+
+def _targets(**_: Any) -> Iterable[str]:
+    from ..io.exporters import TARGETS
+
+    return TARGETS
+
+
+def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
+    """Return the targets that are not yet in ``kalibr,openvins,...``."""
+    given, comma, _last = prefix.rpartition(',')
+    return (f'{given}{comma}{t}' for t in _targets() if t not in given.split(','))
+
+
+def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+    """Return the Imu topics of the bags that are named already, or all topics of them."""
+    from ..io.readers.folder import bag_files, open_storage
+    from ..io.readers.message_fields import IMU_TYPE
+
+    topics = []
+    for path in getattr(parsed_args, 'inputs', None) or ():
+        with open_storage(bag_files(Path(path)).files[0]) as (storage, _compression):
+            topics += storage.topics
+    imus = {topic.name for topic in topics if topic.type == IMU_TYPE}
+    return sorted(imus or {topic.name for topic in topics})

@@ -18,6 +18,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from .console import Console, width, wrapped
+from .options import Command
 
 if TYPE_CHECKING:
     from ..io.datasheets import Datasheet, Limit, Source
@@ -169,3 +170,6 @@ def _source_text(source: Source) -> str:
     }[source.seen]
     parts = (str(source), source.url, f'{seen}{f": {source.via}" if source.via else ""}')
     return '; '.join(part for part in parts if part)
+
+
+COMMANDS = {'sensors': Command(__doc__ or '', add_arguments, run)}

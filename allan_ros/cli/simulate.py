@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import AllanError
 from ..core.simulate import PRESETS, Faults, simulate_imu
 from .console import Console
-from .options import add_settings, settings_of
+from .options import Command, add_settings, settings_of
 
 if TYPE_CHECKING:
     from ..core.imu import ImuBatch
@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, write the recording and then its truth."""
-    # Imported here, so that --help needs no numpy.
+
     from ..io.truth import stated_noise, write_truth
     from ..io.writing import write_recording
 
@@ -162,3 +162,6 @@ def _span(text: str) -> tuple[float, float]:
         return float(start), float(length)
     except ValueError:
         raise argparse.ArgumentTypeError(f'{text!r}: a span is given as START:LENGTH') from None
+
+
+COMMANDS = {'simulate': Command(__doc__ or '', add_arguments, run)}

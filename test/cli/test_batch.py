@@ -9,10 +9,13 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from allan_ros.cli.batch import recordings_in
 from allan_ros.cli.main import main
+from allan_ros.core.imu import ImuBatch
+from allan_ros.io.readers.cdr import encode_imus
 
 
 def test_what_is_one_recording_and_what_is_a_batch(tmp_path: Path) -> None:
@@ -77,3 +80,35 @@ def test_json_and_merge(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     # the two are copies of one recording, which may not count twice
     assert main(['analyze', str(folder), '--merge']) == 1
     assert 'give each recording once' in capsys.readouterr().err
+
+
+def test_each_imu_topic_of_a_bag_has_its_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rosbag2 = pytest.importorskip('rosbags.rosbag2')
+    typesys = pytest.importorskip('rosbags.typesys')
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    stamps = 10**18 + np.arange(6000) * 10_000_000
+    bag = tmp_path / 'two'
+    with rosbag2.Writer(bag, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        for seed, topic in enumerate(('/left/imu', '/right/imu')):
+            connection = writer.add_connection(topic, 'sensor_msgs/msg/Imu', typestore=store)
+            samples = np.random.default_rng(seed).normal(size=(6000, 6)) * (seed + 1)
+            batch = ImuBatch(stamps, samples, frame_id=topic)
+            for payload, stamp in zip(encode_imus(batch, 'cdr'), stamps.tolist()):
+                writer.write(connection, stamp, payload)
+    out = tmp_path / 'out'
+    words = ['analyze', str(bag), '-o', str(out), '--no-motion-gate']
+    assert main(words) == 0
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert [row.split(' | ')[0] for row in rows] == ['| two /left/imu', '| two /right/imu']
+    documents = [json.loads((out / f'two_{side}_imu' / 'results.json').read_text())
+                 for side in ('left', 'right')]  # fmt: skip
+    left, right = (document['axes']['gyro_x']['noise']['N']['value'] for document in documents)
+    # N of 6000 samples is known to 2 %, so that 10 % is five standard deviations
+    assert right / left == pytest.approx(2.0, rel=0.1)
+    assert (out / 'summary.html').is_file()
+    assert main([*words, '--topic', '/right/imu']) == 0
+    assert (out / 'results.json').is_file()
+    assert main([*words[:2], '--merge']) == 1
+    assert 'choose one with --topic' in capsys.readouterr().err

@@ -1,7 +1,5 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-import subprocess
-import sys
 from dataclasses import astuple, fields
 from pathlib import Path
 
@@ -126,15 +124,6 @@ def test_the_preset_names_only_what_exists():
     for preset in PRESETS.values():
         assert set(preset) == set(AXES)
         assert all(set(terms) <= set(TERMS) for terms in preset.values())
-
-
-def test_help_needs_no_numpy(repository):
-    code = (
-        'import sys, argparse; from allan_ros.cli import simulate; '
-        'simulate.add_arguments(argparse.ArgumentParser()); '
-        'assert "numpy" not in sys.modules and "yaml" not in sys.modules'
-    )
-    subprocess.run([sys.executable, '-c', code], check=True, cwd=repository)
 
 
 def test_every_fault_has_an_option(capsys):

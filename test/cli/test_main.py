@@ -10,13 +10,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import allan_ros
-from allan_ros.cli import merge
+from allan_ros.cli import analyze
 from allan_ros.cli.main import main
 from allan_ros.cli.parser import EXITS, VERBS
 
@@ -130,7 +131,9 @@ def test_what_goes_wrong_is_one_line_and_no_traceback(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(merge, 'run', fails(error))
+    monkeypatch.setitem(
+        analyze.COMMANDS, 'merge', replace(analyze.COMMANDS['merge'], run=fails(error))
+    )
     assert main(['merge', 'x', '--verbose']) == code
     line = capsys.readouterr().err.strip()
     assert line.startswith('allan merge: ') and said in line and '\n' not in line
@@ -214,7 +217,7 @@ def test_what_the_terminal_cannot_write_does_no_harm(tmp_path: Path) -> None:
 
 def test_verbs_that_draw_nothing_do_without_matplotlib() -> None:
     program = (
-        'import sys, allan_ros.cli.analyze, allan_ros.cli.check, allan_ros.cli.merge\n'
+        'import sys, allan_ros.cli.analyze, allan_ros.cli.batch\n'
         'sys.exit("matplotlib" in sys.modules)'
     )
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0

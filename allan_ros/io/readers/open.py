@@ -52,6 +52,19 @@ def open_recordings(
     return [_open(Path(path), options) for path in paths]
 
 
+def topics_of(path: str | os.PathLike[str]) -> list[str]:
+    """Return the Imu topics of a bag; none of another recording, or where it cannot be read."""
+    place = Path(path)
+    try:
+        if not place.is_dir() and _family(place) != 'bag':
+            return []
+        from .rosbag2 import imu_topics
+
+        return imu_topics(place)
+    except AllanError:
+        return []
+
+
 def _open(path: Path, options: ReadOptions) -> Recording:
     if path.name == 'metadata.yaml':
         path = path.parent

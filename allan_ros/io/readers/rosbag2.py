@@ -99,6 +99,17 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     )
 
 
+def imu_topics(path: Path) -> list[str]:
+    """Return the Imu topics with messages of a bag, as `ReadOptions.topic` names them.
+
+    Raises
+    ------
+    AllanError
+        When it is not a readable bag.
+    """
+    return [source.label for source in _candidates(_survey(bag_files(path)))]
+
+
 def _survey(bag: BagFiles) -> Survey:
     """Open the files until every topic that has messages was found."""
     survey = Survey()
@@ -126,10 +137,7 @@ def _choose(path: Path, survey: Survey, wanted: str) -> ImuSource:
     if wanted:
         chosen = _named(path, survey, plain, wanted)
     else:
-        candidates = [source for source in plain if survey.counts[source.key]] or plain
-        if not candidates:
-            nested = _nested(survey)
-            candidates = [source for source in nested if survey.counts[source.key]] or nested
+        candidates = _candidates(survey)
         if not candidates:
             raise _no_imu(path, survey)
         if len(candidates) > 1:
@@ -147,6 +155,13 @@ def _choose(path: Path, survey: Survey, wanted: str) -> ImuSource:
     if not survey.counts[chosen.key]:
         raise _no_message(path, chosen)
     return chosen
+
+
+def _candidates(survey: Survey) -> list[ImuSource]:
+    """Return the Imu topics, else the Imus inside other messages; those with messages if any."""
+    plain = [ImuSource(key) for key in survey.topics if key[1] == IMU_TYPE]
+    sources = plain or _nested(survey)
+    return [source for source in sources if survey.counts[source.key]] or sources
 
 
 def _no_message(path: Path, source: ImuSource) -> AllanError:
