@@ -21,18 +21,14 @@ from .sums import AllanSums, counts
 
 Floats = NDArray[np.float64]
 
-
 CI_LEVEL = 0.683
 """Confidence level of the limits on a curve: one sigma, as NIST SP 1065 and Stable32 write it."""
-
 
 WHITE_PHASE, FLICKER_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 1, 0, -1, -2
 """Noise types by the exponent alpha of their spectrum S_y ~ f^alpha (NIST SP 1065 table 2)."""
 
-
 REACH = 6
 """Correlations are summed up to this many m; beyond, rho^2 of flicker adds less than 1e-4."""
-
 
 FAR = 100.0
 """Lag in samples from which the flicker phase autocovariance is its continuous limit to 1e-5."""
@@ -149,66 +145,14 @@ def chi_squared_limits(
     return low, high
 
 
-MIN_AVERAGES = 30
-"""Fewest averages for the lag-1 method (NIST SP 1065 section 5.5.6)."""
-
-
-FLICKER_EDGE = -1.75
-"""Limit of alpha between flicker and random walk. Differenced averages of flicker have
-r1 = (9 ln3 - 16 ln2)/(8 ln2), so alpha = -1.45; those of a random walk have -2 (m = 1) to -2.4. In
-2000 averages, rounding would classify every fifth flicker as a random walk."""
-
-
 SLOPE_SPAN = 4.0
 """A slope is fitted from m/4 to 4 m, two octaves to each side."""
-
 
 MIN_BLOCKS = 16
 """Fewest averaging times in the record for which a slope is used."""
 
-
 QUANTIZATION_SLOPE = -1.5
 """Slopes of sigma^2 below this count as -2: white or flicker phase, which look the same."""
-
-
-def noise_type_of_samples(y: ArrayLike, m: int) -> int | None:
-    """Return the exponent alpha at factor m from the lag-1 autocorrelation of the averages.
-
-    NIST SP 1065 section 5.5.6 (Riley & Greenhall, Power law noise identification using the lag 1
-    autocorrelation, 18th EFTF, 2004): difference the averages until r1/(1 + r1) < 1/4, at most
-    twice; then alpha = -2 (r1/(1 + r1) + differences), rounded (but see `FLICKER_EDGE`).
-
-    Parameters
-    ----------
-    y : (n,) array
-        Samples at the period of m = 1.
-    m : int
-        Averaging factor.
-
-    Returns
-    -------
-    int or None
-        2 .. -2; None with fewer than 30 averages, or when they do not vary.
-    """
-    y = np.asarray(y, float)
-    blocks = len(y) // m
-    if blocks < MIN_AVERAGES:
-        return None
-    z = y[: blocks * m].reshape(blocks, m).mean(axis=1)
-    for differences in range(3):
-        z = z - z.mean()
-        power = float(z @ z)
-        if power == 0.0:
-            return None
-        r1 = float(z[:-1] @ z[1:]) / power
-        delta = r1 / (1.0 + r1)
-        alpha = -2.0 * (delta + differences)
-        if delta < 0.25:
-            break
-        z = np.diff(z)
-    if alpha < WHITE - 0.5:
-        return FLICKER if alpha > FLICKER_EDGE else RANDOM_WALK
-    return min(round(alpha), WHITE_PHASE)
 
 
 def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:

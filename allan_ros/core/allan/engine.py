@@ -15,12 +15,11 @@ an offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import AllanError
 from ..imu import AXES, ImuIdentity
 from .history import (
     CELLS,
@@ -40,18 +39,14 @@ from .sums import FIRST_FACTORS, LEVEL_FACTORS, AllanSums, SegmentRecord, counts
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-
 BLOCK = 4096
 """Phase points of a block: it fits the cache and amortizes the overhead of numpy calls."""
-
 
 PHASE_POINTS = 128
 """Most points of the phase record of a segment; when full, every second one is dropped."""
 
-
 _HISTORY = 2 * LEVEL_FACTORS[-1]
 """Points a level keeps of the previous block: the reach of its longest second difference."""
-
 
 _ALL_FACTORS = FIRST_FACTORS + LEVEL_FACTORS
 
@@ -459,71 +454,6 @@ class OpenSegment:
             count,
             sum_sq,
         )
-
-
-@dataclass(frozen=True)
-class AllanTable:
-    """Allan sums of one finite record at given factors.
-
-    Attributes
-    ----------
-    m, stride, n : (factors,) int64 arrays
-        Averaging factor, samples between starts, and number of second differences.
-    avar : (factors, ...) float64 array
-        sum d^2 / (2 m^2 n).
-    signed : (factors, ...) float64 array
-        sum d.
-    """
-
-    m: NDArray[np.int64]
-    stride: NDArray[np.int64]
-    n: NDArray[np.int64]
-    avar: Floats
-    signed: Floats
-
-
-def allan_table(y: ArrayLike, m: ArrayLike, stride: ArrayLike = 1) -> AllanTable:
-    """Return the Allan variance of a record at any factors; stride 1 is full overlap.
-
-    Parameters
-    ----------
-    y : (samples,) or (samples, axes) array
-        Evenly spaced samples.
-    m, stride : ints or (factors,) arrays
-        Averaging factors, and samples between the starts of two second differences.
-
-    Raises
-    ------
-    AllanError
-        When a factor is not in 1 .. samples/2, or a stride is below 1.
-    """
-    values = np.asarray(y, float)
-    ms, strides = (np.array(a) for a in np.broadcast_arrays(np.atleast_1d(m), stride))
-    ms, strides = ms.astype(np.int64), strides.astype(np.int64)
-    if len(ms) and (ms.min() < 1 or 2 * ms.max() > len(values) or strides.min() < 1):
-        raise AllanError(
-            f'factors {ms.min()} .. {ms.max()} need a record of at least {2 * ms.max()} samples '
-            f'and strides of at least 1; this one has {len(values)} samples'
-        )
-    rows = values.reshape(len(values), -1).T
-    theta = np.zeros((len(rows), len(values) + 1))
-    np.cumsum(rows - rows[:, :1], axis=1, out=theta[:, 1:])
-    sum_sq = np.empty((len(ms), len(rows)))
-    signed = np.empty((len(ms), len(rows)))
-    for i, (factor, step) in enumerate(zip(ms, strides)):
-        d = _second_differences(theta, int(factor))[:, :: int(step)]
-        sum_sq[i] = np.einsum('ij,ij->i', d, d)
-        signed[i] = d.sum(axis=1)
-    n = counts(len(values), ms, strides)
-    avar = sum_sq / (2.0 * ms.astype(float)[:, None] ** 2 * n[:, None])
-    shape = (len(ms), *values.shape[1:])
-    return AllanTable(ms, strides, n, avar.reshape(shape), signed.reshape(shape))
-
-
-def _second_differences(theta: Floats, lag: int) -> Floats:
-    """Return theta(u + 2 lag) - 2 theta(u + lag) + theta(u) along the last axis, for every u."""
-    g = theta[:, lag:] - theta[:, :-lag]
-    return g[:, lag:] - g[:, :-lag]
 
 
 class RunningAllan:

@@ -136,18 +136,20 @@ def short(values: Floats) -> Floats:
     return rounded
 
 
-def same_values(a: object, b: object) -> bool:
-    """Return whether two dataclass values of one type are equal, arrays included."""
-    if type(a) is not type(b):
-        return False
-    pairs = ((getattr(a, f.name), getattr(b, f.name)) for f in fields(a))  # type: ignore[arg-type]
-    return all(
-        np.array_equal(x, y) if isinstance(x, np.ndarray) else bool(x == y) for x, y in pairs
-    )
+class ByValue:
+    """A dataclass with arrays whose values are compared by ``==``."""
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return False
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
+        return all(
+            np.array_equal(x, y) if isinstance(x, np.ndarray) else bool(x == y) for x, y in pairs
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class AgeBin:
+class AgeBin(ByValue):
     """Sums of the second differences that start in one range of ages.
 
     Attributes
@@ -169,9 +171,6 @@ class AgeBin:
     pooled: tuple[PooledCount, ...]
     ramp: Floats
 
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other)
-
     def __add__(self, other: AgeBin) -> AgeBin:
         """Return the sums of both, with the lower index."""
         return AgeBin(
@@ -184,7 +183,7 @@ class AgeBin:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(ByValue):
     """Means and levels of one recording by age.
 
     Attributes
@@ -219,9 +218,6 @@ class Recording:
     period_begin: Ints
     level_count: Ints
     level_sum_sq: Floats
-
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other)
 
     @property
     def order(self) -> tuple[int, int]:
@@ -296,7 +292,7 @@ class Recording:
 
 
 @dataclass(frozen=True, eq=False)
-class History:
+class History(ByValue):
     """Sums by age of one recording, or of several added age by age.
 
     Attributes
@@ -315,9 +311,6 @@ class History:
     bins: tuple[AgeBin, ...] = ()
     recordings: tuple[Recording, ...] = ()
     recording_count: int = 0
-
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other)
 
     @classmethod
     def of_segment(cls, bins: Iterable[AgeBin], recording: Recording) -> History:

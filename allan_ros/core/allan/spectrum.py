@@ -20,36 +20,28 @@ from .curve import chi_squared_limits
 
 Floats = NDArray[np.float64]
 
-
 BLOCK = 1024
 """Samples of a block: lines 0.1 % of the sample rate apart are resolved."""
-
 
 DECIMATION = 4
 """Samples of one level that are averaged to a sample of the next."""
 
-
 LEVELS = 12
 """A sample of the last level is the mean of 4^11: 12 h at 100 Hz."""
-
 
 KEPT_BELOW = 1.0 / 16.0
 """Highest frequency used of averaged samples, over their rate: below it averaging removes at most
 1.3 % of the power (sinc^2), and aliased white noise has the correct level."""
 
-
 LOWEST_BIN = 2
 """Lowest bin used: below it the window leaks the mean."""
-
 
 PER_DECADE = 40
 """Points per decade of frequency."""
 
-
 OVERLAP_LOSS = 1.0 + 2.0 * (1.0 / 6.0) ** 2
 """Variance of a mean of Hann blocks that overlap by half, over that of as many independent
 blocks (Welch 1967, eq. 17 with the window's own correlation of 1/6)."""
-
 
 BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
 """The same for neighbouring bins, whose amplitudes the Hann window correlates by 2/3 and 1/6."""
@@ -200,7 +192,6 @@ def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) 
 
 _WINDOW = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(BLOCK) / BLOCK)
 """Hann's window, periodic."""
-
 
 _ONE_SIDED = np.full(BLOCK // 2 + 1, 2.0 / float(np.sum(_WINDOW**2)))
 """Scale of |FFT|^2 in a one-sided periodogram: the mean and the Nyquist bin count once."""

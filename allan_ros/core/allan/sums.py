@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..imu import AXES, ImuIdentity
-from .history import History, add_padded, same_values
+from .history import ByValue, History, add_padded
 
 FIRST_FACTORS = (1, 2, 3, 4, 6)
 """Averaging factors of level 0 only."""
 
-
 LEVEL_FACTORS = (8, 10, 12, 14)
 """Averaging factors of every level, in units of its stride 2^j."""
-
 
 MAX_LEVELS = 42
 """Bound for documents: 2^41 x 14 samples are 970 years at 1 kHz; lags of a covariance fit 64-bit
@@ -73,22 +71,17 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 
 Floats = NDArray[np.float64]
 
-
 LONGEST_FILLED = 128
 """Longest gap of filled samples that is counted by its length; longer ones count as this."""
-
 
 KEPT_SEGMENTS = 32
 """Number of longest segments that keep their own signed sums and phase record."""
 
-
 LENGTH_CLASS_RATIO = 1.1
 """Other segments are pooled with those of the same length within 10 %."""
 
-
 TAU0_TOLERANCE = 1e-3
 """Sums with sample periods more than 0.1 % apart belong to different streams."""
-
 
 LEAST_VARIANCE = 1e-80
 """Smaller variances count as 0: no IMU resolves 1e-40, and the cube and the inverse square of a
@@ -96,7 +89,7 @@ variance, which a fit takes, stay within the range of normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentRecord:
+class SegmentRecord(ByValue):
     """Data of one segment from which its ramp is estimated, in addition to its part of the sums.
 
     Attributes
@@ -121,9 +114,6 @@ class SegmentRecord:
     phase: Floats
     phase_step: int
     age: int = 0
-
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other)
 
     @cached_property
     def order(self) -> tuple[int, int, int]:
@@ -167,7 +157,7 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class LengthClass:
+class LengthClass(ByValue):
     """Segments of one length within 10 %, pooled.
 
     Attributes
@@ -186,9 +176,6 @@ class LengthClass:
     count: int
     samples: int
     ramp_correction: Floats
-
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other)
 
     @classmethod
     def of(cls, segment: SegmentRecord) -> LengthClass:
@@ -213,7 +200,7 @@ class LengthClass:
 
 
 @dataclass(frozen=True, eq=False)
-class AllanSums:
+class AllanSums(ByValue):
     """Running Allan sums of one stream; ``+`` adds those of another recording of the same IMU.
 
     Sums of floating-point numbers depend on the order of addition in the last bits: sums of the
@@ -256,9 +243,6 @@ class AllanSums:
     intervals: int = 0
     history: History = field(default_factory=History)
     filled: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
-
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other)
 
     @classmethod
     def empty(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.allan_table import allan_table
 from support.sums import assert_identical, sums_of
 
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
-from allan_ros.core.allan.engine import allan_table
 from allan_ros.core.allan.sums import KEPT_SEGMENTS, AllanSums, ols_ramp_weights
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuIdentity

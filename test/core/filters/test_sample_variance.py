@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 import pytest
+from support.allan_table import allan_table
 
-from allan_ros.core.allan.engine import allan_table
 from allan_ros.core.filters.noise_parameters import (
     measured_variances,
     sample_variance,

@@ -20,9 +20,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from support.allan_table import allan_table
 
 import allan_ros
-from allan_ros.core.allan.engine import allan_table
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.filters.growth import predicted_growth
