@@ -9,6 +9,7 @@ not trusted: the reader checks every length, every bound and whether the parts a
 from __future__ import annotations
 
 import base64
+import dataclasses
 import math
 import zlib
 from typing import Any
@@ -69,6 +70,7 @@ SAME = 1e-4
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
     """Return the sums as a document; floats survive a round trip through JSON unchanged."""
+    tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq')
     return {
         'schema': SUMS_SCHEMA,
         'frame_id': sums.identity.frame_id,
@@ -76,34 +78,18 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
         'axes': list(sums.axes),
         'elapsed_ns': int(sums.elapsed_ns),
         'intervals': int(sums.intervals),
-        'm': sums.m.tolist(),
-        'count': sums.count.tolist(),
-        'sum_sq': sums.sum_sq.tolist(),
-        'group_count': sums.group_count.tolist(),
-        'group_sum_sq': sums.group_sum_sq.tolist(),
-        'segments': [
-            {
-                'start_ns': int(s.start_ns),
-                'samples': int(s.samples),
-                'phase_step': int(s.phase_step),
-                'age': int(s.age),
-                'signed': s.signed.tolist(),
-                'phase': s.phase.tolist(),
-            }
-            for s in sums.segments
-        ],
-        'classes': [
-            {
-                'index': int(c.index),
-                'count': int(c.count),
-                'samples': int(c.samples),
-                'ramp_correction': c.ramp_correction.tolist(),
-            }
-            for c in sums.classes
-        ],
+        **{key: getattr(sums, key).tolist() for key in tables},
+        'segments': [_plain(s) for s in sums.segments],
+        'classes': [_plain(c) for c in sums.classes],
         **({'filled': sums.filled.tolist()} if len(sums.filled) else {}),
         **({'history': _history_to_document(sums.history)} if sums.history.recordings else {}),
     }
+
+
+def _plain(values: Any) -> dict[str, Any]:
+    """Return a dataclass of whole numbers and arrays with lists of numbers."""
+    found = {f.name: getattr(values, f.name) for f in dataclasses.fields(values)}
+    return {k: v.tolist() if isinstance(v, np.ndarray) else int(v) for k, v in found.items()}
 
 
 def _history_to_document(history: History) -> dict[str, Any]:
@@ -121,21 +107,19 @@ def _history_to_document(history: History) -> dict[str, Any]:
             for b in history.bins
         ],
         'recordings': [
-            {
-                'start_ns': int(r.start_ns),
-                'length': int(r.length),
-                'samples': int(r.samples),
-                'reference': r.reference.tolist(),
-                'step': r.step,
-                'cell_samples': _packed(r.cell_samples),
-                'cell_means': _packed(r.cell_means),
-                'period_begin': _packed(r.period_begin),
-                'level_count': _packed(r.level_count),
-                'level_sum_sq': _packed(r.level_sum_sq),
+            _plain(r)
+            | {
+                f.name: _packed(getattr(r, f.name))
+                for f in dataclasses.fields(r)
+                if f.name in PACKED
             }
             for r in history.recordings
         ],
     }
+
+
+PACKED = ('cell_samples', 'cell_means', 'period_begin', 'level_count', 'level_sum_sq')
+"""Arrays of a recording that are stored as text."""
 
 
 def _packed(values: NDArray[Any]) -> str:
@@ -216,9 +200,9 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
         ImuIdentity(*(top.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
         top.integers('count', n),
-        _squares(top, 'sum_sq', n, width),
+        _table(top, 'sum_sq', n, width, 0.0),
         top.integers('group_count', n),
-        _squares(top, 'group_sum_sq', n, width),
+        _table(top, 'group_sum_sq', n, width, 0.0),
         tuple(_segment(f, width, n) for f in top.each('segments', KEPT_SEGMENTS)),
         tuple(_length_class(f, width, n) for f in top.each('classes', MAX_CLASSES)),
         top.integer('elapsed_ns', least=0),
@@ -278,11 +262,18 @@ def _check(sums: AllanSums, where: str) -> None:
             raise AllanError(f'{where}.history does not add up to the sums: the file is damaged')
 
 
-def _squares(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.float64]:
-    """Return a table of sums of squares."""
-    values = fields.table(key, rows, columns, least=0.0)
-    if np.any(values > MAX_SUM):
-        raise AllanError(f'{fields.where}.{key} is above {MAX_SUM:g}: no IMU has such samples')
+def _table(
+    fields: Fields,
+    key: str,
+    rows: int,
+    columns: int,
+    least: float = -math.inf,
+    most: float = MAX_SUM,
+) -> NDArray[np.float64]:
+    """Return a table of numbers that an IMU may have."""
+    values = fields.table(key, rows, columns, least=max(least, -most))
+    if np.any(values > most):
+        raise AllanError(f'{fields.where}.{key} is above {most:g}: no IMU has such samples')
     return values
 
 
@@ -295,26 +286,11 @@ def _filled(fields: Fields, axes: int) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _signed(fields: Fields, key: str, rows: int, columns: int) -> NDArray[np.float64]:
-    """Return a table of sums of samples."""
-    values = fields.table(key, rows, columns)
-    if np.any(values**2 > MAX_SUM):
-        raise AllanError(f'{fields.where}.{key} is above {MAX_SUM**0.5:g}: no IMU has such samples')
-    return values
-
-
 def _power_of_two(fields: Fields, key: str) -> int:
     value = fields.integer(key, least=1)
     if value & (value - 1):
         raise AllanError(f'{fields.where}.{key} is {value}: a power of two is expected')
     return value
-
-
-def _rows(fields: Fields, key: str, expected: int) -> int:
-    found = len(fields.sequence(key, expected))
-    if found != expected:
-        raise AllanError(f'{fields.where}.{key} has {found} rows: {expected} are expected')
-    return found
 
 
 def _segment(fields: Fields, axes: int, factors: int) -> SegmentRecord:
@@ -328,8 +304,8 @@ def _segment(fields: Fields, axes: int, factors: int) -> SegmentRecord:
     return SegmentRecord(
         fields.integer('start_ns'),
         samples,
-        _signed(fields, 'signed', _rows(fields, 'signed', signed), axes),
-        _signed(fields, 'phase', _rows(fields, 'phase', samples // step + 1), axes),
+        _table(fields, 'signed', signed, axes, most=MAX_SUM**0.5),
+        _table(fields, 'phase', samples // step + 1, axes, most=MAX_SUM**0.5),
         step,
         fields.integer('age', 0, least=0),
     )
@@ -342,9 +318,7 @@ def _length_class(fields: Fields, axes: int, factors: int) -> LengthClass:
         raise AllanError(
             f'{fields.where}.samples is {samples}, in {count} segments of at most {factors} factors'
         )
-    ramp = fields.table('ramp_correction', rows, axes)
-    if np.any(np.abs(ramp) > MAX_SUM):
-        raise AllanError(f'{fields.where}.ramp_correction is above {MAX_SUM:g}')
+    ramp = _table(fields, 'ramp_correction', rows, axes)
     return LengthClass(fields.integer('index', least=0), count, samples, ramp)
 
 
@@ -373,7 +347,7 @@ def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
     ramp = np.zeros((0, axes))
     if 'ramp_correction' in fields:
         rows = len(fields.sequence('ramp_correction', factors))
-        ramp = fields.table('ramp_correction', rows, axes)
+        ramp = _table(fields, 'ramp_correction', rows, axes)
     return AgeBin(
         age_bin(age),
         count,
