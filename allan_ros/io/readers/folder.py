@@ -149,7 +149,9 @@ def _text(value: object) -> str:
 
 def _count(value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
-        raise ValueError(f'message_count is {str(value)[:40]!r}, not a number of messages')
+        # A list may refer to itself so often that its text fills the memory.
+        shown = str(value)[:40] if isinstance(value, (int, float, str)) else type(value).__name__
+        raise ValueError(f'message_count is {shown!r}, not a number of messages')
     return value
 
 
