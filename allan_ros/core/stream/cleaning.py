@@ -40,16 +40,9 @@ class StampFilter:
         self._backward = 0
 
     def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
-        """Return the samples that are kept, and flags for backward clock steps.
+        """Take stamps, (n,), and rows, (axes, n); return the k samples that are kept.
 
-        Parameters
-        ----------
-        stamps : (n,) int64 array
-        rows : (axes, n) float64 array
-
-        Returns
-        -------
-        stamps, rows, jumped : (k,), (axes, k) and (k,) bool arrays
+        The third array, (k,), flags backward clock steps.
         """
         if len(stamps) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
             finite = (np.abs(rows) <= LARGEST).all(axis=0)
@@ -200,11 +193,7 @@ def plan_sensors(
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
     """Return the sensor streams and their findings from the first samples of a stream.
 
-    Parameters
-    ----------
-    stamps : (n,) int64 array
-    rows : (6, n) array
-        NaN where a sensor is absent.
+    The rows, (6, n), are NaN where a sensor is absent.
     """
     # duplicate messages are dropped later and do not count here
     twice = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)

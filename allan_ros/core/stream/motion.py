@@ -220,24 +220,9 @@ class MotionGate:
     def _fill(self, more: Block) -> list[Block]:
         """Judge the windows that are complete and can look ahead; other samples stay buffered."""
         have = Block.joined([self._waiting, more]) if len(self._waiting) else more
-        ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size
-        out: list[Block] = []
-        if ready:
-            samples = ready * self.size
-            after = have.rows[:, samples : samples + SPIKE_NEIGHBORS]
-            block, windows = self._without_spikes(have.part(slice(samples)), self.size, after)
-            at = 0
-            while at < ready:
-                k = min(ready - at, BLOCK_WINDOWS - self._in_block)
-                part = block.part(slice(at * self.size, (at + k) * self.size), self._stretch_cut)
-                self._stretch_cut = ''
-                out += self._judge(part, self.size, windows[at : at + k])
-                self._in_block += k
-                at += k
-                if self._in_block == BLOCK_WINDOWS:
-                    out += self._end_block()
-            have = have.part(slice(samples, None))
-        self._waiting = have.copy()
+        ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
+        out = self._windows(have, ready, self.size) if ready else []
+        self._waiting = have.part(slice(ready, None)).copy()
         return out
 
     def _end_stretch(self) -> list[Block]:
@@ -246,26 +231,33 @@ class MotionGate:
         rest, self._waiting = self._waiting, self._waiting.part(slice(0))
         while len(rest) and self._floor is not None:
             size = min(len(rest), self.size)
-            last, rest = rest.part(slice(size)), rest.part(slice(size, None))
-            block, windows = self._without_spikes(last, size, rest.rows[:, :SPIKE_NEIGHBORS])
-            out += self._judge(block.part(slice(None), self._stretch_cut), size, windows)
-            self._stretch_cut = ''
-            if size == self.size:
-                self._in_block += 1
-                if self._in_block == BLOCK_WINDOWS:
-                    out += self._end_block()
+            out += self._windows(rest, size, size)
+            rest = rest.part(slice(size, None))
         self._before = self._before[:, :0]
         out += self._margin
         self._margin = []
         return out
 
-    def _without_spikes(self, block: Block, size: int, after: Floats) -> tuple[Block, Windows]:
-        """Replace the isolated spikes of complete windows; return also the windows."""
+    def _windows(self, have: Block, samples: int, size: int) -> list[Block]:
+        """Judge the first samples, which are windows of ``size``; those behind are looked at."""
         assert self._floor is not None
+        block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
         before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
         block, windows, spikes = without_spikes(block, size, before, after, self._floor)
         self._counts.spikes += spikes
-        return block, windows
+        out: list[Block] = []
+        at, number = 0, samples // size
+        while at < number:
+            k = min(number - at, BLOCK_WINDOWS - self._in_block)
+            part = block.part(slice(at * size, (at + k) * size), self._stretch_cut)
+            self._stretch_cut = ''
+            out += self._judge(part, size, windows[at : at + k])
+            at += k
+            if size == self.size:
+                self._in_block += k
+                if self._in_block == BLOCK_WINDOWS:
+                    out += self._end_block()
+        return out
 
     # --- still or moving --------------------------------------------------------------------------
 
@@ -461,17 +453,8 @@ def classify_windows(
 ) -> WindowClass:
     """Compare windows of ``size`` samples with the floor.
 
-    Parameters
-    ----------
-    windows : Windows
-    previous_mean : (axes,) array or None
-        Of the window before the first; None when it does not follow any.
-    size : int
-    floor : NoiseFloor
-    motion_ratio : float
-        Standard deviation of a moving window over that of the floor.
-    rate_limit : (axes,) array
-        Least mean rate, away from that at rest, that is a turn.
+    The mean of the window before the first, (axes,), is None when it does not follow any;
+    ``motion_ratio`` and ``rate_limit``, (axes,), are those of `MotionGate`.
     """
     limits = _Limits.of(floor, size, motion_ratio, rate_limit)
     previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]

@@ -370,14 +370,8 @@ class SampleClock:
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
         """Return how many samples are missing before a sample, by the lower envelope.
 
-        Parameters
-        ----------
-        at : int
-            Index of the sample in the buffer.
-        j : int
-            Its index among those being processed.
-        advance : (n,) int64 array
-            Index steps of the samples before it.
+        The sample has index ``at`` in the buffer, and ``j`` among those being processed, the index
+        steps of which are ``advance``.
         """
         period, reach = self.clock.period_ns, self._reach
         judged = self._since_cut + j

@@ -207,10 +207,7 @@ class TransportMonitor:
     ) -> None:
         """Separate missing samples by cause: clocks that were set, and samples never sent.
 
-        Parameters
-        ----------
-        passed_s : float
-            Time since the last usable samples.
+        The time since the last usable samples is ``passed_s``.
         """
         c = health.counts
         missing, self._missing = c.lost - self._missing, c.lost

@@ -54,17 +54,9 @@ fast."""
 
 
 def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:
-    """Return the messages of these channels in the order of the chunk.
+    """Return the messages of these channels in decompressed records, in their order.
 
-    Parameters
-    ----------
-    data : bytes
-        The records of the chunk, decompressed; or consecutive records outside chunks.
-    ids : set of int
-        The channels.
-    index : callable
-        Returns the MessageIndex records of the chunk, empty where there are none.
-
+    ``index`` returns the MessageIndex records of the chunk, empty where there are none.
     Raises struct.error when a record extends beyond the end of the data.
     """
     return _uniform(data, ids) or _by_index(data, ids, index()) or _one_by_one(data, ids)
@@ -254,12 +246,8 @@ class McapStorage(ChunkStorage[McapStretch]):
     def _read_summary(self) -> tuple[list[McapStretch], int]:
         """Take schemas, channels and counts from the summary.
 
-        Returns
-        -------
-        list of McapStretch
-            The chunks it lists, in the order of the file; empty where it cannot be used.
-        int
-            Where the summary begins; the end of the file where it cannot be used.
+        Returns the chunks it lists, in the order of the file, and where the summary begins; no
+        chunks and the end of the file where it cannot be used.
         """
         unusable: tuple[list[McapStretch], int] = ([], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)

@@ -7,6 +7,7 @@ This needs the package ``rosbags``, which parses schemas and deserializes messag
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import reduce
 from typing import Any
@@ -22,25 +23,9 @@ IMU_TYPE = 'sensor_msgs/msg/Imu'
 MAX_DEPTH = 8
 """Messages nested deeper than this are not searched."""
 
-STANDARD_PACKAGES = frozenset(
-    (
-        'actionlib_msgs',
-        'builtin_interfaces',
-        'diagnostic_msgs',
-        'geometry_msgs',
-        'map_msgs',
-        'nav_msgs',
-        'rcl_interfaces',
-        'rosgraph_msgs',
-        'sensor_msgs',
-        'shape_msgs',
-        'std_msgs',
-        'stereo_msgs',
-        'tf2_msgs',
-        'trajectory_msgs',
-        'unique_identifier_msgs',
-        'visualization_msgs',
-    )
+STANDARD_PACKAGES = re.compile(
+    '(actionlib|diagnostic|geometry|map|nav|rosgraph|sensor|shape|std|stereo|tf2|trajectory|'
+    'unique_identifier|visualization)_msgs|builtin_interfaces|rcl_interfaces'
 )
 """Packages of message types that need no schema."""
 
@@ -60,7 +45,7 @@ def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
 
 def is_unknown(topic: Topic) -> bool:
     """Return whether the content of the messages is unknown: no schema, no standard package."""
-    return not topic.schema and topic.type.split('/')[0] not in STANDARD_PACKAGES
+    return not topic.schema and not STANDARD_PACKAGES.fullmatch(topic.type.split('/')[0])
 
 
 def _search(
@@ -103,13 +88,7 @@ def nested_decoder(
 ) -> Callable[[Payloads], DecodedImus]:
     """Return a function that decodes the Imu in that field of the topic's messages.
 
-    Parameters
-    ----------
-    topic : Topic
-    field : tuple of str
-        Path of the field, as `imu_fields` returns it.
-    trust_covariance : bool
-        As in `decode_imus`.
+    The path of the field is one of `imu_fields`; ``trust_covariance`` is as in `decode_imus`.
     """
     from rosbags.typesys import Stores, get_typestore
 

@@ -270,14 +270,7 @@ def _decoded(
 ) -> Iterator[ImuBatch]:
     """Decode the messages of a storage file, and begin a new batch wherever the frame changes.
 
-    Parameters
-    ----------
-    file, source
-        For messages.
-    blocks : iterable of Block
-    decode : callable
-    kept : Counter
-        Receives the number of messages per sensor whose covariance was ignored.
+    ``kept`` receives the number of messages per sensor whose covariance was ignored.
     """
     read = 0
     for block in blocks:
@@ -353,16 +346,8 @@ def bag_temperature(
     """Return the temperature of an IMU, or None where the bag has none or it is ambiguous.
 
     A topic belongs to the IMU when it is the only one of its type, the only one in the namespace
-    of the Imu topic, or, among several of these, the only one with the frame_id of the IMU.
-
-    Parameters
-    ----------
-    files : sequence of path
-        The storage files of the bag, in order.
-    topics : sequence of Topic
-        All topics of the bag.
-    imu_topic, frame_id : str
-        Topic and frame_id of the IMU.
+    of the Imu topic, or, among several of these, the only one with the frame_id of the IMU. The
+    arguments are the storage files of the bag in order, all its topics, and those two names.
     """
     near = _nearest([t for t in topics if t.type == TEMPERATURE_TYPE], imu_topic)
     if len(near) > 1:

@@ -45,11 +45,9 @@ _LIBRARY_ERRORS = (
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
-PAGE_SIZE = struct.Struct('>16xH')
-"""Start of a database: page size, where 1 stands for 65536 (file format, section 1.3)."""
-
-PAGE_COUNT = struct.Struct('>24xII60xI')
-"""Start of a database: change counter, pages, and the change counter when they were counted."""
+HEAD = struct.Struct('>16xH6xII60xI')
+"""Start of a database (file format, section 1.3): page size, where 1 stands for 65536; change
+counter, pages, and the change counter when they were counted."""
 
 
 class Sqlite3Storage:
@@ -149,10 +147,7 @@ class Sqlite3Storage:
     def _batches(self, ids: set[int], done: int, file: BinaryIO) -> Generator[Block, None, int]:
         """Yield messages by ranges of ids as long as these are in the order of time.
 
-        Returns
-        -------
-        int
-            The id up to which all messages have been yielded.
+        The id up to which all messages have been yielded is returned.
         """
         (root,) = next(self._query("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"))
         end_ns, seen_ns = -(2**63), np.empty(0, np.int64)
@@ -225,11 +220,10 @@ def _topics(ids: set[int]) -> str:
 def _truncation(file: BinaryIO) -> Cut | None:
     """Return how much of the database is there, if it has fewer pages than its header states."""
     file.seek(0)
-    head = file.read(PAGE_COUNT.size)
-    if len(head) < PAGE_COUNT.size:
+    head = file.read(HEAD.size)
+    if len(head) < HEAD.size:
         return None
-    (page_size,) = PAGE_SIZE.unpack_from(head)
-    changes, pages, counted_at = PAGE_COUNT.unpack(head)
+    page_size, changes, pages, counted_at = HEAD.unpack(head)
     size, stated = os.fstat(file.fileno()).st_size, pages * (65536 if page_size == 1 else page_size)
     return Cut(size, stated) if changes == counted_at and size < stated else None
 
@@ -238,12 +232,7 @@ def _truncation(file: BinaryIO) -> Cut | None:
 def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     """Open a .db3 file for reading only, without creating a file next to it.
 
-    Parameters
-    ----------
-    path : Path
-    shown : Path
-        Name for messages, which differs for a decompressed copy.
-
+    The name for messages is ``shown``, which differs for a decompressed copy.
     Raises AllanError when it is not a rosbag2 database or damaged.
     """
     # A write-ahead log contains the last messages of a recorder that was killed. Without one the

@@ -269,14 +269,8 @@ def _columns(
 ) -> tuple[Any, ...]:
     """Return topics, record times, and start and length of the blobs of rows of one layout.
 
-    Parameters
-    ----------
-    header : (n,) array
-        Offset of each row.
-    head : (n,) array
-        Its first eight bytes.
-    kind : int
-        The first `KIND_BYTES` of these, equal in all rows: they decide the layout (section 2.1).
+    The rows begin at the offsets ``header`` with the eight bytes ``head``, the first `KIND_BYTES`
+    of which are ``kind`` in all rows: they decide the layout (section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)
@@ -310,14 +304,7 @@ def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int
 
 
 def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the first and the last id of rows.
-
-    Parameters
-    ----------
-    heads : (n, CELL_HEAD) array
-        The first bytes of each cell.
-    counts : (pages,) array
-        Cells of each page.
+    """Return the first and the last id of pages with ``counts`` rows, which begin with ``heads``.
 
     Raises Unusual when the ids do not increase from page to page: a damaged tree contains pages
     twice.

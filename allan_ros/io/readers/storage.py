@@ -176,57 +176,42 @@ def frame_compression(head: bytes | memoryview) -> str:
 
 
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
-    """Return the bytes of a compressed chunk or message.
+    """Return the bytes of a chunk or message compressed by 'zstd', 'lz4', 'bz2', 'none' or ''.
 
-    Parameters
-    ----------
-    data : bytes
-    compression : 'zstd', 'lz4', 'bz2', 'none' or ''
-    limit : int
-        Size at which decompression stops.
-
-    Raises ValueError when the compression is unknown, the data are damaged or expand beyond the
-    limit.
+    Raises ValueError when the compression is unknown, or the data are damaged or expand beyond the
+    limit, at which decompression stops.
     """
     if compression in ('', 'none'):
         return bytes(data)
+    errors: tuple[type[Exception], ...] = (RuntimeError, EOFError, OSError, ValueError)
     if compression == 'zstd':
-        plain = _decompress_zstd(data, limit)
-    elif compression == 'lz4':
-        lz4 = optional_package('lz4.frame', 'reading lz4 data')
-        plain = _decompress_stream(lz4.LZ4FrameDecompressor(), RuntimeError, data, limit)
-    elif compression == 'bz2':
-        plain = _decompress_stream(bz2.BZ2Decompressor(), OSError, data, limit)
-    else:
-        raise ValueError(f'compression {compression!r} is unknown')
+        errors = (*errors, _zstd().ZstdError)
+    try:
+        plain = _unlimited(data, compression, limit)
+    except errors as error:
+        raise ValueError(f'{error}') from error
     if len(plain) > limit:
         raise ValueError(f'the data expand to more than {limit} bytes')
     return plain
 
 
-def _decompress_zstd(data: bytes | memoryview, limit: int) -> bytes:
-    zstd = _zstd()
-    try:
-        size = zstd.frame_content_size(data)
-        if 0 <= size <= limit:
-            plain: bytes = _zstd_decompressor().decompress(data)
-        elif size > limit:
+def _unlimited(data: bytes | memoryview, compression: str, limit: int) -> bytes:
+    """Return the bytes of compressed data, as `decompress`, at most a little beyond the limit."""
+    if compression == 'zstd':
+        size = _zstd().frame_content_size(data)
+        if size > limit:
             raise ValueError(f'it states {size} bytes, the limit is {limit}')
-        else:  # the frame does not state its size
-            with zstd.ZstdDecompressor().stream_reader(data) as reader:
-                plain = reader.read(limit + 1)
-    except zstd.ZstdError as error:
-        raise ValueError(f'{error}') from error
-    return plain
-
-
-def _decompress_stream(
-    stream: Any, error_type: type[Exception], data: bytes | memoryview, limit: int
-) -> bytes:
-    try:
-        plain: bytes = stream.decompress(data, max_length=limit + 1)
-    except (error_type, EOFError, OSError, ValueError) as error:
-        raise ValueError(f'{error}') from error
+        if size >= 0:
+            return bytes(_zstd_decompressor().decompress(data))
+        with _zstd().ZstdDecompressor().stream_reader(data) as reader:  # it states no size
+            return bytes(reader.read(limit + 1))
+    if compression == 'lz4':
+        stream = optional_package('lz4.frame', 'reading lz4 data').LZ4FrameDecompressor()
+    elif compression == 'bz2':
+        stream = bz2.BZ2Decompressor()
+    else:
+        raise ValueError(f'compression {compression!r} is unknown')
+    plain: bytes = stream.decompress(data, max_length=limit + 1)
     if not stream.eof and len(plain) <= limit:
         raise ValueError('the compressed data end early')
     return plain
@@ -344,13 +329,7 @@ class ChunkStorage(ABC, Generic[Chunk]):
     @classmethod
     @contextmanager
     def open(cls, path: Path, shown: Path) -> Iterator[Storage]:
-        """Open a file.
-
-        Parameters
-        ----------
-        path : Path
-        shown : Path
-            Name for messages, which differs for a decompressed copy.
+        """Open a file; ``shown`` is its name for messages, another for a decompressed copy.
 
         Raises AllanError when the file is of another format or damaged.
         """
@@ -397,24 +376,18 @@ class ChunkStorage(ABC, Generic[Chunk]):
         return self._file.read(length)
 
     def _unpacked(
-        self,
-        offset: int,
-        stored: bytes | memoryview,
-        compression: str,
-        size: int,
-        checksum: int = 0,
+        self, offset: int, stored: bytes | memoryview, compression: str, size: int, crc: int = 0
     ) -> bytes:
         """Return the records of the chunk at ``offset``, decompressed; CRC-32 0 is not checked."""
         try:
             data = decompress(stored, compression, min(size, MAX_CHUNK_BYTES))
             if len(data) != size:
                 raise ValueError(f'{len(data)} bytes instead of {size}')
-            if checksum and zlib.crc32(data) != checksum:
+            if crc and zlib.crc32(data) != crc:
                 raise ValueError('its checksum is wrong')
         except ValueError as error:
-            raise damaged(
-                self._path, f'the chunk at byte {offset} is damaged: {error}', self.REMEDY
-            ) from error
+            reason = f'the chunk at byte {offset} is damaged: {error}'
+            raise damaged(self._path, reason, self.REMEDY) from error
         return data
 
 
@@ -438,11 +411,10 @@ class InOrder:
         if not in_order:
             order = np.argsort(times, kind='stable')
             times = times[order]
-            payloads = (
-                [payloads[row] for row in order.tolist()]
-                if isinstance(payloads, list)
-                else payloads[order]
-            )
+            if isinstance(payloads, list):
+                payloads = [payloads[row] for row in order.tolist()]
+            else:
+                payloads = payloads[order]
         ready = len(times) if until is None else int(np.searchsorted(times, until))
         self._held = [_copied(times[ready:], payloads[ready:])] if ready < len(times) else []
         return Block(times[:ready], payloads[:ready])
