@@ -130,10 +130,11 @@ def test_importing_loads_no_heavy_library() -> None:
     """Each takes 0.2 to 1 s of CPU at every start of `allan` or a node, and up to 20 MB."""
     program = (
         'import importlib, pkgutil, sys, allan_ros\n'
+        'drawing = {"allan_ros.io.comparison_files", "allan_ros.io.plots"}\n'
         'for package in ("core", "io", "cli"):\n'
         '    path = f"{allan_ros.__path__[0]}/{package}"\n'
         '    for module in pkgutil.walk_packages([path], f"allan_ros.{package}."):\n'
-        '        if module.name != "allan_ros.io.comparison_files":  # draws, loaded when needed\n'
+        '        if module.name not in drawing:\n'
         '            importlib.import_module(module.name)\n'
         'heavy = sorted({"scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", '
         '"matplotlib", "pandas", "rosbags", "rclpy"} & set(sys.modules))\n'
