@@ -158,6 +158,11 @@ def _model(begin: tuple[float, ...], end: tuple[float, ...]) -> VarianceModel:
     return VarianceModel(np.array(begin), np.array(end))
 
 
+def clear_cache() -> None:
+    """Clear the models of recent stretches, some 4 MB."""
+    _model.cache_clear()
+
+
 def variance_model(means: CellMeans) -> VarianceModel:
     """Return the model of some stretches; that of the last four is cached."""
     return _model(tuple(means.begin.tolist()), tuple(means.end.tolist()))

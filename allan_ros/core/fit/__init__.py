@@ -66,6 +66,6 @@ def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseModel:
 
 def clear_cache() -> None:
     """Clear the tables that fits share: for processes that fit seldom and live long."""
-    table = sys.modules.get(f'{__name__}.table')
-    if table is not None:  # else no method with a cache has been used
-        table.clear_cache()
+    for name in (f'{__name__}.table', f'{__package__.rpartition(".")[0]}.allan.likelihood'):
+        if name in sys.modules:  # else no method with a cache has been used
+            sys.modules[name].clear_cache()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from allan_ros.core.allan import likelihood
 from allan_ros.core.allan.sums import counts, grid_for
 from allan_ros.core.fit import clear_cache
 from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
@@ -75,3 +76,9 @@ def test_what_is_forgotten_is_made_anew():
     clear_cache()
     assert pair_sums.cache_info().currsize == 0
     assert np.array_equal(pair_sums(1000).squares, before.squares)
+
+
+def test_the_model_of_stretches_is_cleared_too():
+    likelihood._model((0.0, 1.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0))
+    clear_cache()
+    assert likelihood._model.cache_info().currsize == 0
