@@ -103,10 +103,11 @@ def test_pictures_are_small() -> None:
 NUMBER = re.compile(r'\d+(?:\.\d+)?')
 
 
-def test_quoted_output_of_the_readme_is_current(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize('page', ['README.md', 'docs/filters.md'])
+def test_quoted_output_is_current(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other versions of numpy may change the last digit, so numbers are compared to 5 %."""
     monkeypatch.syspath_prepend(str(ROOT / 'scripts'))
-    text = (ROOT / 'README.md').read_text()
+    text = (ROOT / page).read_text()
     new = importlib.import_module('quoted_output').with_new_output(text)
     sys.modules.pop('quoted_output')
     hint = 'run `python scripts/quoted_output.py`'

@@ -187,10 +187,10 @@ def reduce_axis(
     return AxisReduction(reduction, white, walk)
 
 
-UNRESOLVED_SHARE = 0.25
-"""Probability that a K exists which a record does not resolve: 1/2 before the record, and a K of a
-size near the limit stays unresolved in a third of the records. With it the errors after 300 s are
-1.06 of the predicted ones on sensor Y of docs/filters.md (1.3 without), and 0.90 where K is 0."""
+UNRESOLVED_SHARE = 0.15
+"""Share of its expected variance with which an unresolved K counts: the probability that there is
+one. It is such that errors after 300 s exceed the predicted ones by less than 1.2 where there is
+one, and are not below 0.9 of them where there is none (table in docs/filters.md)."""
 
 
 def expected_variance(coefficient: Coefficient) -> float:

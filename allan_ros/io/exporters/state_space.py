@@ -203,7 +203,7 @@ STATE_SPACES = {
         notes=(
             'walk is a state even if it is 0: it holds the turn-on bias',
             'walk covers a ramp over the horizon, because a ramp has no state of its own; where K '
-            'is not resolved it contains a quarter of the expected K^2',
+            'is not resolved it contains 15 % of the expected K^2',
         ),
         three=True,
         horizon_s=INS_HORIZON_S,

@@ -16,6 +16,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.growth import growth_table
 from allan_ros.core.filters.noise_parameters import (
     RULES,
+    UNRESOLVED_SHARE,
     Level,
     axis_level,
     expected_variance,
@@ -182,7 +183,7 @@ def test_a_filter_with_all_states_allows_for_a_walk_that_is_not_resolved() -> No
         reduce_axis('gyro_x', fit, 'processes', expect_walk=expect).reduction.walk
         for expect in (False, True)
     )
-    expected = 0.25 * expected_variance(hidden(1e-5))
+    expected = UNRESOLVED_SHARE * expected_variance(hidden(1e-5))
     assert careful**2 == pytest.approx(bare**2 + expected, rel=1e-3)
     found = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=resolved(1e-5))
     same = [
