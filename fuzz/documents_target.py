@@ -15,7 +15,7 @@ import matplotlib.font_manager  # noqa: F401  (builds its cache on first use)
 from hypothesis import strategies as st
 
 from allan_ros.cli.main import main
-from allan_ros.core.allan.recent import recent_noise
+from allan_ros.core.allan.parts import recent_noise
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.checkpoint import Checkpoint

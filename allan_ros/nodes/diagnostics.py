@@ -12,7 +12,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ..core.allan.recent import RecentNoise
+from ..core.allan.parts import RecentNoise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference
 from ..core.errors import one_line

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ..core.allan.curve import AllanCurve
-from ..core.allan.recent import RecentNoise, recent_noise
+from ..core.allan.parts import RecentNoise, recent_noise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, DeviationCurve, Difference, Measured, differences
 from ..core.errors import AllanError, one_line

@@ -7,7 +7,7 @@ The age of a sample is the number of sample periods since the first sample of it
 - `AgeBin`: the Allan sums of the second differences that *start* in a range of ages. Segments are
   not split, so all averaging factors stay, and the sum over the bins is the sum of the recording.
   Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. They make it possible to
-  leave out the early part of a recording afterwards (`settled.settled_sums`).
+  leave out the early part of a recording afterwards (`parts.settled_sums`).
 - `Recording`: the means of up to 512 cells of equal length, and the sums of squares at every
   second octave of about 100 periods, shorter ones towards the end. The stationarity tests and the
   comparison of the recent noise with the former use them.

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..allan.levels import LevelChange, drift_scatter, level_changes, level_excess
-from ..allan.settled import settled_sums
+from ..allan.parts import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
 from ..errors import AllanError

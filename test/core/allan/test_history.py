@@ -14,7 +14,7 @@ from support.sums import TICK_NS, sums_of
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
 from allan_ros.core.allan.engine import BLOCK, RunningAllan
 from allan_ros.core.allan.history import CELLS, age_bin, edge_age, period_begins, short
-from allan_ros.core.allan.settled import settled_sums
+from allan_ros.core.allan.parts import settled_sums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES
 

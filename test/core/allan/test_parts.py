@@ -9,7 +9,7 @@ import pytest
 from support.sums import TICK_NS
 
 from allan_ros.core.allan.engine import RunningAllan
-from allan_ros.core.allan.recent import recent_noise
+from allan_ros.core.allan.parts import recent_noise
 from allan_ros.core.compare import DeviationCurve, Measured, differences
 from allan_ros.core.errors import AllanError
 
