@@ -14,7 +14,7 @@ an offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -119,12 +119,6 @@ class _LevelSums:
         }
         self.groups = np.zeros((len(factors), axes))
 
-    def of_bin(self, index: int) -> Floats:
-        """Return the sums of one bin, to be added to."""
-        if index not in self.bins:
-            self.bins[index] = np.zeros_like(self.groups)
-        return self.bins[index]
-
     def copy(self) -> _LevelSums:
         """Return a copy that can be added to."""
         other = _LevelSums((), 0)
@@ -208,7 +202,7 @@ class _Level:
                 for index, low, high in self._by_bin(first, number)
             ]
             for index, squares in pieces:
-                sums.of_bin(index)[i] += squares
+                sums.bins.setdefault(index, np.zeros_like(sums.groups))[i] += squares
             every = d[:, -first % f :: f]
             sums.groups[i] += _squares(every) if f > 1 or len(pieces) > 1 else pieces[0][1]
             if i in sums.periods:
@@ -228,25 +222,29 @@ class _Level:
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]
-        found = []
-        low = 0
-        while low < number:
-            self.bin = age_bin(self.offset + ((first + low) << self.level))
-            begin, end = (self._start_at(edge_age(i)) for i in (self.bin, self.bin + 1))
-            self.bin_starts = begin, end
-            high = min(number, end - first)
-            found.append((self.bin, low, high))
-            low = high
-        return found
+
+        def bin_of(age: int) -> tuple[int, int]:
+            self.bin = age_bin(age)
+            ends = edge_age(self.bin), edge_age(self.bin + 1)
+            self.bin_starts = self._start_at(ends[0]), self._start_at(ends[1])
+            return self.bin, ends[1]
+
+        return self._pieces(first, number, bin_of)
 
     def _by_period(self, first: int, number: int, period: int) -> list[tuple[int, int, int]]:
         """Return (age at which a period begins, low, high), as `_by_bin`."""
+        return self._pieces(first, number, lambda a: (a - a % period, a - a % period + period))
+
+    def _pieces(
+        self, first: int, number: int, piece: Callable[[int], tuple[int, int]]
+    ) -> list[tuple[int, int, int]]:
+        """Divide differences into pieces; ``piece`` returns the key and the last age + 1 of one."""
         found = []
         low = 0
         while low < number:
-            index = (self.offset + ((first + low) << self.level)) // period
-            high = min(number, self._start_at((index + 1) * period) - first)
-            found.append((index * period, low, high))
+            key, end = piece(self.offset + ((first + low) << self.level))
+            high = min(number, self._start_at(end) - first)
+            found.append((key, low, high))
             low = high
         return found
 

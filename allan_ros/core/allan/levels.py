@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 PARTS = 6
 """Parts of a single recording."""
 
-LEVEL_PROBABILITY = 2e-4
+LEVEL_PROBABILITY = 1e-4
 """Probability below which the levels of an axis differ."""
 
 LEVEL_RATIO = 1.02
