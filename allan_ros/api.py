@@ -7,12 +7,11 @@ The command line, the scripts and notebooks call these functions.
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +23,7 @@ from .core.errors import AllanError
 from .core.fit import METHODS
 from .core.fit.curve_fit import fit_curve
 from .core.imu import AXES, SAMPLE_SI, ImuBatch, joined
-from .core.settings import SegmenterSettings, check, describe, parameter
+from .core.settings import SegmenterSettings, check, describe, parameter, settings_from
 from .core.simulate import Faults, simulate_imu
 from .io.axis_result import AxisCurve, AxisResult
 from .io.comparison import Inflation, RunComparison, Subject, compare_runs
@@ -45,8 +44,6 @@ from .io.recorded import (
 )
 from .io.results import Results, analyse_recorded
 from .io.truth import stated_noise
-
-T = TypeVar('T')
 
 
 @dataclass(frozen=True)
@@ -225,7 +222,10 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     >>> [f'{tau:g} s: {value:.2f}' for tau, value in zip(curve.tau[:3], curve.adev)]
     ['0.1 s: 0.97', '0.2 s: 0.69', '0.3 s: 0.57']
     """
-    values = np.asarray(samples, float)
+    try:
+        values = np.asarray(samples, float)
+    except (TypeError, ValueError) as error:
+        raise AllanError(f'the samples are not numbers ({error}): give an array') from None
     table = values[:, None] if values.ndim == 1 else values
     if table.ndim != 2 or not (np.isfinite(rate) and rate > 0.0):
         raise AllanError(
@@ -447,7 +447,7 @@ def simulate(
         terms[:3],
         terms[3:],
         seed=seed,
-        faults=_settings(Faults, faults),
+        faults=settings_from(Faults, faults),
         frame_id=frame_id,
     )
     return joined(list(batches))
@@ -475,20 +475,4 @@ def _options_of(options: Mapping[str, Any]) -> tuple[ReadOptions, SegmenterSetti
     """Return the reading options and settings of the stream from keyword arguments."""
     reading = {name: options[name] for name in describe(ReadOptions) if name in options}
     rest = {name: value for name, value in options.items() if name not in reading}
-    return ReadOptions(**reading), _settings(SegmenterSettings, rest)
-
-
-def _settings(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Return settings from keyword arguments.
-
-    Raises
-    ------
-    AllanError
-        Naming the argument that is unknown, and the known ones.
-    """
-    known = describe(kind)
-    for name in given:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            raise AllanError(f'option {name!r} is unknown: use {near[0] if near else list(known)}')
-    return kind(**given)
+    return ReadOptions(**reading), settings_from(SegmenterSettings, rest)

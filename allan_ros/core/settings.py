@@ -4,11 +4,16 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from numbers import Real
+from typing import Any, TypeVar
 
 from .errors import AllanError
+
+T = TypeVar('T')
 
 
 @dataclass(frozen=True)
@@ -40,17 +45,23 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 def check(settings: Any) -> None:
-    """Check that the settings are within their ranges; call it from ``__post_init__``.
+    """Check the types and ranges of the settings; call it from ``__post_init__``.
 
     Raises
     ------
     AllanError
         Naming the setting, its value, its range and unit.
     """
+    defaults = {f.name: f.default for f in fields(settings)}
     for name, info in describe(settings).items():
         value = getattr(settings, name)
         if info.choices and value not in info.choices:
-            raise AllanError(f'{name} is {value!r}: choose one of {", ".join(info.choices)}')
+            known = ', '.join(choice for choice in info.choices if choice)
+            raise AllanError(f'{name} is {value!r}: choose one of {known}')
+        if info.auto and value == 'auto':
+            object.__setattr__(settings, name, AUTO)
+            continue
+        _check_type(name, value, defaults[name])
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             continue
         low = -math.inf if info.low is None else info.low
@@ -58,6 +69,37 @@ def check(settings: Any) -> None:
         if not low <= value <= high:
             unit = f' {info.unit}' if info.unit else ''
             raise AllanError(f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}')
+
+
+EXPECTED = ((bool, bool, 'True or False'), (Real, Real, 'a number'), (str, str, 'a text'))
+"""Type of a default, type of its values, and what it is called."""
+
+
+def _check_type(name: str, value: object, default: object) -> None:
+    if isinstance(default, tuple) and not isinstance(value, (tuple, list)):
+        raise AllanError(f'{name} is {value!r}: a list is expected')
+    for of_default, of_value, expected in EXPECTED:
+        if isinstance(default, of_default):
+            if not isinstance(value, of_value):
+                raise AllanError(f'{name} is {value!r}: {expected} is expected')
+            return
+
+
+def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
+    """Return settings from keyword arguments.
+
+    Raises
+    ------
+    AllanError
+        Naming the argument that is unknown and the nearest known one, or what `check` rejects.
+    """
+    known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            use = near[0] if near else ', '.join(known)
+            raise AllanError(f'option {name!r} is unknown: use {use}')
+    return kind(**given)
 
 
 class CheckedSettings:

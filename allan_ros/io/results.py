@@ -19,7 +19,7 @@ from ..core.findings import Finding, duration_text
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
-from ..core.settings import AUTO
+from ..core.settings import AUTO, settings_from
 from ..core.stream.health import sums_findings
 from .axis_result import AxisResult, axis_results
 from .datasheets import (
@@ -221,24 +221,30 @@ class Results:
         from .exporters import ExportOptions, make_export, target_of
         from .files import write_atomic
 
-        text = make_export(self, target, ExportOptions(**options)).text
+        text = make_export(self, target, settings_from(ExportOptions, options)).text
         if path is not None:
             place = Path(path)
             write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
         return text
 
-    def save(self, folder: str | os.PathLike[str], **options: Any) -> list[Path]:
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        units: str = 'datasheet',
+        targets: Sequence[str] = (),
+    ) -> list[Path]:
         """Write the files that `allan analyze -o` writes, and return their paths.
 
         Parameters
         ----------
         folder : path
-        **options
-            As of `io.result_files.write_result_files`: ``units``, ``targets``, ``pictures`` ...
+        units : 'datasheet' or 'si'
+        targets : sequence of str
+            Names of `io.exporters.TARGETS` to write files for, in addition to Kalibr.
         """
         from .result_files import write_result_files
 
-        return write_result_files(folder, self, **options)[1]
+        return write_result_files(folder, self, units=units, targets=targets)[1]
 
     def check(
         self,

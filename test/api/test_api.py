@@ -176,7 +176,7 @@ def test_axes_are_found_by_name(results: ar.Results) -> None:
 
 def test_summaries(results: ar.Results) -> None:
     text, html = repr(results), results._repr_html_()
-    assert text.startswith('imu_link: 18,000 samples at 50 Hz, 6.00 min')
+    assert text.startswith('imu_link: 18,000 samples at 50 Hz, 6 min')
     assert all(axis in text and axis in html for axis in AXES)
     assert '<table>' in html
     assert results.verdict.summary in html
@@ -262,3 +262,44 @@ def test_simulated_noise_is_stated() -> None:
     ):
         with pytest.raises(ar.AllanError, match=said):
             ar.simulate(**options)
+
+
+@pytest.mark.parametrize(
+    'call, message',
+    [
+        (lambda w: ar.analyze(w, rate='100'), "rate_hz is '100': a number is expected"),
+        (lambda w: ar.analyze(w, rate=100, margin='a'), "margin is 'a': a number is expected"),
+        (lambda w: ar.analyze(w, rate=100, skip='x'), "skip is 'x': a number is expected"),
+        (lambda w: ar.analyze(w, rate=100, motion_gate=3), 'motion_gate is 3: True or False is'),
+        (lambda w: ar.analyze(w, rate=100, columns='gx'), "columns is 'gx': a list is expected"),
+        (lambda w: ar.analyze(w, rate=100, gyro_unit='g'), 'choose one of rad/s, mrad/s'),
+        (lambda w: ar.analyze(w + 1j, rate=100), 'the samples are not numbers .complex values'),
+        (lambda w: ar.analyze(w, rate=100, skp=3), "option 'skp' is unknown: use skip"),
+        (lambda w: ar.adev(['a', 'b']), 'the samples are not numbers'),
+    ],
+)
+def test_a_wrong_argument_is_one_clear_line(call, message):
+    with pytest.raises(ar.AllanError, match=message) as error:
+        call(np.random.default_rng(0).normal(size=100))
+    assert '\n' not in str(error.value)
+
+
+def test_auto_is_a_word_in_python_too() -> None:
+    white = np.random.default_rng(0).normal(scale=0.01, size=3000)
+    named, default = (
+        ar.analyze(white, rate=100, axes='gyro_z', **o) for o in ({'skip': 'auto'}, {})
+    )
+    assert repr(named) == repr(default)
+    assert named.provenance.settings == default.provenance.settings
+
+
+def test_results_are_compared_with_an_earlier_run_at_once(results: ar.Results) -> None:
+    white = np.random.default_rng(0).normal(scale=0.01, size=20_000)
+    before = ar.analyze(white, rate=100, axes='gyro_z')
+    louder = ar.analyze(1.5 * white[::-1], rate=100, axes='gyro_z', baseline=before)
+    assert louder.verdict.level == 'failed'
+    assert (
+        ar.analyze(white[::-1], rate=100, axes='gyro_z', baseline=before).verdict.level != 'failed'
+    )
+    with pytest.raises(ar.AllanError, match=r'option .foo. is unknown'):
+        results.export('kalibr', foo=3)

@@ -375,7 +375,10 @@ def without_absent(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def _numbers(samples: Any) -> NDArray[np.float64]:
     """Return the samples as (n, k) float64."""
     try:
-        values = np.asarray(samples, float)
+        values = np.asarray(samples)
+        if values.dtype.kind == 'c':
+            raise TypeError('complex values')
+        values = np.asarray(values, float)
     except (TypeError, ValueError) as error:
         raise AllanError(
             f'the samples are not numbers ({error}): give an array, a DataFrame or paths'
