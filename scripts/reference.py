@@ -32,10 +32,10 @@ WRITTEN_BY = '<!-- Written by scripts/reference.py (`make docs`): change the cod
 
 PARAMETERS_HEAD = """# Parameters of the nodes
 
-Every parameter with its default, range and unit. `config/allan_ros.yaml` holds the same, to be
-copied from; `ros2 param describe NODE NAME` says it of a running node. A parameter marked ● can be
-set while the node runs; the others are read once, at the start. A value out of range is refused
-with the reason.
+Every parameter with its default, range and unit. `config/allan_ros.yaml` is a template with the
+same parameters; `ros2 param describe NODE NAME` shows them for a running node. A parameter marked ●
+can be set while the node runs; the others are read once, at the start. A value out of range is
+refused with the reason.
 
 Topics, services and diagnostics are in [online.md](online.md).
 """
@@ -56,7 +56,7 @@ Every option with its default. `allan VERB --help` says the same. Inside a ROS w
 
 API_HEAD = """# Python API
 
-Importing `allan_ros` takes no time: each name is loaded when it is first used. All errors are
+Importing `allan_ros` takes less than 50 ms: each name is loaded at its first use. All errors are
 `AllanError`. [notebook.ipynb](notebook.ipynb) shows the same from a recording to a filter file.
 
 ```python
@@ -75,16 +75,16 @@ EVERY_VERB = """## Of every verb
 |---|---|
 {options}
 
-Results go to stdout, all else to stderr. `--json` of `analyze` and `merge` is what `results.json`
-holds, so that `allan analyze my_bag --json | jq .axes.gyro_x.noise.N` needs no file. Progress is
-drawn on a terminal only.
+Results go to stdout, all else to stderr. `analyze --json` and `merge --json` print the content of
+`results.json`: `allan analyze my_bag --json | jq .axes.gyro_x.noise.N`. Progress is drawn on a
+terminal only.
 
 | exit code | |
 |---|---|
 {exits}
 
 `NO_COLOR` and `FORCE_COLOR` turn colours off and on ([no-color.org](https://no-color.org)),
-`COLUMNS` sets the width; both follow the terminal else.
+`COLUMNS` sets the width. By default both follow the terminal.
 
 **Completion** of verbs, options, datasheets, targets and topics of a bag, by
 [argcomplete](https://kislyuk.github.io/argcomplete/), where `allan` is on the PATH:

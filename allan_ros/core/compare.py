@@ -180,7 +180,9 @@ class Difference:
         return self.verdict in ('higher', 'lower')
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the runs differ, and the complete interval by more than a fraction."""
+        """Return whether the difference is significant and its complete interval exceeds a
+        fraction.
+        """
         low, high = self.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 

@@ -179,7 +179,7 @@ no_sums: error
   > Start allan_accumulator, or remap sums to its topic.
 run_began_anew: info
   The stamps went back and stayed there; the sums of the previous pass are {kept}.
-  > No action is needed for a looped recording: a second pass is no new data.
+  > No action is needed for a looped recording: a second pass adds no new data.
 fit_failed: error
   The fit failed: {reason}.
   > If the next fit fails too, call ~/reset and report the log.

@@ -100,7 +100,7 @@ class _PeriodSums:
 
 
 class _LevelSums:
-    """Sums of squares of a level: of all differences by the age of their start, and the groups'.
+    """Sums of squared second differences of one level, by the age of their start and over groups.
 
     Attributes
     ----------

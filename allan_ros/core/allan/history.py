@@ -271,7 +271,9 @@ class Recording(ByValue):
         return replace(self, cell_means=means, level_sum_sq=squares)
 
     def continued(self, later: Recording) -> Recording:
-        """Return this recording with a later segment of it, aged from the same first sample."""
+        """Return this recording extended by a later segment; both ages count from the same first
+        sample.
+        """
         length = max(self.length, later.length)
         begins = period_begins(length)
         a = replace(self, length=length).coarser(CELLS, begins)

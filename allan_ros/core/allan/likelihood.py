@@ -195,7 +195,8 @@ class Likelihood:
 def likelihood(
     values: Floats, units: Sequence[Floats], variances: Floats, effects: Floats | None = None
 ) -> Likelihood:
-    """Return the likelihood of contrasts at given variances, the best amplitudes of the effects.
+    """Return the likelihood of contrasts for given variances, maximized over the amplitudes of the
+    effects.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ class SegmentRecord(ByValue):
 
     @property
     def length_class(self) -> int:
-        """Index of its length class: segments of one class differ by less than 10 %."""
+        """Index of the length class; segments of one class differ by less than 10 %."""
         return int(np.log(self.samples) / np.log(LENGTH_CLASS_RATIO))
 
     def ols_ramp(self) -> Floats:

@@ -102,7 +102,7 @@ class BiasModel(NamedTuple):
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
-        """Return the selected model, with a slope of the size that the fit leaves possible.
+        """Return the selected model, with the largest ramp that the fit does not exclude.
 
         A ramp below what a record can resolve still moves the bias in the next minutes. Without it
         the 95 % interval of the bias 10 min ahead covers 89 to 93 % on the sensors of table 1.
@@ -125,7 +125,7 @@ class BiasFilter:
     ----------
     model : BiasModel
     period : float
-        Time between two means in s, over which each of them is taken.
+        Averaging time of each mean in s; the means follow each other without gaps.
 
     Examples
     --------

@@ -40,7 +40,7 @@ def avar_terms(m: NDArray[np.int64]) -> Floats:
 
 
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return the part of k, (|t|^3 - |t|)/12, from those of -|t|/2 and |t|^3/12.
+    """Return the column of k, (|t|^3 - |t|)/12, computed from the columns -|t|/2 and |t|^3/12.
 
     The sampled walk is the continuous one plus white noise of a sixth of its step.
     """

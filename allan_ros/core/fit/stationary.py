@@ -251,7 +251,7 @@ def _rest(sums: AllanSums, age: int) -> AllanSums | None:
 
 
 def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
-    """Return the finding of a warm-up from which not enough is left."""
+    """Return the finding of a warm-up after which too little data remains for a fit."""
     tau0 = sums.tau0 or 0.0
     duration = part.age * tau0
     now = max((r.length for r in sums.history.recordings), default=0)

@@ -396,7 +396,7 @@ class MotionGate:
 
 
 def _stretches(blocks: list[Block]) -> list[list[Block]]:
-    """Return the blocks in groups that follow each other."""
+    """Return groups of consecutive blocks."""
     groups: list[list[Block]] = []
     for block in blocks:
         if block.cut or not groups:

@@ -115,11 +115,11 @@ class _Limited:
         self.close = file.close
 
     def read(self, size: int = -1) -> bytes:
-        """Return the next bytes; none after too many seeks."""
+        """Return the next bytes; no bytes once the limit of seeks is exceeded."""
         return self._file.read(size) if self._seeks <= MAX_SEEKS else b''
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Seek, and count."""
+        """Seek and count the seeks."""
         self._seeks += 1
         return self._file.seek(offset, whence)
 
