@@ -195,10 +195,10 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
         ]
         low, high = np.log(np.quantile(ratios, [0.025, 0.975]))
         if (growth := known.get(horizon)) is not None and growth.ci95 is not None:
-            # the errors of prediction and measurement, in quadrature
+            # errors of the measurement and of the prediction (whose excess lowers the ratio)
             below, above = np.log(np.array(growth.ci95) / growth.std)
             low, high = min(low, 0.0), max(high, 0.0)
-            low, high = -np.hypot(low, below), np.hypot(high, above)
+            low, high = -np.hypot(low, above), np.hypot(high, below)
         bands.append((float(np.exp(low)), float(np.exp(high))))
     return bands
 

@@ -18,9 +18,9 @@ from itertools import product
 from typing import Any
 
 from ..errors import AllanError
-from ..fit.model import TERMS, AxisFit, Coefficient
+from ..fit.model import TERMS, AxisFit
 from ..imu import AXES, SENSORS
-from .noise_parameters import RULES, reduced_ends
+from .noise_parameters import RULES, axis_level, reduced_ends
 from .reductions import Horizons
 
 MAX_LENGTH = 200
@@ -272,18 +272,16 @@ def _axis_ends(
 ) -> dict[str, tuple[float, float, float]]:
     """Return lower end, value and upper end of these terms on one axis."""
     ends = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
-    return {term: ends.get(term) or _ends(axis, term, fit.noise[term]) for term in terms}
+    return {term: ends.get(term) or _ends(axis, term, fit) for term in terms}
 
 
-def _ends(axis: str, term: str, coefficient: Coefficient) -> tuple[float, float, float]:
+def _ends(axis: str, term: str, fit: AxisFit) -> tuple[float, float, float]:
     """Return lower end, value and upper end of a term on one axis."""
-    value, limit = coefficient.value, coefficient.upper95
-    if coefficient.status == 'estimated' and value is not None and math.isfinite(value):
-        low, high = coefficient.ci95 or (0.0, math.inf)
-        return max(low, 0.0), value, high
-    if limit is None or not 0.0 < limit < math.inf:
-        raise AllanError(f'{term} of {axis} has neither a value nor a limit: record longer')
-    return 0.0, limit, limit
+    level = axis_level(axis, fit, term)
+    if level.is_limit:
+        return 0.0, level.value, level.value
+    low, high = level.ci95 or (0.0, math.inf)
+    return max(low, 0.0), level.value, high
 
 
 def _by_rule(

@@ -134,17 +134,17 @@ def reduce_model(
     """
     if states not in STATES:
         raise AllanError(f'states {states!r} are unknown: choose one of {", ".join(STATES)}')
-    whole = drift_model(model)
-    made = [_reduced(whole, 0, states, horizons)]
+    complete = drift_model(model)
+    made = [_reduced(complete, 0, states, horizons)]
     if states in ('walk', 'gauss_markov'):
-        while made[-1].poor and len(made) <= len(whole.gauss_markov):
-            made.append(_reduced(whole, len(made), states, horizons))
+        while made[-1].poor and len(made) <= len(complete.gauss_markov):
+            made.append(_reduced(complete, len(made), states, horizons))
     return min(made, key=lambda reduction: reduction.poor * reduction.ratio[1])
 
 
-def _reduced(whole: ProcessModel, quick: int, states: States, horizons: Horizons) -> Reduction:
+def _reduced(complete: ProcessModel, quick: int, states: States, horizons: Horizons) -> Reduction:
     """Return a reduction that counts the ``quick`` shortest processes as white noise."""
-    white, drift = _split(whole, quick)
+    white, drift = _split(complete, quick)
     times, terms = horizons.times(), drift.terms
     needed = predicted_growth(drift, times, horizons.high) ** 2
     walk = 0.0
@@ -163,18 +163,18 @@ def _reduced(whole: ProcessModel, quick: int, states: States, horizons: Horizons
         unit = _unit_variance('K', 0.0, horizons)
         walk = math.sqrt(float(np.max(needed / unit)))
     made = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
-    return replace(made, ratio=growth_ratio(made.model(), whole, horizons))
+    return replace(made, ratio=growth_ratio(made.model(), complete, horizons))
 
 
 def growth_ratio(
-    believed: ProcessModel, whole: ProcessModel, horizons: Horizons
+    believed: ProcessModel, complete: ProcessModel, horizons: Horizons
 ) -> tuple[float, float]:
     """Return the least and the largest ratio of two models' growth over a range of horizons.
 
     (1, 1) where neither grows, infinite where only ``believed`` does.
     """
     h = horizons.times()
-    top, bottom = (predicted_growth(one, h, horizons.high) for one in (believed, whole))
+    top, bottom = (predicted_growth(one, h, horizons.high) for one in (believed, complete))
     if not np.any(bottom > 0.0):
         return (math.inf, math.inf) if np.any(top > 0.0) else (1.0, 1.0)
     ratio = top / bottom
@@ -221,14 +221,14 @@ def closest_process(
         Whether the growth is nowhere below that of the model, as a filter needs it; else it is as
         far above as below, as a simulation needs it.
     """
-    whole = drift_model(model)
+    complete = drift_model(model)
     times = horizons.times()
-    white = whole.terms.N**2 * _unit_variance('N', 0.0, horizons)
-    needed = predicted_growth(whole, times, horizons.high) ** 2 - white
-    if not has_drift(whole):
+    white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
+    needed = predicted_growth(complete, times, horizons.high) ** 2 - white
+    if not has_drift(complete):
         return ()
     grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
-    own = [pair[1] for pair in whole.gauss_markov]
+    own = [pair[1] for pair in complete.gauss_markov]
     best, least = (0.0, 1.0), math.inf
     for one in [*own, *grid] if tau is None else [tau]:
         unit = _unit_variance('', one, horizons)

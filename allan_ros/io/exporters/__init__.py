@@ -114,7 +114,7 @@ def make_export(
         if existing is None
         else target.form.merge(existing, entries, header)
     )
-    findings = [said for entry in entries for said in entry.findings]
+    findings = [note for entry in entries for note in entry.findings]
     findings += noise.reduction_findings()
     limits = [entry.key for entry in entries if entry.is_limit]
     if limits:

@@ -159,8 +159,8 @@ class FilterNoise:
             convert,
         )
         if halves and not self.options.exact:
-            said = finding('export_half_of_noise', keys='acc_n and gyr_n')
-            return replace(entry, findings=(said,))
+            note = finding('export_half_of_noise', keys='acc_n and gyr_n')
+            return replace(entry, findings=(note,))
         return entry if row.limits is None else clamped(entry, *row.limits)
 
     def _process_entry(self, path: tuple[str, ...], row: Row) -> Entry:
@@ -261,8 +261,8 @@ class FilterNoise:
         bounds = 'bounds' if self.target.bound else 'follows'
         words = f'sigma and correlation time whose growth {bounds} that of the model: {described}'
         others = tuple(name for name in names if name not in fitted)
-        said = finding('export_no_gauss_markov', others, horizons=self.horizons)
-        return SensorProcess(sigma, (taus[0], taus[1], taus[2]), words, (said,) if others else ())
+        note = finding('export_no_gauss_markov', others, horizons=self.horizons)
+        return SensorProcess(sigma, (taus[0], taus[1], taus[2]), words, (note,) if others else ())
 
     @cached_property
     def common_tau(self) -> float:
@@ -302,8 +302,8 @@ class FilterNoise:
             if one.reduction.poor or self.results.axes[axis].fit.selected.gauss_markov
         }
         worst = max(poor.values(), default=0.0)
-        said = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)
-        return [said] if poor else []
+        note = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)
+        return [note] if poor else []
 
 
 def level_words(level: Level) -> str:
@@ -329,9 +329,9 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
     if value == entry.value:
         return entry
     numbers = {'value': entry.value, 'low': low, 'high': high, 'written': value}
-    said = finding('export_clamped', key=entry.key, **numbers)
+    note = finding('export_clamped', key=entry.key, **numbers)
     words = f'{entry.words}; {entry.value:g} lies outside [{low:g}, {high:g}]'
-    return replace(entry, value=value, words=words, findings=(*entry.findings, said))
+    return replace(entry, value=value, words=words, findings=(*entry.findings, note))
 
 
 def _divided(factor: float) -> Convert:
@@ -379,8 +379,8 @@ def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> lis
         *(f'{entry.key} {entry.words}' for entry in entries if entry.words),
         f'upper limits instead of measurements: {", ".join(limits) or "none"}',
         *(f'note: {note}' for note in target.notes),
-        *dict.fromkeys(f'note: {said}' for entry in entries for said in entry.findings),
-        *(f'warning: {said}' for said in noise.reduction_findings()),
+        *dict.fromkeys(f'note: {note}' for entry in entries for note in entry.findings),
+        *(f'warning: {note}' for note in noise.reduction_findings()),
     ]
     return [one_line(line) for line in lines]
 

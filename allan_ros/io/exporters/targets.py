@@ -133,14 +133,14 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
         driving_words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
         for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
             path = ('imu', element, name[-1], 'noise')
-            said = i == 0  # the words are about all three axes
+            first = i == 0  # the words are about all three axes
             step, turn_on = axis.rounding, axis.turn_on
             yield Entry((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
             yield Entry((*path, 'mean'), 0.0)
             # at least half of the variance, lest rounding stops the noise altogether
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
-            words = f'of {sensor} {white.words}' if said else ''
+            words = f'of {sensor} {white.words}' if first else ''
             yield Entry((*path, 'stddev'), rounded(stddev), words, white.is_limit)
             if turn_on:
                 words = (
@@ -152,7 +152,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
             yield Entry(
                 (*path, 'dynamic_bias_stddev'),
                 driving,
-                driving_words if said else '',
+                driving_words if first else '',
                 findings=bias.findings,
             )
             yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
