@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,15 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
 }
 """name -> axis -> term -> coefficient in the unit of `imu.DATASHEET_UNITS`."""
 
+Periods = tuple[tuple[float, float], ...]
+"""Start and length of each, in s."""
+
+_offset = partial(parameter, 0.0, 'offset at the start that decays as the sensor warms up')
+_gyro = partial(parameter, unit='rad/s', low=0.0)
+_accel = partial(parameter, unit='m/s^2', low=0.0)
+_time = partial(parameter, unit='s', low=1e-6)
+_frequency = partial(parameter, unit='Hz', low=1e-9)
+
 
 @dataclass(frozen=True)
 class Faults:
@@ -54,45 +63,27 @@ class Faults:
         When a value lies outside its range.
     """
 
-    warmup_gyro: float = parameter(
-        0.0, 'offset at the start that decays as the sensor warms up', unit='rad/s'
-    )
-    warmup_accel: float = parameter(
-        0.0, 'offset at the start that decays as the sensor warms up', unit='m/s^2'
-    )
+    warmup_gyro: float = _offset(unit='rad/s')
+    warmup_accel: float = _offset(unit='m/s^2')
     warmup_time: float = parameter(
         300.0, 'time in which the warm-up offset decays to 1/e', unit='s', low=1e-3
     )
-    gauss_markov_gyro: float = parameter(
-        0.0, 'standard deviation of an added Gauss-Markov noise', unit='rad/s', low=0.0
-    )
-    gauss_markov_accel: float = parameter(
-        0.0, 'standard deviation of an added Gauss-Markov noise', unit='m/s^2', low=0.0
-    )
-    gauss_markov_time: float = parameter(
-        300.0, 'correlation time of the added Gauss-Markov noise', unit='s', low=1e-6
-    )
-    vibration_gyro: float = parameter(
-        0.0, 'amplitude of a vibration line on each gyro axis', unit='rad/s', low=0.0
-    )
-    vibration_accel: float = parameter(
-        0.0, 'amplitude of a vibration line on each accelerometer axis', unit='m/s^2', low=0.0
-    )
-    vibration_frequency: float = parameter(
-        1.0, 'frequency of the vibration line', unit='Hz', low=1e-9
-    )
+    gauss_markov_gyro: float = _gyro(0.0, 'standard deviation of an added Gauss-Markov noise')
+    gauss_markov_accel: float = _accel(0.0, 'standard deviation of an added Gauss-Markov noise')
+    gauss_markov_time: float = _time(300.0, 'correlation time of the added Gauss-Markov noise')
+    vibration_gyro: float = _gyro(0.0, 'amplitude of a vibration line on each gyro axis')
+    vibration_accel: float = _accel(0.0, 'amplitude of a vibration line on each accelerometer axis')
+    vibration_frequency: float = _frequency(1.0, 'frequency of the vibration line')
     bumps: int = parameter(0, 'how many knocks, at random times', low=0)
-    bump_gyro: float = parameter(0.5, 'first amplitude of a knock', unit='rad/s', low=0.0)
-    bump_accel: float = parameter(5.0, 'first amplitude of a knock', unit='m/s^2', low=0.0)
-    bump_frequency: float = parameter(8.0, 'ringing of a knock', unit='Hz', low=1e-9)
-    bump_decay: float = parameter(
-        0.2, 'time in which the ringing decays to 1/e', unit='s', low=1e-6
-    )
+    bump_gyro: float = _gyro(0.5, 'first amplitude of a knock')
+    bump_accel: float = _accel(5.0, 'first amplitude of a knock')
+    bump_frequency: float = _frequency(8.0, 'ringing of a knock')
+    bump_decay: float = _time(0.2, 'time in which the ringing decays to 1/e')
     motion: tuple[tuple[float, float], ...] = parameter(
         (), 'periods of motion, each (start, length)', unit='s'
     )
-    motion_gyro: float = parameter(0.5, 'amplitude of the motion', unit='rad/s', low=0.0)
-    motion_accel: float = parameter(1.0, 'amplitude of the motion', unit='m/s^2', low=0.0)
+    motion_gyro: float = _gyro(0.5, 'amplitude of the motion')
+    motion_accel: float = _accel(1.0, 'amplitude of the motion')
     low_pass: float = parameter(
         0.0, 'corner of a first-order low-pass filter in the sensor; 0: none', unit='Hz', low=0.0
     )
@@ -102,10 +93,8 @@ class Faults:
         unit='Hz',
         low=0.0,
     )
-    lsb_gyro: float = parameter(0.0, 'step of the gyro values; 0: none', unit='rad/s', low=0.0)
-    lsb_accel: float = parameter(
-        0.0, 'step of the accelerometer values; 0: none', unit='m/s^2', low=0.0
-    )
+    lsb_gyro: float = _gyro(0.0, 'step of the gyro values; 0: none')
+    lsb_accel: float = _accel(0.0, 'step of the accelerometer values; 0: none')
     gaps: tuple[tuple[float, float], ...] = parameter(
         (), 'periods without samples, each (start, length)', unit='s'
     )
@@ -282,8 +271,6 @@ def simulate_imu(
         rows = slice(first, first + BATCH_SAMPLES)
         yield ImuBatch(header_ns[rows], samples[kept[rows]], record_ns[rows], frame_id)
 
-
-Periods = tuple[tuple[float, float], ...]
 
 BUMP_TAIL = 40.0
 """Decay times after which a knock is below rounding (e^-40)."""
