@@ -112,7 +112,7 @@ def damaged_json(draw: Any, seeds: Sequence[Any], most: int = 3) -> str:
                 doubled = json.dumps({draw(st.sampled_from(list(document))): draw(json_values)})
     text = json.dumps(document, ensure_ascii=draw(st.booleans()))
     if doubled and text.endswith('}'):
-        text = f'{text[:-1]}, {doubled[1:]}'  # the key stands there twice
+        text = f'{text[:-1]}, {doubled[1:]}'  # the same key twice
     return text.replace(f'"{HUGE}"', '1e400')
 
 

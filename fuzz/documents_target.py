@@ -68,7 +68,7 @@ def _texts(draw: Any) -> tuple[str, bytes, int]:
         data = draw(any_bytes([as_utf8(json.dumps(seed))]))
     else:
         data = as_utf8(draw(damaged_json([seed])))
-    return kind, data, draw(st.integers(0, 99))  # so few that none is drawn more often
+    return kind, data, draw(st.integers(0, 99))  # few values: all are drawn equally often
 
 
 def check(made: tuple[str, bytes, int], folder: Path) -> bool:

@@ -215,7 +215,7 @@ def run_target(
             took_s = clock() - began
             tally.slowest_s = max(tally.slowest_s, took_s)
             if took_s > INPUT_SECONDS and not target.forks:
-                raise BrokenRule('takes too long')  # where the alarm was caught on its way
+                raise BrokenRule('takes too long')  # the exception of the alarm was caught
 
     warm: int | None = None
     while warm is None or time.monotonic() < ends:
@@ -260,7 +260,7 @@ def _round(
     try:
         test()
     except Exception as error:
-        while getattr(error, 'exceptions', ()):  # what failed once and not again stands inside
+        while getattr(error, 'exceptions', ()):  # a failure that is not reproducible is nested
             error = error.exceptions[0]
         where = f'{_place(error)}: {type(error).__name__}: {error!s:.200}'
         key = where.partition(':')[0] + type(error).__name__

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes over DDS: Imu messages of any bytes, documents of strangers, odd parameters.
+"""Running nodes over DDS: Imu messages of any bytes, foreign documents, odd parameters.
 
 One monitor with a relay and one estimator run all the time; whatever comes, both must answer
 afterwards, on `/diagnostics` and on their services, and a good message must be told from the bad.

@@ -47,7 +47,7 @@ ODD_STATEMENTS = (
     'DELETE FROM topics',
     'INSERT INTO topics SELECT id + 1, name, type, serialization_format FROM topics',
     'CREATE VIEW topics2 AS SELECT * FROM topics',
-    # a view in the place of the table that never ends
+    # a view without end in place of the table
     'DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(id) AS '
     '(SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT id, 1 AS topic_id, id AS timestamp, '
     "x'00' AS data FROM n",

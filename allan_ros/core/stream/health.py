@@ -24,7 +24,7 @@ it is at rest, but its noise became louder."""
 RATE_CHANGE = 0.02
 """Relative change of the sample period that means another rate."""
 
-TOLD_BRIDGED_SHARE = 1e-3
+REPORTED_BRIDGED_SHARE = 1e-3
 """Least share of interpolated samples that is reported."""
 
 LOUDER_SHARE = 0.5
@@ -202,7 +202,7 @@ def stream_findings(
             found.append(finding(name, count=count))
     if counts.cuts['gap']:
         found.append(finding('gaps', lost=counts.lost, cuts=counts.cuts['gap']))
-    if counts.bridged > TOLD_BRIDGED_SHARE * counts.received:
+    if counts.bridged > REPORTED_BRIDGED_SHARE * counts.received:
         share = counts.bridged / counts.received
         found.append(finding('bridged', bridged=counts.bridged, share=share))
     if counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used):

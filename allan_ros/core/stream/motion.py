@@ -239,7 +239,7 @@ class MotionGate:
         return out
 
     def _windows(self, have: Block, samples: int, size: int) -> list[Block]:
-        """Judge the first samples, which are windows of ``size``; those behind are looked at."""
+        """Judge the first ``samples`` in windows of ``size``; the others are used to look ahead."""
         assert self._floor is not None
         block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
         before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()

@@ -21,7 +21,7 @@ LATELY_S = 60.0
 LATELY = ' in the last minute'
 """`LATELY_S` in the text of a finding."""
 
-TOLD_LOST_SHARE = 1e-3
+REPORTED_LOST_SHARE = 1e-3
 """Least share of messages lost in transport that is reported."""
 
 LEAP_S = 2.0
@@ -269,11 +269,11 @@ class TransportMonitor:
             times = more['rate_changed']
             found.append(finding('rate_changed', when=LATELY, times=times, rate=health.rate_hz))
         received, lost = now.received - then.received, now.lost - then.lost
-        if lost and lost >= TOLD_LOST_SHARE * (received + lost):
+        if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
         absent = now.absent - then.absent
         # Until a lower rate is recognized, the samples between look as if they were missing.
-        if absent >= TOLD_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
+        if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))
         for id in ('stuck', 'not_finite', 'duplicates', 'backward_stamps'):

@@ -187,7 +187,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     if compression == 'zstd':
         errors = (*errors, _zstd().ZstdError)
     try:
-        plain = _unlimited(data, compression, limit)
+        plain = _expanded(data, compression, limit)
     except errors as error:
         raise ValueError(f'{error}') from error
     if len(plain) > limit:
@@ -195,7 +195,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     return plain
 
 
-def _unlimited(data: bytes | memoryview, compression: str, limit: int) -> bytes:
+def _expanded(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the bytes of compressed data, as `decompress`, at most a little beyond the limit."""
     if compression == 'zstd':
         size = _zstd().frame_content_size(data)

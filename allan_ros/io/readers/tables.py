@@ -129,10 +129,76 @@ class _Lines:
 class _Rows:
     """Consecutive rows of one frame: their line numbers and cells."""
 
-    first: int
-    frame_id: str
+    path: Path
+    layout: TableLayout
+    first: int = 0
+    frame_id: str = ''
     numbers: list[int] = field(default_factory=list)
     cells: list[list[str]] = field(default_factory=list)
+
+    def batch(self) -> ImuBatch:
+        """Return the rows as samples."""
+        layout, n = self.layout, len(self.cells)
+        for number, row in zip(self.numbers, self.cells):
+            if len(row) != layout.width:
+                raise AllanError(
+                    f'{self.path}: line {number} has {len(row)} columns, {layout.width} expected: '
+                    'correct or remove the line'
+                )
+        columns = list(zip(*self.cells))
+        samples = np.full((n, len(AXES)), np.nan)
+        for axis, (column, scale) in layout.axes.items():
+            samples[:, axis] = self._floats(columns[column], column)
+            if scale != 1.0:
+                samples[:, axis] *= scale
+        times = []
+        for parts in (layout.stamp, layout.record):
+            total = np.zeros(n, np.int64)
+            for column, scale in parts:
+                total += self._nanoseconds(columns[column], column, scale)
+            times.append(total)
+        stamps, record = times
+        if not layout.stamp:
+            index = np.arange(self.first, self.first + n)
+            stamps = np.rint(index * (1e9 / layout.rate_hz)).astype(np.int64)
+        return ImuBatch(stamps, samples, record if layout.record else None, self.frame_id)
+
+    def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
+        """Return one column as numbers; an empty cell is a missing value."""
+        with suppress(ValueError):
+            return np.array(list(map(float, cells)))
+        for row, cell in enumerate(cells):
+            if cell.strip() and not is_number(cell):
+                raise self._not_a_number(row, column)
+        return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
+
+    def _nanoseconds(self, cells: tuple[str, ...], column: int, scale: int) -> NDArray[np.int64]:
+        """Return one column of times in ns, exactly: a float has too few digits for a stamp."""
+        if scale == 1:
+            with suppress(ValueError, OverflowError):
+                return np.array(list(map(int, cells)), dtype=np.int64)
+        result = np.empty(len(cells), np.int64)
+        for row, cell in enumerate(cells):
+            try:
+                value = round(Decimal(cell.strip()) * scale)
+            except (DecimalException, ValueError, OverflowError):
+                raise self._not_a_number(row, column) from None
+            if not INT64.min <= value <= INT64.max:
+                raise AllanError(
+                    f'{self.path}: line {self.numbers[row]}, column {column + 1}: the time '
+                    f'{cell.strip()} does not fit the range of stamps: state its unit with '
+                    '--stamp-unit (s, ms, us, ns)'
+                )
+            result[row] = value
+        return result
+
+    def _not_a_number(self, row: int, column: int) -> AllanError:
+        cell = self.cells[row][column].strip()[:40]
+        name = f' ({self.layout.names[column]})' if self.layout.names else ''
+        return AllanError(
+            f'{self.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is not a '
+            'number: correct or remove the line'
+        )
 
 
 def _rows(path: Path, file: TextIO, layout: TableLayout, report: Report) -> Iterator[_Rows]:
@@ -141,7 +207,7 @@ def _rows(path: Path, file: TextIO, layout: TableLayout, report: Report) -> Iter
     The last line is not used if it has no line end, because its last number may be truncated.
     """
     lines = _Lines(path, file, layout)
-    rows = _Rows(0, '')
+    rows = _Rows(path, layout)
     try:
         for cells in layout.rows(lines):
             if not lines.complete:
@@ -150,7 +216,7 @@ def _rows(path: Path, file: TextIO, layout: TableLayout, report: Report) -> Iter
             if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
                 if rows.cells:
                     yield rows
-                rows = _Rows(rows.first + len(rows.cells), lines.frame_id)
+                rows = _Rows(path, layout, rows.first + len(rows.cells), lines.frame_id)
             rows.numbers.append(lines.number)
             rows.cells.append(cells)
     except csv.Error as error:
@@ -170,7 +236,7 @@ def _read(path: Path, layout: TableLayout, report: Report) -> Iterator[ImuBatch]
         report(finding('unit_assumed', path=path, sensor=sensor, unit=unit, name=name))
     with _text(path) as file:
         for rows in _rows(path, file, layout, report):
-            yield _batch(path, layout, rows)
+            yield rows.batch()
 
 
 def _temperature(path: Path, layout: TableLayout) -> TemperatureTrace | None:
@@ -191,82 +257,3 @@ def _temperature(path: Path, layout: TableLayout) -> TemperatureTrace | None:
                 stamp = round(row * 1e9 / layout.rate_hz)
             readings.append((stamp, stamp, float(cells[column])))
     return trace_of(layout.names[column].strip(), readings)
-
-
-def _batch(path: Path, layout: TableLayout, rows: _Rows) -> ImuBatch:
-    numbers, n = rows.numbers, len(rows.cells)
-    for number, row in zip(numbers, rows.cells):
-        if len(row) != layout.width:
-            raise AllanError(
-                f'{path}: line {number} has {len(row)} columns, {layout.width} expected: '
-                'correct or remove the line'
-            )
-    cells = list(zip(*rows.cells))
-    samples = np.full((n, len(AXES)), np.nan)
-    for axis, (column, scale) in layout.axes.items():
-        samples[:, axis] = _floats(path, layout, numbers, cells[column], column)
-        if scale != 1.0:
-            samples[:, axis] *= scale
-
-    def nanoseconds(columns: tuple[tuple[int, int], ...]) -> NDArray[np.int64]:
-        total = np.zeros(n, np.int64)
-        for column, scale in columns:
-            total += _nanoseconds(path, layout, numbers, cells[column], column, scale)
-        return total
-
-    if layout.stamp:
-        stamps = nanoseconds(layout.stamp)
-    else:
-        index = np.arange(rows.first, rows.first + n)
-        stamps = np.rint(index * (1e9 / layout.rate_hz)).astype(np.int64)
-    record = nanoseconds(layout.record) if layout.record else None
-    return ImuBatch(stamps, samples, record, rows.frame_id)
-
-
-def _floats(
-    path: Path, layout: TableLayout, numbers: list[int], cells: tuple[str, ...], column: int
-) -> NDArray[np.float64]:
-    """Return one column as numbers; an empty cell is a missing value."""
-    try:
-        return np.array(list(map(float, cells)))
-    except ValueError:
-        pass
-    for number, cell in zip(numbers, cells):
-        if cell.strip() and not is_number(cell):
-            raise _not_a_number(path, layout, number, column, cell) from None
-    return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
-
-
-def _nanoseconds(
-    path: Path,
-    layout: TableLayout,
-    numbers: list[int],
-    cells: tuple[str, ...],
-    column: int,
-    scale: int,
-) -> NDArray[np.int64]:
-    """Return one column of times in ns, exactly: a float has too few digits for a stamp."""
-    if scale == 1:
-        with suppress(ValueError, OverflowError):
-            return np.array(list(map(int, cells)), dtype=np.int64)
-    result = np.empty(len(cells), np.int64)
-    for row, cell in enumerate(cells):
-        try:
-            value = round(Decimal(cell.strip()) * scale)
-        except (DecimalException, ValueError, OverflowError):
-            raise _not_a_number(path, layout, numbers[row], column, cell) from None
-        if not INT64.min <= value <= INT64.max:
-            raise AllanError(
-                f'{path}: line {numbers[row]}, column {column + 1}: the time {cell.strip()} does '
-                'not fit the range of stamps: state its unit with --stamp-unit (s, ms, us, ns)'
-            )
-        result[row] = value
-    return result
-
-
-def _not_a_number(path: Path, layout: TableLayout, line: int, column: int, cell: str) -> AllanError:
-    name = f' ({layout.names[column]})' if layout.names else ''
-    return AllanError(
-        f'{path}: line {line}, column {column + 1}{name}: {cell.strip()[:40]!r} is not a number: '
-        'correct or remove the line'
-    )
