@@ -223,7 +223,9 @@ def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']
     file = io.BytesIO()
     with rc_context({**RC, **style}):
         dpi = rcParams['savefig.dpi'] if 'savefig.dpi' in style else PNG_DPI
-        quick = {'pil_kwargs': {'compress_level': PNG_LEVEL}} if form == 'png' else {}
+        quick: dict[str, Any] = (
+            {'pil_kwargs': {'compress_level': PNG_LEVEL}} if form == 'png' else {}
+        )
         figure.savefig(file, format=form, dpi=dpi, metadata=metadata[form], **quick)
     return file.getvalue()
 

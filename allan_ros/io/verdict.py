@@ -98,11 +98,13 @@ def measured(results: Results) -> bool:
 
 def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
     severities = {finding.severity for finding in results.findings}
-    if 'beyond' in {c.verdict for c in comparisons}:
-        return 'failed'
     if {finding.id for finding in results.findings} & set(SENSOR_FAULTS):
         return 'failed'
-    if 'error' in severities or _too_short(results) or not _judged(comparisons):
+    if _too_short(results):
+        return 'unknown'
+    if 'beyond' in {c.verdict for c in comparisons}:
+        return 'failed'
+    if 'error' in severities or not _judged(comparisons):
         return 'unknown'
     return 'attention' if 'warning' in severities else 'healthy'
 
@@ -123,7 +125,7 @@ def _judged(comparisons: Sequence[Comparison]) -> bool:
 def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     beyond = [c for c in comparisons if c.verdict == 'beyond']
-    if beyond:
+    if beyond and not _too_short(results):
         return f'Above {_references(beyond)}: {_and(list(_excesses(results, beyond, units)))}.'
     if faults:
         return f'{_where(faults[0], results)}{faults[0].message}'

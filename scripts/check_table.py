@@ -1,0 +1,119 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run `allan check` on recordings of known state, and write docs/engineering/checks.md.
+
+usage: check_table.py DATA
+
+DATA is the folder of real recordings; simulated ones are made in a temporary folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from allan_ros.cli.main import main as allan
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'engineering' / 'checks.md'
+
+HEAD = """# Exit codes of `allan check`
+
+Written by `scripts/check_table.py`, which fails where an exit code is not the expected one; a test
+runs it on the same recordings. Exit codes: 0 healthy, 1 not judged, 3 judged and failed.
+
+| recording | state | checked against | exit code | line |
+|---|---|---|---|---|
+"""
+
+
+class Case(NamedTuple):
+    """One recording, what is known of it, and the exit code that follows.
+
+    Attributes
+    ----------
+    path : str
+        Below the folder of real recordings; a simulated one has none there.
+    simulated : str
+        Arguments of `allan simulate`; '' for a real recording.
+    """
+
+    path: str
+    state: str
+    options: str
+    exit_code: int
+    simulated: str = ''
+
+
+QUIET = '--hours 0.5 --gyro N=0.25,B=3,K=1 --accel N=0.01,B=3'
+
+CASES = (
+    Case('healthy.npz', 'simulated within its limits', '--sensor adis16475-3', 0, QUIET),
+    Case('healthy.npz', 'the same', '', 1),
+    Case(
+        *('noisy.npz', 'simulated, N of the gyro 3 times the limit', '--sensor adis16475-3', 3),
+        '--hours 0.1 --gyro N=0.9,B=3 --accel N=0.01,B=3',
+    ),
+    Case(
+        'short.npz',
+        'the same noise, 10 s',
+        '--sensor adis16475-3',
+        1,
+        '--hours 0.0028 --gyro N=0.9 --accel N=0.01',
+    ),
+    Case('mpu6050.npz', 'real MPU-6050, noisier than its datasheet', '--sensor mpu-6050', 3),
+    Case('vn310.npz', 'real VN-310 of 34 s, no datasheet known', '', 1),
+    Case('bags/turtlebot3.bag', 'real, never at rest', '--sensor mpu-9250', 1),
+    Case('bags/phidgets_imu_upside_down.bag', 'real, 1 s at rest', '--sensor mpu-6050', 1),
+    Case('bags/plotjuggler_rosbag2_test', 'real, constant values', '--sensor mpu-6050', 3),
+    Case('ulog/sample_log_small.ulg', 'real flight, 6 s at rest', '', 1),
+    Case('odd/empty_bag_rosbag2', 'bag without an IMU', '', 1),
+    Case('odd/tiryoh_truncated.mcap', 'damaged bag', '', 1),
+)
+
+
+def run_cases(data: Path, folder: Path) -> Iterator[tuple[Case, int, str]]:
+    """Yield each case with the exit code of `allan check` and the line it prints.
+
+    Parameters
+    ----------
+    data : Path
+        The real recordings.
+    folder : Path
+        Where the simulated ones are written.
+    """
+    for case in CASES:
+        path = folder / case.path
+        if case.simulated:
+            allan(['simulate', str(path), *case.simulated.split(), '--quiet'])
+        path = path if path.exists() else data / case.path
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = allan(['check', str(path), *case.options.split()])
+        line = (out.getvalue() or err.getvalue()).strip()
+        yield case, code, line.replace(f'{path.parent}/', '')
+
+
+def main() -> int:
+    """Write the page; return 1 if an exit code differs from the expected one."""
+    if len(sys.argv) != 2:
+        print(__doc__, file=sys.stderr)
+        return 2
+    rows, wrong = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for case, code, line in run_cases(Path(sys.argv[1]), Path(folder)):
+            against = f'`{case.options}`' if case.options else 'nothing'
+            rows.append(f'| `{case.path}` | {case.state} | {against} | {code} | {line} |')
+            wrong += [case.path] * (code != case.exit_code)
+    PAGE.write_text(HEAD + '\n'.join(rows) + '\n', encoding='utf-8')
+    for path in wrong:
+        print(f'{path}: another exit code than expected', file=sys.stderr)
+    return 1 if wrong else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
