@@ -42,7 +42,7 @@ help:  ## show this help
 
 venv: $(VENV)/.ready  ## create the environment, with rclpy wheels where they exist
 
-demo: $(VENV)/.ready  ## simulate the IMU of a paper (HOURS=2), analyse it, show found against true
+demo: $(VENV)/.ready  ## simulate the IMU of a paper (HOURS=2), analyze it, compare with the truth
 	$(VENV)/bin/python scripts/demo.py demo --hours $(HOURS)
 
 test: unit lint  ## run all tests, then check style and types
@@ -63,13 +63,13 @@ format: $(LINT)/.ready  ## format the code and fix what ruff can fix
 bench: $(VENV)/.ready  ## run the benchmarks
 	@for file in $(filter-out %_faults.py %_soak.py,$(wildcard bench/bench_*.py)); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
 
-fuzz: $(VENV)/.ready  ## damage every kind of input and hold what happens against one rule
+fuzz: $(VENV)/.ready  ## try damaged inputs of every kind: no crash, no silent loss
 	$(VENV)/bin/python -m fuzz
 
-faults: $(VENV)/.ready  ## put faults into running nodes (half an hour; all of them need root)
+faults: $(VENV)/.ready  ## inject faults into running nodes (half an hour; some need root)
 	$(VENV)/bin/python bench/bench_faults.py
 
-soak: $(VENV)/.ready  ## a month as fast as it goes, half an hour as it comes
+soak: $(VENV)/.ready  ## process a simulated month, then half an hour in real time
 	$(VENV)/bin/python bench/bench_soak.py
 
 audit: $(VENV)/.ready  ## list what is installed with its licences, ask PyPI for vulnerabilities
@@ -84,7 +84,7 @@ docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 site: $(SITE)/.ready  ## build the documentation as a website, into site/
 	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --quiet --strict
 
-pictures: $(VENV)/.ready  ## draw the pictures of docs/ anew
+pictures: $(VENV)/.ready  ## redraw the pictures of docs/
 	$(VENV)/bin/python scripts/pictures.py docs/images
 	$(VENV)/bin/python scripts/report_pictures.py docs/images
 
@@ -94,7 +94,7 @@ test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy a
 clean:  ## remove environments and what was built
 	rm -rf $(VENV) $(FLOOR) $(LINT) $(SITE) build site install log demo *.egg-info
 
-# The stamp is written last: an unfinished environment, or one whose Python is gone, is made again.
+# The stamp is written last: an unfinished environment, or one whose Python is gone, is recreated.
 define runs
 ifneq ($$(shell $(1)/bin/python -c 'print("runs")' 2>/dev/null),runs)
 .PHONY: $(1)/.ready

@@ -15,7 +15,7 @@ DASK = 'distributed>=2022.2'
 ROSBAGS = 'rosbags>=0.11.7'
 ULOG = 'pyulog>=1.0'
 README = Path(__file__).resolve().with_name('README.md')
-"""Beside the real file: `colcon build --symlink-install` runs a link to it in its build folder."""
+"""Beside the resolved path, because `colcon build --symlink-install` runs a link to this file."""
 
 
 def ros_wheels(distro):
@@ -38,7 +38,7 @@ def ros_wheels(distro):
 setup(
     name=PACKAGE,
     version='1.0.0',
-    description='Allan variance of IMUs on ROS 2: five noise coefficients with honest intervals',
+    description='Allan variance of IMUs on ROS 2: noise coefficients with 95 % intervals',
     author='the allan_ros authors',
     maintainer='the allan_ros authors',
     maintainer_email='maintainers@users.noreply.h-seed-d8235d04.example',
@@ -51,6 +51,10 @@ setup(
         'Intended Audience :: Science/Research',
         'Operating System :: OS Independent',
         'Programming Language :: Python :: 3',
+        'Programming Language :: Python :: 3.10',
+        'Programming Language :: Python :: 3.11',
+        'Programming Language :: Python :: 3.12',
+        'Programming Language :: Python :: 3.13',
         'Topic :: Scientific/Engineering',
         'Typing :: Typed',
     ],
@@ -72,14 +76,14 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
-        'argcomplete>=1.8',  # completes words in the shell; loaded only then
+        'argcomplete>=1.8',  # shell completion; loaded only then
         'matplotlib>=3.5',
         'numpy>=1.21',
         'PyYAML>=5.4',
-        'rich>=10',  # draws the table of allan_watch, which is plain without it
-        'lz4>=3.1',  # mcap and ROS 1 bags, only where compressed so
+        'rich>=10',  # tables of allan_watch; plain text without it
+        'lz4>=3.1',  # mcap and ROS 1 bags with this compression
         'scipy>=1.8',
-        'zstandard>=0.18',  # mcap and sqlite3 bags, only where compressed so
+        'zstandard>=0.18',  # mcap and sqlite3 bags with this compression
     ],
     extras_require={
         'audit': ['pip-audit>=2.7'],
@@ -88,8 +92,8 @@ setup(
         'kilted': ros_wheels('kilted'),
         'rosbags': [ROSBAGS],  # Imu fields in other messages; writing ROS 1 bags
         'ulog': [ULOG],  # PX4 logs
-        # Those who read what we write, to prove that they can: filters, and another DDS. gtsam 4.2
-        # goes with numpy 1 only, and there is no newer one for Python 3.10.
+        # For tests: libraries of filters that read the exported files, and another DDS. gtsam 4.2
+        # requires numpy 1, and newer versions do not support Python 3.10.
         'consumers': [
             'cyclonedds>=0.10',
             'gtsam>=4.3; python_version >= "3.11" and python_version < "3.14"',

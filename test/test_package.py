@@ -84,7 +84,7 @@ def test_every_console_script_is_there() -> None:
     assert 'allan' in [name for name, _, _ in scripts]
     for _, module, name in scripts:
         source = ROOT / 'allan_ros' / (module.replace('.', '/') + '.py')
-        assert re.search(rf'^(def|class) {name}\(', source.read_text(encoding='utf-8'), re.M)
+        assert re.search(rf'^(def |class )?{name}( =|\()', source.read_text(encoding='utf-8'), re.M)
 
 
 def test_every_licence_that_is_named_is_there_and_every_configuration_is_installed() -> None:

@@ -153,6 +153,10 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
         raise damaged(path, error, remedy) from error
 
 
+DEBIAN_PACKAGES = {name: f' or "apt install python3-{name}"' for name in ('lz4', 'zstandard')}
+"""Packages that a ROS installation on Ubuntu gets from apt, where pip is refused (PEP 668)."""
+
+
 def optional_package(module: str, purpose: str) -> Any:
     """Import a module of a package that need not be installed.
 
@@ -164,6 +168,7 @@ def optional_package(module: str, purpose: str) -> Any:
         package = module.split('.')[0]
         raise AllanError(
             f'{purpose} needs the Python package {package!r}: "pip install {package}"'
+            f'{DEBIAN_PACKAGES.get(package, "")}'
         ) from None
 
 

@@ -171,3 +171,4 @@ def test_a_missing_package_is_one_line(tmp_path: Path, imu_batches: Any, shared_
     said = read_without(hidden, tmp_path / 'z', tmp_path / 'l.bag', log)
     for line, package in zip(said, ('zstandard', 'lz4', 'pyulog')):
         assert f'needs the Python package \'{package}\': "pip install {package}"' in line
+        assert ('apt install python3-' in line) == (package != 'pyulog')
