@@ -177,7 +177,7 @@ def _account(counts: Counts) -> None:
 def _save_and_read(keeper: CheckpointKeeper, path: Path, known: Accumulation) -> float:
     """Write the sums as the node does, read them back, compare, and return the CPU time."""
     at = time.process_time()
-    provenance = Provenance((), known.spans, known.findings, known.health.counts)
+    provenance = Provenance((), known.segments, known.findings, known.health.counts)
     total = keeper.total(known.sums, provenance)
     if not keeper.save(total):
         raise SystemExit(f'not saved: {keeper.findings}')

@@ -52,7 +52,7 @@ def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
     known = accumulator.result()
     source = SourceInfo('a.mcap', '/imu', 'sensor_msgs/msg/Imu', 'mcap')
     provenance = Provenance(
-        (source,), known.spans, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
+        (source,), known.segments, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
     )
     results = analyse_sums(known.sums, provenance)
     return sums_file_to_document(known.sums, provenance), results_to_document(results)

@@ -101,7 +101,7 @@ def check(stream: list[bytes], folder: Path) -> bool:
     known = accumulator.result()
     text = to_json(
         sums_file_to_document(
-            known.sums, Provenance((), known.spans, known.findings, known.health.counts)
+            known.sums, Provenance((), known.segments, known.findings, known.health.counts)
         )
     )
     check_document(text)

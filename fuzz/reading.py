@@ -53,7 +53,7 @@ def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
             for found in (*recording.findings, *known.findings):
                 check_line(str(found))
             provenance = Provenance(
-                (recording.info,), known.spans, known.findings, known.health.counts
+                (recording.info,), known.segments, known.findings, known.health.counts
             )
             text = to_json(sums_file_to_document(known.sums, provenance))
             check_document(text)

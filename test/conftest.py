@@ -116,7 +116,7 @@ def small_run() -> tuple[AllanSums, Provenance]:
     source = SourceInfo('runs/one.mcap', '/imu/data', 'sensor_msgs/msg/Imu', 'mcap')
     (sums,) = known.sums
     return sums, Provenance(
-        (source,), known.spans, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
+        (source,), known.segments, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
     )
 
 

@@ -75,9 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     length.add_argument('--overwrite', action='store_true', help='replace a recording')
     add_settings(parser, 'faults', Faults, without=['motion', 'gaps'])
-    spans = parser.add_argument_group('faults in spans of time')
+    periods = parser.add_argument_group('faults in periods of time')
     for name, what in (('motion', 'the IMU moves'), ('gaps', 'samples are missing')):
-        spans.add_argument(
+        periods.add_argument(
             f'--{name}',
             type=_span,
             action='append',
@@ -161,7 +161,7 @@ def _span(text: str) -> tuple[float, float]:
         start, length = text.split(':')
         return float(start), float(length)
     except ValueError:
-        raise argparse.ArgumentTypeError(f'{text!r}: a span is given as START:LENGTH') from None
+        raise argparse.ArgumentTypeError(f'{text!r}: a period is given as START:LENGTH') from None
 
 
 COMMANDS = {'simulate': Command(__doc__ or '', add_arguments, run)}

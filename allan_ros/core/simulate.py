@@ -320,7 +320,7 @@ def disturb_samples(
         _add_knocks(samples, tau0, faults, amplitude('bump'), fault_rngs['bumps'])
     if faults.motion:
         phases = fault_rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), axes))
-        moving = in_spans(times, faults.motion)
+        moving = in_periods(times, faults.motion)
         for frequency, phase in zip(MOTION_FREQUENCIES, phases[own]):
             angle = 2.0 * np.pi * frequency * times[moving, None]
             share = amplitude('motion') / len(MOTION_FREQUENCIES)
@@ -368,10 +368,10 @@ def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
     return np.asarray(held, np.int64)
 
 
-def in_spans(times: Floats, spans: Periods) -> NDArray[np.bool_]:
+def in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
     """Return which of the times, in s, lie in one of the intervals (start, length)."""
     inside = np.zeros(len(times), bool)
-    for start, length in spans:
+    for start, length in periods:
         inside |= (times >= start) & (times < start + length)
     return inside
 
@@ -380,7 +380,7 @@ def lost_samples(
     n: int, tau0: float, faults: Faults, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
     """Return which samples never arrive: those in gaps, and the drops; never the first."""
-    lost = in_spans(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
+    lost = in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
     if faults.drop > 0.0:
         lost |= rng.random(n) < faults.drop
     lost[0] = False

@@ -49,7 +49,7 @@ SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 MAX_SETTINGS = 100
 """Largest number of settings, and of the entries of one."""
 
-LISTED_SPANS = 1000
+LISTED_SEGMENTS = 1000
 """How many segments are listed, the longest; their number is always given."""
 
 
@@ -221,7 +221,7 @@ def _finite(value: float | None) -> float | None:
 
 
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
-    longest = sorted(provenance.spans, key=lambda span: -span.samples)[:LISTED_SPANS]
+    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:LISTED_SEGMENTS]
     return {
         'source': [asdict(s) for s in provenance.sources],
         'segments': [s._asdict() for s in longest],

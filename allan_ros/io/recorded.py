@@ -38,7 +38,7 @@ class Provenance:
     Attributes
     ----------
     sources : tuple of SourceInfo
-    spans : tuple of Segment
+    segments : tuple of Segment
         The segments, in the order in which they were recorded.
     findings : tuple of Finding
         Findings of the reader and of the stream.
@@ -51,7 +51,7 @@ class Provenance:
     """
 
     sources: tuple[SourceInfo, ...] = ()
-    spans: tuple[Segment, ...] = ()
+    segments: tuple[Segment, ...] = ()
     findings: tuple[Finding, ...] = ()
     counts: Counts = field(default_factory=Counts)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Provenance:
         stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
         return Provenance(
             self.sources + other.sources,
-            tuple(sorted(self.spans + other.spans, key=lambda span: span.start_ns)),
+            tuple(sorted(self.segments + other.segments, key=lambda s: s.start_ns)),
             tuple(dict.fromkeys(self.findings + other.findings)),
             counts,
             self.settings,
@@ -202,7 +202,7 @@ def read_recording(
         **asdict(recording.options),
         'hardware_id': job.hardware_id,
     }
-    provenance = Provenance((recording.info,), known.spans, findings, counts, settings)
+    provenance = Provenance((recording.info,), known.segments, findings, counts, settings)
     if not job.with_context:
         return RecordingSums(job.path, known.sums, provenance)
     temperature = recording.temperature(known.sums[0].identity.frame_id)

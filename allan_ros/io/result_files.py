@@ -82,7 +82,7 @@ def write_result_files(
     filters, results = _filter_files(results, targets)
     known = results.provenance
     summary = summarize_signal(
-        recorded.signals, known.spans, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
+        recorded.signals, known.segments, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
     contents: dict[str, str | bytes] = {}
     for sensor in SENSORS:

@@ -111,7 +111,7 @@ class SignalSummary:
 
 def summarize_signal(
     signals: Sequence[SignalEnvelope],
-    spans: Sequence[Segment],
+    segments: Sequence[Segment],
     bins: int,
     cuts: Mapping[str, int] | None = None,
     temperatures: Sequence[TemperatureTrace | None] = (),
@@ -122,7 +122,7 @@ def summarize_signal(
     ----------
     signals : sequence of SignalEnvelope
         One a recording.
-    spans : sequence of Segment
+    segments : sequence of Segment
         The segments of static data.
     bins : int
         Approximate number of bins in the summary.
@@ -149,7 +149,7 @@ def summarize_signal(
         time, low, high = _reduced(signal, step)
         length = float(time[-1] + np.median(np.diff(time)))
         holes = _holes(time)
-        counted = _counted(spans, int(signal.start_ns[0]), length)
+        counted = _counted(segments, int(signal.start_ns[0]), length)
         least = LEAST_SHARE * length
         gaps += [_moved(hole, offset) for hole in holes if hole[1] - hole[0] > least]
         outside = list(_left_out(counted, holes, length, cuts or {}))
@@ -262,10 +262,10 @@ def _holes(time: Floats) -> list[tuple[float, float]]:
 
 
 def _counted(
-    spans: Sequence[Segment], first_ns: int, length: float
+    segments: Sequence[Segment], first_ns: int, length: float
 ) -> list[tuple[float, float, str]]:
     """Return start, end and cut of the segments of one recording, in s since its first sample."""
-    seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in spans]
+    seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
     return [
         (start, start + of, cut)
         for start, of, cut in seconds
@@ -274,10 +274,10 @@ def _counted(
 
 
 def _without(
-    spans: Sequence[tuple[float, float]], others: Sequence[tuple[float, float]]
+    intervals: Sequence[tuple[float, float]], others: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float]]:
     """Return the intervals without the parts that others cover."""
-    left = list(spans)
+    left = list(intervals)
     for low, high in others:
         left = [
             part
@@ -288,5 +288,5 @@ def _without(
     return left
 
 
-def _moved(span: tuple[float, float], by: float) -> tuple[float, float]:
-    return span[0] + by, span[1] + by
+def _moved(interval: tuple[float, float], by: float) -> tuple[float, float]:
+    return interval[0] + by, interval[1] + by

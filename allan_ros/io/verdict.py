@@ -225,7 +225,7 @@ def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
     """Return how long to record, and for which terms; None where more would not help."""
     if results.method != 'gls':
         return None
-    longest = max((span.duration_s for span in results.provenance.spans), default=0.0)
+    longest = max((s.duration_s for s in results.provenance.segments), default=0.0)
     limits: dict[str, dict[str, float]] = {}
     if results.datasheet is not None:
         for c in results.datasheet.comparisons:

@@ -241,7 +241,7 @@ class ImuWatch:
         settings = asdict(self._settings.segmenter.value)
         provenance = Provenance(
             (source,),
-            known.spans,
+            known.segments,
             known.findings,
             known.health.counts,
             settings,

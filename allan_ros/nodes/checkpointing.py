@@ -18,7 +18,7 @@ from ..io.files import PathLock
 from ..io.recorded import Provenance
 from .snapshot import Total
 
-SPANS_KEPT = 1000
+SEGMENTS_KEPT = 1000
 """Longest segments that are listed next to the sums."""
 
 
@@ -60,7 +60,7 @@ class CheckpointKeeper:
         """Latest stamp of the samples in the file; None where nothing is known."""
         if self._file is None:
             return None
-        ends = [s.start_ns + round(s.duration_s * 1e9) for s in self._file.provenance.spans]
+        ends = [s.start_ns + round(s.duration_s * 1e9) for s in self._file.provenance.segments]
         known = self._file.provenance.last_stamp_ns
         return max(ends if known is None else [known, *ends], default=None)
 
@@ -205,10 +205,10 @@ class CheckpointKeeper:
 
 def _shortened(provenance: Provenance, findings: tuple[Finding, ...]) -> Provenance:
     """Return it in bounded size: the longest segments, and the findings of this run only."""
-    longest = sorted(provenance.spans, key=lambda span: -span.samples)[:SPANS_KEPT]
+    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:SEGMENTS_KEPT]
     return replace(
         provenance,
         sources=tuple(dict.fromkeys(provenance.sources)),
-        spans=tuple(sorted(longest, key=lambda span: span.start_ns)),
+        segments=tuple(sorted(longest, key=lambda s: s.start_ns)),
         findings=findings,
     )

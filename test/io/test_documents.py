@@ -133,7 +133,7 @@ def test_of_many_segments_the_longest_are_listed(small_results: Results) -> None
     results = replace(
         small_results,
         segments=1500,
-        provenance=replace(small_results.provenance, spans=spans),
+        provenance=replace(small_results.provenance, segments=spans),
     )
     document = results_to_document(results)
     assert document['segment_count'] == 1500

@@ -40,7 +40,7 @@ class Accumulation:
         The same, of the present rate and frame.
     health : StreamHealth
     findings : tuple of Finding
-    spans : tuple of Segment
+    segments : tuple of Segment
         The longest 1000 segments of the first of ``sums``, in order of time;
         ``sums[0].segment_count`` is their full number.
     spectra : tuple of SpectrumSums
@@ -51,7 +51,7 @@ class Accumulation:
     current: tuple[AllanSums, ...]
     health: StreamHealth
     findings: tuple[Finding, ...]
-    spans: tuple[Segment, ...]
+    segments: tuple[Segment, ...]
     spectra: tuple[SpectrumSums, ...] = ()
 
 

@@ -399,7 +399,7 @@ def _sources(results: Results) -> str:
 
 
 def _recorded(results: Results) -> str:
-    starts = [span.start_ns for span in results.provenance.spans]
+    starts = [s.start_ns for s in results.provenance.segments]
     if not starts:
         return 'not known'
     try:

@@ -42,8 +42,8 @@ NS = 10**9
 
 def recorded_on(results: Results) -> str:
     """Return when the static data begins, in UTC, or '' where the stamps are no dates."""
-    spans = results.provenance.spans
-    start = min((span.start_ns for span in spans), default=0) // NS
+    segments = results.provenance.segments
+    start = min((s.start_ns for s in segments), default=0) // NS
     if start < EARLIEST_S:
         return ''
     when = datetime.datetime.fromtimestamp(start, datetime.timezone.utc)

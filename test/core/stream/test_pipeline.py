@@ -42,7 +42,7 @@ def accumulate(times, samples, chunks=(4096,), record=None, frames=None, **setti
 
 
 def assert_same(a, b):
-    assert a.health == b.health and a.findings == b.findings and a.spans == b.spans
+    assert a.health == b.health and a.findings == b.findings and a.segments == b.segments
     assert len(a.sums) == len(b.sums)
     for x, y in zip(a.sums, b.sums):
         assert_identical(x, y)
@@ -121,14 +121,14 @@ def test_a_clean_stream_gives_the_sums_of_the_engine_alone():
     assert_identical(result.sums[0], engine.sums)
     assert result.health.rate_hz == pytest.approx(200.0)
     assert result.health.still_share == 1.0 and result.health.state == 'still'
-    assert [(s.start_ns, s.samples) for s in result.spans] == [(START, 20_000)]
+    assert [(s.start_ns, s.samples) for s in result.segments] == [(START, 20_000)]
 
 
 def test_every_segment_says_why_it_does_not_follow_on_the_one_before():
     t, x = still(30_000)
     t[10_000:] += 5 * 10**9
     x[20_000:20_400] += 50.0 * np.random.default_rng(0).normal(size=(400, 6))
-    assert [s.cut for s in accumulate(t, x).spans] == ['', 'gap', 'motion']
+    assert [s.cut for s in accumulate(t, x).segments] == ['', 'gap', 'motion']
 
 
 def test_looking_at_the_result_disturbs_nothing():
@@ -366,9 +366,9 @@ def test_the_segments_are_those_of_the_sums_that_are_shown(change):
     else:
         result = accumulate(t + np.maximum(0, np.arange(9000) - 7000) * PERIOD, x)
     (sums,) = result.sums
-    assert sums.segment_count == len(result.spans) == 2
-    assert [s.start_ns for s in result.spans] == [t[0], t[2000]]
-    assert sum(s.samples for s in result.spans) == sums.samples
+    assert sums.segment_count == len(result.segments) == 2
+    assert [s.start_ns for s in result.segments] == [t[0], t[2000]]
+    assert sum(s.samples for s in result.segments) == sums.samples
 
 
 def test_a_sensor_of_zeros_is_absent_and_named():

@@ -580,8 +580,8 @@ def test_madgwick_needs_no_accelerometer(known_results: Results) -> None:
 def test_a_date_that_is_none_is_said(known_results: Results) -> None:
     def date(start_ns: int) -> str:
         provenance = known_results.provenance
-        spans = tuple(span._replace(start_ns=start_ns) for span in provenance.spans)
-        known = replace(known_results, provenance=replace(provenance, spans=spans))
+        spans = tuple(span._replace(start_ns=start_ns) for span in provenance.segments)
+        known = replace(known_results, provenance=replace(provenance, segments=spans))
         text = make_export(known, 'kalibr').text
         return next(line for line in text.splitlines() if line.startswith('# date: '))
 

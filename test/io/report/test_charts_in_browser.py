@@ -46,7 +46,7 @@ def pages(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
         recorded = read_recording(ReadJob(str(path), with_context=True))
         results = analyse_recorded(recorded)
         known = results.provenance
-        signal = summarize_signal(recorded.signals, known.spans, 1000, known.counts.cuts)
+        signal = summarize_signal(recorded.signals, known.segments, 1000, known.counts.cuts)
         spectra = [spectrum_of(s, results.tau0) for s in recorded.spectra]
         context = ReportContext(signal, [s for s in spectra if s is not None])
         made[name] = folder / f'{name}.html'

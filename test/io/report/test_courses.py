@@ -47,7 +47,7 @@ def test_bias_and_noise_are_shown_as_they_were(drifting: Results) -> None:
 def test_a_recorded_temperature_gives_the_slope_of_the_bias(drifting: Results) -> None:
     recorded = drifting.recorded
     assert recorded is not None
-    summary = summarize_signal(recorded.signals, drifting.provenance.spans, 100)
+    summary = summarize_signal(recorded.signals, drifting.provenance.segments, 100)
     assert summary is not None
     time = np.array([0.0, SECONDS])
     heated = SignalTemperature('/temp', time, 20.0 + time / 60.0)  # a degree a minute
