@@ -222,8 +222,13 @@ class AxisResult:
 
     @property
     def growth(self) -> tuple[Growth, ...]:
-        """Predicted growth of the error without correction, with intervals."""
+        """Predicted growth of the angle or velocity error without correction, with intervals."""
         return growth_table(self.fit)
+
+    @property
+    def position_growth(self) -> tuple[Growth, ...]:
+        """Predicted growth of the position error of an accelerometer; empty for a gyro."""
+        return growth_table(self.fit, 2) if sensor_of(self.name) == 'accel' else ()
 
     def quantity(self, term: str) -> Quantity:
         """Return the coefficient of a term (Q, N, B, K or R) in SI."""

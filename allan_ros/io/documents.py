@@ -294,6 +294,7 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'rounding': _finite(axis.rounding),
         'turn_on': asdict(axis.turn_on) if axis.turn_on else None,
         'growth': [asdict(growth) for growth in axis.growth],
+        'position_growth': [asdict(growth) for growth in axis.position_growth],
         'gauss_markov': asdict(fit.gauss_markov) if fit.gauss_markov else None,
         'sinusoid': asdict(fit.sinusoid) if fit.sinusoid else None,
         'processes': _processes_to_document(fit.processes),

@@ -137,14 +137,15 @@ def has_drift(model: ProcessModel) -> bool:
 
 @dataclass(frozen=True)
 class Growth:
-    """Error of the angle (gyro) or velocity (accelerometer) some time after the last correction.
+    """Error of an angle, velocity or position some time after the last correction.
 
     Attributes
     ----------
     horizon, window : float
         Time without correction, and time before over which the bias was averaged, in s.
     std : float
-        Standard deviation that the selected model predicts: the unit of the samples times s.
+        Standard deviation that the selected model predicts: the unit of the samples times s, or
+        s^2 for a position.
     ci95 : (low, high) or None
         95 % interval from those of the terms; None where a term has no interval.
     """
@@ -155,14 +156,15 @@ class Growth:
     ci95: tuple[float, float] | None
 
 
-def growth_table(fit: AxisFit) -> tuple[Growth, ...]:
+def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
     """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
 
+    With two integrals it is the position error of an accelerometer.
     Terms that are not resolved are 0 in the prediction and at their 95 % limit at the upper end.
     """
     h = np.array(GROWTH_S)
     model = drift_model(fit.selected)
-    std = predicted_growth(model, h, GROWTH_WINDOW_S)
+    std = predicted_growth(model, h, GROWTH_WINDOW_S, integrals)
     ends: list[tuple[float, float] | None] = [None] * len(h)
     if has_intervals(fit):
         low, high = (drift_model(one) for one in interval_models(fit))
@@ -170,7 +172,7 @@ def growth_table(fit: AxisFit) -> tuple[Growth, ...]:
             term: getattr(high.terms, term) or _finite(fit.noise[term].upper95) for term in 'NBKR'
         }
         high = replace(high, terms=NoiseTerms(**limits))
-        bounds = growth_interval(model, low, high, h, GROWTH_WINDOW_S)
+        bounds = growth_interval(model, low, high, h, GROWTH_WINDOW_S, integrals)
         ends = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
     return tuple(
         Growth(float(one), GROWTH_WINDOW_S, float(value), ci95)
