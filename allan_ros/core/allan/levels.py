@@ -48,31 +48,29 @@ EXCESS_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)
-class LevelChange:
-    """White noise of one axis that is not the same in all blocks of time, or recordings.
+class Scatter:
+    """Scatter of the white noise of one axis between parts.
 
     Attributes
     ----------
-    axis : int
-    m : int
-        Averaging factor at which it is measured.
+    parts : int
+        How many are compared.
     low, high : float
-        Smallest and largest deviation of a block, relative to that of all.
+        Smallest and largest deviation of a part, relative to that of all.
     scatter : float
-        Standard deviation of the logarithm of the true deviations of the blocks.
+        Standard deviation of the logarithm of the true deviations of the parts.
     probability : float
         Of such differences if there are none.
     """
 
-    axis: int
-    m: int
+    parts: int
     low: float
     high: float
     scatter: float
     probability: float
 
 
-def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelChange, ...]:
+def level_changes(recordings: Sequence[Recording], age: int = 0) -> dict[int, Scatter]:
     """Return the axes whose white noise differs between sixths of a recording, or recordings.
 
     Parameters
@@ -81,13 +79,16 @@ def level_changes(recordings: Sequence[Recording], age: int = 0) -> tuple[LevelC
     age : int
         Samples left out at the start of each.
     """
-    parts = PARTS if len(recordings) == 1 else 1
-    found = []
-    for axis, (m, variance, count) in _white_levels(recordings, age, parts).items():
-        one = _scatter(m, variance, count)
+    found = {}
+    for axis, level in _white_levels(recordings, age, _parts_of_each(recordings)).items():
+        one = _scatter(*level)
         if one and one.probability < LEVEL_PROBABILITY and one.high >= LEVEL_RATIO * one.low:
-            found.append(LevelChange(axis, m, one.low, one.high, one.scatter, one.probability))
-    return tuple(found)
+            found[axis] = one
+    return found
+
+
+def _parts_of_each(recordings: Sequence[Recording]) -> int:
+    return PARTS if len(recordings) == 1 else 1
 
 
 def level_excess(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
@@ -160,18 +161,7 @@ def _white_level(variance: Floats, count: Floats) -> int | None:
     return None
 
 
-@dataclass(frozen=True)
-class _Scatter:
-    """Scatter of deviations: of how many parts, their extremes relative to all, ln s.d., p."""
-
-    parts: int
-    low: float
-    high: float
-    scatter: float
-    probability: float
-
-
-def _scatter(m: int, variance: Floats, count: Ints) -> _Scatter | None:
+def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
     """Return the scatter of the levels of parts beyond that of normal noise; None if too few."""
     some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
     variance, count = variance[some], count[some]
@@ -190,7 +180,7 @@ def _scatter(m: int, variance: Floats, count: Ints) -> _Scatter | None:
     weights = degrees / 2.0
     excess = float(weights @ (ratio - weights @ ratio / weights.sum()) ** 2) - (len(count) - 1)
     spread = max(excess, 0.0) / float(weights.sum() - weights @ weights / weights.sum())
-    return _Scatter(len(count), low, high, math.sqrt(spread) / 2.0, probability)
+    return Scatter(len(count), low, high, math.sqrt(spread) / 2.0, probability)
 
 
 # --- the size of the drift ------------------------------------------------------------------------
@@ -230,14 +220,15 @@ def drift_scatter(
     scatter = np.zeros(axes)
     if not recordings:
         return scatter
-    parts = [p for r in recordings for p in _parts(r, age, PARTS if len(recordings) == 1 else 1)]
+    of_each = _parts_of_each(recordings)
+    parts = [part for one in recordings for part in _parts(one, age, of_each)]
     if len(parts) < 2:
         return scatter
     step = recordings[0].step
     model = variance_model(means := CellMeans.of(recordings[0].cells(math.ceil(age / step))))
     if len(means.begin) < PARTS + 2:
         return scatter
-    white = _white_levels(recordings, age, PARTS if len(recordings) == 1 else 1)
+    white = _white_levels(recordings, age, of_each)
     gains = np.zeros((axes, len(LOG_SCATTERS)))
     for axis in range(axes):
         values = model.contrasts @ means.means[:, axis]

@@ -161,6 +161,7 @@ def _model(begin: tuple[float, ...], end: tuple[float, ...]) -> VarianceModel:
 def clear_cache() -> None:
     """Clear the models of recent stretches, some 4 MB."""
     _model.cache_clear()
+    _null_model.cache_clear()
 
 
 def variance_model(means: CellMeans) -> VarianceModel:
@@ -304,7 +305,13 @@ of twice the log likelihood against going on from all."""
 
 
 def null_model(values: Floats, model: VarianceModel) -> Likelihood:
-    """Return the likelihood of contrasts without any effect."""
+    """Return the likelihood of contrasts without any effect; those of the last axes are cached."""
+    return _null_model(values.tobytes(), model)
+
+
+@lru_cache(maxsize=12)
+def _null_model(data: bytes, model: VarianceModel) -> Likelihood:
+    values = np.frombuffer(data)
     scale = float(values @ values) / len(values)
     sizes = np.array([np.trace(unit) / len(values) for unit in model.units])
     starts = [scale * np.array(shares) / sizes for shares in STARTS]

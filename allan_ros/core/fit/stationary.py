@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..allan.levels import LevelChange, drift_scatter, level_changes, level_excess
+from ..allan.levels import Scatter, drift_scatter, level_changes, level_excess
 from ..allan.parts import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
@@ -111,9 +111,9 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
     excess = level_excess(recordings, len(sums.axes), age)
     for axis, scatter in zip(sums.axes, excess.tolist()):
         model = _widened(model, axis, 'N', scatter)
-    for change in level_changes(recordings, age):
-        found += _level_finding(sums, change, model, which)
-        model = _widened(model, sums.axes[change.axis], 'N', change.scatter)
+    for i, change in level_changes(recordings, age).items():
+        found += _level_finding(sums.axes[i], change, model, which)
+        model = _widened(model, sums.axes[i], 'N', change.scatter)
     drift = dict(zip(sums.axes, drift_scatter(recordings, _sensors(sums), age).tolist()))
     for axis, scatter in drift.items():
         for term in ('B', 'K'):
@@ -184,11 +184,8 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps) -> Finding:
     )
 
 
-def _level_finding(
-    sums: AllanSums, change: LevelChange, model: NoiseModel, which: str
-) -> list[Finding]:
+def _level_finding(name: str, change: Scatter, model: NoiseModel, which: str) -> list[Finding]:
     """Return the finding of white noise that varies; none where N is not resolved."""
-    name = sums.axes[change.axis]
     noise = model.axes[name].noise['N']
     if noise.status != 'estimated' or not noise.value:
         return []

@@ -19,8 +19,8 @@ def test_white_noise_that_changes_is_found_and_widens_the_interval_of_n():
     engine = RunningAllan(axes=AXES)
     engine.update(y, 0, (len(y) - 1) * 10**9)
     sums = engine.sums
-    (change,) = level_changes(sums.history.recordings)
-    assert change.axis == 0 and 1.05 < change.high / change.low < 1.12
+    ((axis, change),) = level_changes(sums.history.recordings).items()
+    assert axis == 0 and 1.05 < change.high / change.low < 1.12
     _, model = fit_stationary(sums)
     (found,) = (f for f in model.findings if f.id == 'level_changes')
     assert found.axes == ('gyro_x',) and 'within the recording' in found.message
