@@ -230,8 +230,9 @@ def drift_scatter(
         return scatter
     white = _white_levels(recordings, age, of_each)
     gains = np.zeros((axes, len(LOG_SCATTERS)))
+    contrasts = model.contrasts @ means.means
     for axis in range(axes):
-        values = model.contrasts @ means.means[:, axis]
+        values = contrasts[:, axis]
         if not float(values @ values) > 0.0:
             continue
         variances = null_model(values, model).variances
