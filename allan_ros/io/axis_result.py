@@ -115,11 +115,6 @@ class AxisCurve:
     ci_low: NDArray[np.float64]
     ci_high: NDArray[np.float64]
 
-    @property
-    def limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The deviation, and its lower and upper limit."""
-        return self.adev, self.ci_low, self.ci_high
-
 
 @dataclass(frozen=True)
 class AxisResult:
@@ -150,6 +145,13 @@ class AxisResult:
     >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
     >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
     ('accel_z', 20.0)
+    >>> axis.quantity('N') == axis.N
+    True
+    >>> m = axis.curve.m
+    >>> 'N' in axis.part_adev(m), 'N' in axis.limit_adev(m), axis.total_adev(m).shape == m.shape
+    (True, False, True)
+    >>> [one.horizon for one in axis.growth][:2]  # s
+    [1.0, 10.0]
     """
 
     tau0: float

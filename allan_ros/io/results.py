@@ -68,6 +68,12 @@ class Results:
     >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
     >>> results.samples, round(results.rate_hz), list(results)[:2]
     (18000, 50, ['gyro_x', 'gyro_y'])
+    >>> results.noise['gyro_x']['N'].status, len(results.table()), results.verdict.level
+    ('estimated', 30, 'unknown')
+    >>> figure = results.plot('gyro')
+    >>> checked = results.compared(sensor='adis16475-3')
+    >>> checked.comparisons[0].term, checked.comparisons[0].verdict
+    ('N', 'within')
     >>> results.export('kalibr').splitlines()[-1]
     'update_rate: 50.0'
     """
@@ -109,7 +115,9 @@ class Results:
         return {
             name: Measured(
                 axis.fit.noise,
-                None if (c := axis.curve) is None else DeviationCurve(c.tau, *c.limits),
+                None
+                if (c := axis.curve) is None
+                else DeviationCurve(c.tau, c.adev, c.ci_low, c.ci_high),
             )
             for name, axis in self.axes.items()
         }
@@ -233,7 +241,7 @@ class Results:
         units: str = 'datasheet',
         targets: Sequence[str] = (),
     ) -> list[Path]:
-        """Write the files that `allan analyze -o` writes, and return their paths.
+        """Write the files that `allan analyze -o` writes, which `load` reads; return their paths.
 
         Parameters
         ----------
