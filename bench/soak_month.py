@@ -30,7 +30,7 @@ from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.documents import sums_file_to_document
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import analyse_sums
-from allan_ros.nodes.checkpointing import CheckpointKeeper
+from allan_ros.nodes.snapshot import CheckpointKeeper
 
 RATE_HZ = 200.0
 DAYS = 30

@@ -26,13 +26,12 @@ from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
-from .checkpointing import CheckpointKeeper
 from .diagnostics import InputView, input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
 from .node import AllanNode
 from .settings import CheckpointSettings, InputSettings
 from .shell import LATCHED, Periodic
-from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
+from .snapshot import REPLACED_SHARE, CheckpointKeeper, Snapshot, Total, replaced_share
 
 LIVE_COUNTERPARTS = frozenset(('gaps',))
 """Findings of a complete stream that the findings of the live input replace."""

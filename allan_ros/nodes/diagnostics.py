@@ -97,6 +97,29 @@ def message_of(findings: Sequence[Finding], otherwise: str) -> str:
     return f'{severe[0]}{more}'
 
 
+def status_of(
+    name: str,
+    findings: Sequence[Finding],
+    otherwise: str,
+    pairs: Iterable[tuple[str, object]],
+    *,
+    noted: Sequence[Finding] = (),
+    hardware_id: str = '',
+) -> DiagnosticStatus:
+    """Return a status with the level and message of the findings, and all findings as values.
+
+    ``otherwise`` is the message without a warning or error; ``noted`` do not change the level.
+    """
+    shown = [(f'finding: {f.id}', f) for f in (*findings, *noted)]
+    return DiagnosticStatus(
+        level=worst_level(findings),
+        name=name,
+        message=message_of(findings, otherwise),
+        hardware_id=hardware_id,
+        values=key_values([*pairs, *shown]),
+    )
+
+
 def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStatus:
     """Return the status of one input."""
     h, c, r = view.health, view.health.counts, view.statistics
@@ -133,15 +156,9 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('messages taken by', view.path),
         ('checkpoint', view.checkpoint or 'none'),
         ('checkpoint age [s]', view.checkpoint_age_s),
-        *((f'finding: {f.id}', f) for f in (*view.findings, *view.noted)),
     ]
-    return DiagnosticStatus(
-        level=worst_level(view.findings),
-        name=name,
-        message=message_of(view.findings, _state_text(view, static_s)),
-        hardware_id=hardware_id,
-        values=key_values(pairs),
-    )
+    text = _state_text(view, static_s)
+    return status_of(name, view.findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
 def _state_text(view: InputView, static_s: float) -> str:
@@ -226,14 +243,8 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
     pairs += _recent_pairs(view)
-    pairs += [(f'finding: {f.id}', f) for f in (*findings, *view.noted)]
-    return DiagnosticStatus(
-        level=worst_level(findings),
-        name=name,
-        message=message_of(findings, _summary(view, static_s)),
-        hardware_id=hardware_id,
-        values=key_values(pairs),
-    )
+    text = _summary(view, static_s)
+    return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
 def _term_pairs(

@@ -28,15 +28,7 @@ from ..core.imu import SI_UNITS, sensor_of
 from ..io.datasheets import Datasheet, load_sensor
 from ..io.documents import load, results_to_document
 from ..io.results import Results, analyse_sums
-from .diagnostics import (
-    NOTED,
-    AxisView,
-    axis_status,
-    key_values,
-    message_of,
-    status_name,
-    worst_level,
-)
+from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
 from .node import AllanNode
 from .outputs import AllanPlot, BiasPublisher
 from .parameters import ParameterGroup
@@ -323,12 +315,9 @@ class SumsInput:
         if not self._node.count_publishers(self.topic):
             patience = min(patience, ALONE_S)
         findings = [finding('no_sums', topic=self.topic, seconds=age)] if age > patience else []
-        status = DiagnosticStatus(
-            level=worst_level(findings),
-            name=status_name(self._node, 'sums'),
-            message=message_of(findings, f'sums arrive on {self.topic}'),
-            values=key_values([('topic', self.topic), ('sums age [s]', age)]),
-        )
+        pairs: list[tuple[str, object]] = [('topic', self.topic), ('sums age [s]', age)]
+        text = f'sums arrive on {self.topic}'
+        status = status_of(status_name(self._node, 'sums'), findings, text, pairs)
         if self._problem:
             status.level, status.message = DiagnosticStatus.ERROR, self._problem
         return [status]

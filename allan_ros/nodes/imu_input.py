@@ -11,7 +11,7 @@ it, a plain raw callback receives the same bytes.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import compress
 from typing import Any
 
@@ -134,6 +134,26 @@ class QosEvents:
         self._events = {}
 
 
+def subscribe_raw(
+    node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
+) -> Subscription:
+    """Subscribe Imu as raw bytes; unless ``plain``, outside the executor's wait set."""
+    # Best effort connects to every publisher; reliable publishers still deliver in order.
+    qos = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
+    )
+    return node.create_subscription(
+        Imu,
+        topic,
+        callback,
+        qos,
+        callback_group=MutuallyExclusiveCallbackGroup() if plain else DrainedGroup(),
+        event_callbacks=NO_CALLBACKS,
+        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        raw=True,
+    )
+
+
 class ImuInput:
     """The Imu messages of one topic, as batches.
 
@@ -153,31 +173,16 @@ class ImuInput:
         self._last_number: dict[bytes, int | None] = {}
         self._publisher_count, self._alone = 1, True
         self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
-        # Best effort connects to every publisher; reliable publishers still deliver in order.
-        qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=settings.queue_depth,
-            reliability=ReliabilityPolicy.BEST_EFFORT,
-        )
-        self._subscription = self._subscribe(topic, qos, settings.plain_callback)
+        self._subscription = self._subscribe(topic, settings, settings.plain_callback)
         self.topic = self._subscription.topic_name
         self.lean = not settings.plain_callback and self._can_drain()
         if not self.lean and not settings.plain_callback:
             node.destroy_subscription(self._subscription)
-            self._subscription = self._subscribe(topic, qos, True)
+            self._subscription = self._subscribe(topic, settings, True)
         self._events = QosEvents(self._subscription)
 
-    def _subscribe(self, topic: str, qos: QoSProfile, plain: bool) -> Subscription:
-        return self._node.create_subscription(
-            Imu,
-            topic,
-            self._collect,
-            qos,
-            callback_group=MutuallyExclusiveCallbackGroup() if plain else DrainedGroup(),
-            event_callbacks=NO_CALLBACKS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            raw=True,
-        )
+    def _subscribe(self, topic: str, settings: InputSettings, plain: bool) -> Subscription:
+        return subscribe_raw(self._node, topic, self._collect, settings.queue_depth, plain)
 
     def drain(self) -> None:
         """Empty the queue of the subscription."""

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from ..core.findings import Finding, finding
-from .diagnostics import diagnostic_array, key_values, message_of, status_name, worst_level
+from .diagnostics import diagnostic_array, status_name, status_of
 from .parameters import Parameters
 from .settings import PublishSettings
 from .shell import STEADY, Periodic
@@ -102,11 +102,4 @@ class AllanNode(Node):
         recent = [f for at, f in self._faults.values() if now - at <= FAULT_SHOWN_S]
         if not recent:
             return []
-        return [
-            DiagnosticStatus(
-                level=worst_level(recent),
-                name=status_name(self, 'node'),
-                message=message_of(recent, ''),
-                values=key_values([(f'finding: {f.id}', f) for f in recent]),
-            )
-        ]
+        return [status_of(status_name(self, 'node'), recent, '', ())]

@@ -17,9 +17,8 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistWithCovarianceStamped
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
@@ -33,8 +32,8 @@ from ..io.documents import results_from_document
 from ..io.files import parse_json
 from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, without_gyro_bias
 from ..io.results import Results
-from .diagnostics import key_values, message_of, status_name, worst_level
-from .imu_input import NO_CALLBACKS, DrainedGroup, full_name, qos_text
+from .diagnostics import status_name, status_of
+from .imu_input import full_name, qos_text, subscribe_raw
 from .node import AllanNode
 from .parameters import ParameterGroup
 from .settings import RelaySettings
@@ -181,18 +180,12 @@ class ImuRelay:
         for sensor, variances in self._variances.items():
             for axis, variance in zip('xyz', variances):
                 pairs.append((f'variance of {sensor} {axis} [{SHOWN_UNIT[sensor]}]', variance))
-        pairs += [(f'finding: {f.id}', f) for f in findings]
         filled = f'covariances of {" and ".join(self._variances)} are filled'
         identity = self._results.identity if self._results else ImuIdentity()
         hardware_id = self._topics.hardware_id or identity.hardware_id or identity.frame_id
-        status = DiagnosticStatus(
-            level=worst_level(findings),
-            name=status_name(self._node, self._topics.label, 'relay'),
-            message=message_of(findings, filled if self._variances else str(findings[0])),
-            hardware_id=one_line(hardware_id),
-            values=key_values(pairs),
-        )
-        return [status]
+        name = status_name(self._node, self._topics.label, 'relay')
+        text = filled if self._variances else str(findings[0])
+        return [status_of(name, findings, text, pairs, hardware_id=one_line(hardware_id))]
 
     def close(self) -> None:
         """Stop the thread."""
@@ -261,22 +254,8 @@ class ImuRelay:
             self._last_frame = frame_id
 
     def _subscribe(self, topic: str, plain: bool) -> Subscription:
-        # Best effort connects to every publisher; reliable publishers still deliver in order.
-        qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=self._settings.value.queue_depth,
-            reliability=ReliabilityPolicy.BEST_EFFORT,
-        )
-        return self._node.create_subscription(
-            Imu,
-            topic,
-            self._hand_on,
-            qos,
-            callback_group=MutuallyExclusiveCallbackGroup() if plain else DrainedGroup(),
-            event_callbacks=NO_CALLBACKS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            raw=True,
-        )
+        depth = self._settings.value.queue_depth
+        return subscribe_raw(self._node, topic, self._hand_on, depth, plain)
 
     def _start(self) -> bool:
         """Start the thread; return False where this client library has no wait set."""
