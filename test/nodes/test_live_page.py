@@ -94,3 +94,42 @@ def test_a_browser_that_leaves_does_no_harm_and_another_draws(
     browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
     assert browser.complaints == []
     browser.call('Page.navigate', url='about:blank')
+
+
+def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -> None:
+    with socket.socket() as free:
+        free.bind(('127.0.0.1', 0))
+        port = free.getsockname()[1]
+    quick = {
+        'qos_overrides./imu/data.subscription.reliability': 'reliable',
+        'qos_overrides./imu/data.subscription.history': 'keep_all',
+        'publish.sums_period': 0.3,
+    }
+    graph.start('monitor', **quick)
+    watch = graph.start('watch', '--web', str(port))
+    publisher = graph.publisher()
+    batch = still_imu(12_000)
+    graph.send(publisher, batch[:6000])
+    address = f'http://127.0.0.1:{port}/'
+
+    def shows(text: str) -> bool:
+        try:
+            return text in urllib.request.urlopen(address, timeout=10.0).read().decode()
+        except OSError:  # not yet served
+            return False
+
+    graph.until(lambda: shows('6,000 samples'))
+    browser.complaints.clear()
+    browser.call('Page.navigate', url=address)
+    browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
+    graph.send(publisher, batch[6000:])
+    graph.until(lambda: shows('12,000 samples'))
+    # the page asks again by itself
+    browser.wait_for(
+        'document.readyState === "complete" && '
+        'document.querySelector("header").textContent.includes("12,000 samples")'
+    )
+    browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
+    assert browser.complaints == []
+    assert watch.stop() == 0
+    browser.call('Page.navigate', url='about:blank')
