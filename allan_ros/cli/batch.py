@@ -29,14 +29,12 @@ from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
 from .analyze import fitted
 from .console import Console
+from .parser import RECORDINGS
 
 METADATA = 'metadata.yaml'
 
 STORAGES = ('.mcap', '.db3')
 """Suffixes of files that can be splits of one bag."""
-
-RECORDINGS = (*STORAGES, '.bag', '.csv', '.tsv', '.npz', '.npy')
-"""Suffixes of files that are recordings of their own."""
 
 SPLIT = re.compile(r'^(.*)_\d+$')
 """Name of a split without its suffix: rosbag2 numbers them."""

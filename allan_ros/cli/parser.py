@@ -220,7 +220,7 @@ def _exits_text(exits: dict[int, str]) -> str:
     return '\n'.join(['exit codes:', *(f'  {code:<4} {what}' for code, what in exits.items())])
 
 
-RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy')
+RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the files that `analyze` reads."""
 
 DOCUMENTS = ('.json',)

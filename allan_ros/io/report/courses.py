@@ -73,7 +73,7 @@ def courses(results: Results, sensor: str, summary: SignalSummary | None) -> lis
     levels = [_noise(recording, start, sums.tau0) for recording, start in placed]
     noise = _joined([level for level in levels if level.span == levels[0].span], columns)
     charts = []
-    if len(bias.time) >= LEAST_POINTS:
+    if np.isfinite(bias.values).any(axis=1).sum() >= LEAST_POINTS:
         bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
         terms = [results.axes[name].fit.noise['N'] for name in names]
         known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
@@ -83,7 +83,7 @@ def courses(results: Results, sensor: str, summary: SignalSummary | None) -> lis
         if against is not None:
             slopes = rounded(np.polyfit(against.time, against.values, 1)[0])
             charts.append({**_document('temperature', against, names), 'slopes': slopes})
-    if len(noise.time) >= LEAST_POINTS:
+    if np.isfinite(noise.values).any(axis=1).sum() >= LEAST_POINTS:
         charts.append(_document('noise', noise, names))
     return charts
 
