@@ -39,6 +39,8 @@ _UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.UAdd: operator.pos,
 }
 
+Formula = Callable[[Mapping[str, float]], Any]
+
 _FUNCTIONS: dict[str, Callable[..., Any]] = {'sqrt': math.sqrt, 'abs': abs, 'max': max}
 
 
@@ -54,13 +56,13 @@ class Expression:
         if len(text) > MAX_LENGTH:
             raise AllanError(f'an expression has {len(text)} characters: at most {MAX_LENGTH}')
         try:
-            self._root = ast.parse(text.strip(), mode='eval').body
+            root = ast.parse(text.strip(), mode='eval').body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise AllanError(
                 f'{text!r} is not an expression: write it as in 2 * N**2 * f'
             ) from error
         names: set[str] = set()
-        self._check(self._root, names)
+        self._formula = self._compiled(root, names)
         self.names = frozenset(names)
 
     def value(self, values: Mapping[str, float]) -> float:
@@ -71,58 +73,36 @@ class Expression:
                 f'{self.text!r} names {missing[0]}: there are {", ".join(sorted(values))}'
             )
         try:
-            result = self._evaluate(self._root, values)
-        except (ArithmeticError, ValueError) as error:
+            result = self._formula(values)
+        except (ArithmeticError, ValueError, TypeError) as error:  # TypeError: sqrt of two numbers
             raise AllanError(f'{self.text!r} has no value ({error})') from error
         if isinstance(result, complex) or not math.isfinite(result):
             raise AllanError(f'{self.text!r} has no finite value')
         return float(result)
 
-    def _check(self, node: ast.expr, names: set[str]) -> None:
-        """Reject anything but arithmetic, and collect the names."""
+    def _compiled(self, node: ast.expr, names: set[str]) -> Formula:
+        """Return the function that evaluates a node, and collect the names in it."""
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            return
+            number = float(node.value)  # type: ignore[arg-type]  # checked to be a number
+            return lambda values: number
         if isinstance(node, ast.Name):
             names.add(node.id)
-            return
-        if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-            self._check(node.left, names)
-            self._check(node.right, names)
-            return
-        if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-            self._check(node.operand, names)
-            return
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and node.func.id in _FUNCTIONS
-            and node.args
-            and not node.keywords
-        ):
-            for argument in node.args:
-                self._check(argument, names)
-            return
-        raise AllanError(
-            f'{self.text!r} holds {ast.unparse(node)!r}: use numbers, names, + - * / ** and '
-            f'{", ".join(_FUNCTIONS)} only'
-        )
-
-    def _evaluate(self, node: ast.expr, values: Mapping[str, float]) -> Any:
-        if isinstance(node, ast.Constant):
-            return float(node.value)  # type: ignore[arg-type]  # checked to be a number
-        if isinstance(node, ast.Name):
-            return values[node.id]
+            return operator.itemgetter(node.id)
+        call: Callable[..., Any] | None = None
+        arguments: list[ast.expr] = []
         if isinstance(node, ast.BinOp):
-            left, right = self._evaluate(node.left, values), self._evaluate(node.right, values)
-            return _BINARY[type(node.op)](left, right)
-        if isinstance(node, ast.UnaryOp):
-            return _UNARY[type(node.op)](self._evaluate(node.operand, values))
-        assert isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-        arguments = [self._evaluate(argument, values) for argument in node.args]
-        try:
-            return _FUNCTIONS[node.func.id](*arguments)
-        except TypeError as error:  # sqrt of two numbers, max of one
-            raise ValueError(str(error)) from error
+            call, arguments = _BINARY.get(type(node.op)), [node.left, node.right]
+        elif isinstance(node, ast.UnaryOp):
+            call, arguments = _UNARY.get(type(node.op)), [node.operand]
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            call, arguments = _FUNCTIONS.get(node.func.id), node.args
+        if call is None or not arguments:
+            raise AllanError(
+                f'{self.text!r} holds {ast.unparse(node)!r}: use numbers, names, + - * / ** and '
+                f'{", ".join(_FUNCTIONS)} only'
+            )
+        function, parts = call, [self._compiled(argument, names) for argument in arguments]
+        return lambda values: function(*(part(values) for part in parts))
 
 
 RATE = 'f'
