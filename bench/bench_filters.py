@@ -360,7 +360,7 @@ def main() -> None:
     parser.add_argument('what', choices=('nees', 'growth', 'bias', 'gtsam', 'figure'))
     parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS), default=[*SENSORS])
     parser.add_argument('--axes', type=int, default=24, help='axes the filter runs on')
-    parser.add_argument('--records', type=int, default=40, help='records of three axes')
+    parser.add_argument('--records', type=int, default=20, help='records of three axes')
     parser.add_argument('--write', action='store_true', help='write the table into docs/filters.md')
     args = parser.parse_args()
     if args.what == 'nees':
