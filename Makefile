@@ -5,7 +5,7 @@ PYTHON ?= python3
 PYTHON_FLOOR ?= python3.10
 DISTRO ?= jazzy
 VENV ?= .venv
-# More than two cores, because tests of nodes wait most of the time.
+# One more than two cores, because tests of nodes wait most of the time.
 JOBS ?= 3
 HOURS ?= 2
 # Filters and another DDS, to read with them what is written; empty to leave them out.
@@ -49,7 +49,7 @@ test: unit lint  ## run all tests, then check style and types
 
 unit: $(VENV)/.ready  ## run the tests alone (TESTS=test/core for some of them)
 	AMENT_PREFIX_PATH="$(abspath $(VENV)):$$AMENT_PREFIX_PATH" \
-		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadgroup $(TESTS)
+		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadfile $(TESTS)
 
 lint: $(LINT)/.ready  ## check style and types
 	$(LINT)/bin/ruff check .
@@ -89,7 +89,7 @@ pictures: $(VENV)/.ready  ## redraw the pictures of docs/
 	$(VENV)/bin/python scripts/report_pictures.py docs/images
 
 test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy and scipy
-	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) test/core test/io test/cli
+	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) --dist loadfile test/core test/io test/cli
 
 clean:  ## remove environments and what was built
 	rm -rf $(VENV) $(FLOOR) $(LINT) $(SITE) build site install log demo *.egg-info

@@ -32,12 +32,6 @@ ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run the tests of one file in one worker, which keeps its fixtures and fits."""
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT))))
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Any:
     """Leave the tests in test/launch to launch_testing, and keep it away from the others.
