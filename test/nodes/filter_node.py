@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node as filters are: parameters with ranges that can be set while it runs, or refused."""
+"""A node like a filter: its parameters have ranges, and can be set or refused at run time."""
 
 from __future__ import annotations
 

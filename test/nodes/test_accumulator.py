@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The accumulator over real DDS: the same sums as offline, and no input ends it."""
+"""The accumulator gives the sums of the offline analysis, and no input ends it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Allan plot goes to who subscribes, as a PNG; who does not look pays nothing."""
+"""The Allan plot is published as a PNG, and drawn only while there is a subscriber."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One home per default: the configuration file and the launch file say what the code says."""
+"""The configuration file and the launch file agree with the defaults in the code."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of core become statuses that say what is so, in which unit, and what to do."""
+"""Statuses name the state, its numbers with units, and the next step."""
 
 from __future__ import annotations
 

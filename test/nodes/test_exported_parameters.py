@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exported parameter files, loaded by a real node as the filters' nodes load theirs."""
+"""Exported parameter files are loaded by a node in the same way as by filter nodes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The lean input path and its plain fallback bring the same messages."""
+"""Draining the queue and plain callbacks give the same messages."""
 
 from __future__ import annotations
 

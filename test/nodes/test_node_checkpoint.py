@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One file, one node, one IMU: what a checkpoint holds is never written over by a stranger."""
+"""A checkpoint file belongs to one node and one IMU; no other overwrites it."""
 
 from __future__ import annotations
 

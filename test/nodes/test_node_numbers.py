@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics say a number or nothing, of axes and inputs of any size."""
+"""Diagnostics hold finite numbers or none, for axes and inputs of any size."""
 
 from __future__ import annotations
 

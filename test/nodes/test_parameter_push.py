@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a real second node: set when they are known, refused with a reason, restored."""
+"""Parameters of another node are set when values are known, refused with a reason, restored."""
 
 from __future__ import annotations
 

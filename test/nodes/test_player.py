@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The player keeps every message and its time; the watcher shows what the nodes say."""
+"""The player publishes every message with its time; allan_watch shows every status."""
 
 from __future__ import annotations
 

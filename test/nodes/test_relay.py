@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The relay over real DDS: the same bytes but for two covariances, and no message lost."""
+"""The relay changes only the covariances of a message, and loses none."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The SROS 2 policy: of the documented form, complete, and what the running nodes use."""
+"""The SROS 2 policy has the documented form and covers what running nodes use."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says at its start, and whether it names the cause of a silent input first."""
+"""A node logs what it does at its start, and names the cause of a silent input first."""
 
 from __future__ import annotations
 

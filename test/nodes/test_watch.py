@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `allan_watch` shows, on every width, to eyes and to scripts; and when nobody speaks."""
+"""Output of `allan_watch`: at every width, as text, as JSON, and without any status."""
 
 from __future__ import annotations
 

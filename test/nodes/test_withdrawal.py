@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model of sums that are gone is withdrawn, and no document of sums ends the estimator."""
+"""A model whose sums were replaced is withdrawn, and no document ends the estimator."""
 
 from __future__ import annotations
 
