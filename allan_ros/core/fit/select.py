@@ -213,9 +213,10 @@ def _search_with(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch
     """Return a search with the covariance of a fit."""
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.power))
-    covariance = weights_at(fit.table, fit.power, NO_MISFIT)
+    used = fit.table.rows(np.isin(fit.table.m, table.m))
+    covariance = weights_at(used, fit.power, NO_MISFIT)
     return ProcessSearch(
-        table.rows(np.isin(table.m, fit.table.m)),
+        table.rows(np.isin(table.m, used.m)),
         Whitening.of(covariance),
         degrees_of_freedom(covariance),
         pooled.segments[0].samples,

@@ -109,3 +109,13 @@ def test_a_random_walk_is_no_row_of_steps():
     terms = NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)
     for seed in range(3):
         assert bias_steps(sums_of_noise(terms, 10 + seed).history.recordings[0]) == ()
+
+
+def test_a_warm_up_on_a_gyro_with_all_five_terms_can_be_fitted():
+    """The short averages are excluded from this fit, but not from its table."""
+    per_hour = DEG_H / 60
+    terms = NoiseTerms(N=NOISE.N, B=NOISE.B, K=31.8 * per_hour, R=76.2 * DEG_H / 3600)
+    early = 100 * DEG_H * np.exp(-np.arange(SECONDS) / 300.0)
+    for seed in (7, 40):
+        _, model = fit_stationary(sums_of_noise(terms, seed, early=early))
+        assert model.axes['gyro_x'].noise['N'].value == pytest.approx(terms.N, rel=0.05)
