@@ -144,3 +144,16 @@ def test_the_watcher_shows_each_status(graph, still_imu):
     assert 'ERROR input: nothing comes' in watch.output
     assert 'imu gyro x' in watch.output and '0.172 deg/sqrt(h)' in watch.output
     assert 'battery' not in watch.output
+
+
+def test_a_subscriber_that_has_gone_is_not_waited_for(graph):
+    from rclpy.node import Node
+
+    mute = Node('mute', context=graph.node.context, start_parameter_services=False)
+    mute.create_subscription(Imu, 'imu/data', print, 10)
+    publisher = graph.node.create_publisher(Imu, 'imu/data', 10)
+    handshake = Handshake(graph.node, publisher, 0)
+    graph.until(lambda: not handshake.update() and handshake.silent() == ('/mute',))
+    mute.destroy_node()
+    graph.until(lambda: handshake.update() and not handshake.silent())
+    handshake.close()
