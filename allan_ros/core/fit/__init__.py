@@ -42,7 +42,7 @@ METHODS = {
 """method -> what it does. Each is the module of that name here, with ``fit_<name>(sums)``."""
 
 
-def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseModel:
+def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = None) -> NoiseModel:
     """Return the five terms of every axis of the sums.
 
     Parameters
@@ -51,6 +51,9 @@ def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseModel:
         Of one or many segments.
     method : str
         One of `METHODS`.
+    like : NoiseModel, optional
+        A fit of a part of the data by method gls: its processes and shortest averaging times are
+        kept instead of selected again.
 
     Raises
     ------
@@ -60,8 +63,9 @@ def fit_noise(sums: AllanSums, method: str = 'gls') -> NoiseModel:
     if method not in METHODS:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
     # A method is imported when it is used: they are slow to load, and most runs use one.
-    fit: NoiseModel = getattr(import_module(f'.{method}', __name__), f'fit_{method}')(sums)
-    return fit
+    fit = getattr(import_module(f'.{method}', __name__), f'fit_{method}')
+    model: NoiseModel = fit(sums, like) if method == 'gls' else fit(sums)
+    return model
 
 
 def clear_cache() -> None:

@@ -31,9 +31,9 @@ from .model import (
     Sinusoid,
     coefficient_to_si,
 )
-from .processes import GaussMarkovTerm
+from .processes import GaussMarkovTerm, SinusoidTerm
 from .select import select_model
-from .solve import K, Misfit, N, PointFit, Q, solve
+from .solve import FitOptions, K, Misfit, N, PointFit, Q, solve
 from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
@@ -43,7 +43,7 @@ AT_AN_END = 1e-9
 """Relative distance from an end of its interval at which a value counts as that end."""
 
 
-def fit_gls(sums: AllanSums) -> NoiseModel:
+def fit_gls(sums: AllanSums, like: NoiseModel | None = None) -> NoiseModel:
     """Return the five terms of every axis with 95 % intervals and verdicts.
 
     Too few data are no error: a term that the sums do not determine has neither value nor limit.
@@ -53,18 +53,20 @@ def fit_gls(sums: AllanSums) -> NoiseModel:
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
     for a, name in enumerate(sums.axes):
-        fit, found = _fit_axis(pooled, a, tau0)
+        fit, found = _fit_axis(pooled, a, tau0, like.axes[name] if like else None)
         axes[name] = fit
         findings += found
     return NoiseModel('gls', tau0, axes, joined(findings))
 
 
-def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, list[Finding]]:
+def _fit_axis(
+    pooled: PooledTable, axis: int, tau0: float, like: AxisFit | None
+) -> tuple[AxisFit, list[Finding]]:
     """Return the fit of one axis and its findings."""
     constant = pooled.is_noiseless(axis)
     if constant or len(pooled.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(pooled, axis, constant)
-    selected = select_model(pooled, axis)
+    selected = select_model(pooled, axis, _options_of(like, tau0) if like else None)
     power, options = selected.fit.power, selected.fit.options
     if len(selected.fit.table.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(pooled, axis, constant)
@@ -100,6 +102,18 @@ def _fit_axis(pooled: PooledTable, axis: int, tau0: float) -> tuple[AxisFit, lis
         largest_deviation(selected.fit, tau0),
     )
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
+
+
+def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
+    """Return the fit options of a selected model; None for an axis without coefficients."""
+    if fit.noise['N'].value is None:
+        return None
+    drifts = fit.processes.gauss_markov
+    extras = [GaussMarkovTerm(p.correlation_time / tau0) for p in drifts]
+    lines = [SinusoidTerm(line.frequency * tau0) for line in fit.processes.sinusoid]
+    signed = fit.m_min > 1 or (fit.noise['Q'].value is None and fit.noise['Q'].upper95 is None)
+    walk = not drifts or fit.noise['K'].value is not None
+    return FitOptions(fit.m_min, signed, extras=(*extras, *lines), walk=walk)
 
 
 def _consistent(

@@ -24,6 +24,9 @@ Q, N, B, K = range(len(RANDOM_TERMS))
 LINE_PEAK = 0.371
 """f m where sin^4(pi f m)/(pi f m)^2 is largest."""
 
+SHARED = 24
+"""Correlation times per octave at which covariances are computed: 1.5 % off at most."""
+
 SHAPE_STEP = 1.02
 """Ratio of the two shapes whose difference is the derivative of a column."""
 
@@ -88,8 +91,10 @@ def with_extras(
         columns.append(tangents_of(table, extras))
     squares = table.squares
     if drifts:
-        raw = pooled.process_squares(tuple(e.shape for e in drifts), np.isin(pooled.m, table.m))
-        ramp = _ramp_squares(table, [e.white() for e in drifts])
+        # Rounded shapes, so that nearby shapes share their sums.
+        times = tuple(2.0 ** (round(np.log2(e.shape) * SHARED) / SHARED) for e in drifts)
+        raw = pooled.process_squares(times, np.isin(pooled.m, table.m))
+        ramp = _ramp_squares(table, [GaussMarkovTerm(t).white() for t in times])
         squares = np.concatenate([squares, raw + ramp])
     return replace(
         table,

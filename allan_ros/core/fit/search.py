@@ -203,41 +203,47 @@ class ProcessSearch:
 
     def adjusted(self, found: Found, sweeps: int = 1) -> Found:
         """Return the fit with the shapes of all processes adjusted in turn."""
-        for _ in range(sweeps):
+        for sweep in range(sweeps):
             before = found.chi_squared
             for k in range(len(found.extras)):
-                found = self._with_best_shape(found, k)
+                found = self._with_best_shape(found, k, everywhere=sweep == 0)
             if before - found.chi_squared < LITTLE_GAIN:
                 break
         return found
 
-    def _with_best_shape(self, found: Found, k: int) -> Found:
+    def _with_best_shape(self, found: Found, k: int, everywhere: bool) -> Found:
         """Return the fit with the best shape of one process: on the grid, then between."""
-        extra = found.extras[k]
+        best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
         power = np.delete(found.power, len(RANDOM_TERMS) + k)
-        kind = self._of_kind[type(extra)]
+        kind = self._of_kind[type(best)]
         grid = [e for e, here in zip(self._grid, kind) if here]
-        coarse = self._tried(others, power, self._columns[:, kind])
-        best: Extra = extra
-        if np.isfinite(coarse).any() and coarse.min() < found.chi_squared - LITTLE_GAIN:
-            best = grid[int(np.argmin(coarse))]
+        if everywhere:
+            coarse = self._tried(others, power, self._columns[:, kind])
+            if coarse.min() < found.chi_squared - LITTLE_GAIN:
+                best = grid[int(np.argmin(coarse))]
+        active = tuple(c for c in (B, K) if found.power[c] > 0.0)
         step = 2.0 ** (1.0 / SHAPES_PER_OCTAVE)
         low, high = grid[0].shape, grid[-1].shape
         for reach in (step, step ** (2.0 / FINE)):
             shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * FINE + 1)
-            shapes = np.clip(shapes, low, high)
-            fine = [replace(best, shape=float(s)) for s in shapes]
-            chi_squared = self._tried(others, power, self._white(fine))
+            fine = [replace(best, shape=float(s)) for s in np.clip(shapes, low, high)]
+            chi_squared = self._tried(others, power, self._white(fine), (active,))
             if np.isfinite(chi_squared).any():
                 best = fine[int(np.argmin(chi_squared))]
         changed = self.fitted(_sorted([*others, best]))
         return changed if changed.chi_squared < found.chi_squared else found
 
-    def _tried(self, extras: Sequence[Extra], power: Floats, candidates: Floats) -> Floats:
+    def _tried(
+        self,
+        extras: Sequence[Extra],
+        power: Floats,
+        candidates: Floats,
+        actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
+    ) -> Floats:
         """Return chi^2 of the fit with each candidate column added; infinite where it is negative.
 
-        Terms at 0 and the flicker and walk terms are tried with and without, so that no other
+        Flicker and walk are present in each combination of ``actives``, so that no other
         coefficient comes out negative.
         """
         known = np.column_stack([self._terms, self._white(extras)])
@@ -245,7 +251,7 @@ class ProcessSearch:
         certain = [c for c in range(known.shape[1]) if c not in (Q, B, K)]
         if self.signed or power[Q] != 0.0:
             certain.append(Q)
-        for some in ((), (B,), (K,), (B, K)) if self._walk else ((), (B,)):
+        for some in actives if self._walk else [each for each in actives if K not in each]:
             active = sorted((*certain, *some))
             basis, upper = np.linalg.qr(known[:, active] / self._scale(known[:, active]))
             rest = self._target - basis @ (basis.T @ self._target)

@@ -135,11 +135,12 @@ def _fits(fit: PointFit) -> bool:
     return long_tau_deficit(fit.table, fit.power) > DEFICIT_LIMIT
 
 
-def select_model(pooled: PooledTable, axis: int) -> Selection:
+def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None) -> Selection:
     """Return the fit of an axis with the simplest model that describes its table.
 
     In turn: the five terms; with Gauss-Markov processes and sinusoids; with a negative q, as
     behind a low-pass filter; without the shortest averaging times; with a fractional model error.
+    ``known`` fit options are used instead.
     """
     free = point_fit(pooled, axis, FitOptions(signed=True))
     first = best_case_goodness(free.table, free.power)
@@ -148,6 +149,10 @@ def select_model(pooled: PooledTable, axis: int) -> Selection:
     if not selected.filtered:
         plain = point_fit(pooled, axis, FitOptions(), np.maximum(free.power, 0.0))
         selected = replace(selected, fit=plain)
+    if known is not None:
+        fit = point_fit(pooled, axis, known, selected.fit.power)
+        selected = replace(selected, fit=fit, filtered=known.signed)
+        return selected if selected.fits else _with_misfit(pooled, axis, selected)
     if first.fails or not selected.fits:
         selected = _with_processes(pooled, axis, selected)
     if selected.fit.options.misfit.size == 0.0:

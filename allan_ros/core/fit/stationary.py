@@ -92,11 +92,10 @@ def fit_stationary(
     AllanError
         As `fit_noise`.
     """
-    complete = fit_noise(sums, method)
     if method == 'paper' or not sums.tau0:
-        return sums, complete
+        return sums, fit_noise(sums, method)
     parts = list(_early_parts(sums))
-    used, model, found = _without_early_part(sums, method, settle, parts, complete)
+    used, model, found = _without_early_part(sums, method, settle, parts)
     age = max((part.age for part in parts), default=0)
     found += [_steps_finding(sums, steps) for steps in _steps(sums, age)]
     model, scattered = _with_scatter(sums, age, model)
@@ -126,21 +125,23 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
 
 
 def _without_early_part(
-    sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart], complete: NoiseModel
+    sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart]
 ) -> tuple[AllanSums, NoiseModel, list[Finding]]:
     """Return the sums to be used, their fit, and the finding of the early part if it matters."""
     if not parts or not sums.tau0:
-        return sums, complete, []
+        return sums, fit_noise(sums, method), []
     last = max(parts, key=lambda part: part.age)
     rest = _rest(sums, last.age)
     if rest is None:
-        return sums, complete, [_unsettled(sums, last)]
+        return sums, fit_noise(sums, method), [_unsettled(sums, last)]
     settled = fit_noise(rest, method)
+    certain = settle and max(part.excess for part in parts) >= CERTAIN
+    # The selection of the model takes most of the time: once is enough.
+    complete = fit_noise(sums, method, settled if certain else None)
     changes = sorted(_changes(complete, settled), key=lambda change: -change.size)
     if not changes:
         return sums, complete, []
     early = duration_text((_edge(sums, last.age) or 0) * sums.tau0)
-    certain = settle and max(part.excess for part in parts) >= CERTAIN
     found = finding(
         'settled_part' if certain else 'early_part',
         tuple(dict.fromkeys(change.axis for change in changes)),

@@ -44,8 +44,8 @@ EMPTY_ROW = 1e-6
 out: a record of two differences is mostly its own ramp."""
 
 
-KEPT_PROCESS_SQUARES = 4
-"""Sets of correlation times whose covariance is kept while an axis is fitted."""
+KEPT_PROCESS_SQUARES = 16
+"""Sets of correlation times whose covariance is kept."""
 
 
 @dataclass(frozen=True)
