@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The packages of the house: who may import whom, and where ROS, files and print may be."""
+"""Architecture: permitted imports, and where ROS, files and printing are permitted."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The audit lists what is installed, and never takes silence for a good answer."""
+"""The audit lists the installed packages, and does not treat a missing answer as a good one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def audit(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def answer(audit: ModuleType, monkeypatch: pytest.MonkeyPatch, **of_numpy: object) -> None:
-    """Let the tool say this of numpy, and of all others that there is nothing."""
+    """Make the tool report this for numpy, and nothing for the others."""
     said = [{'name': name, 'version': '1', 'vulns': []} for name in audit.required()]
     (numpy,) = (each for each in said if each['name'] == 'numpy')
     if 'skip_reason' in of_numpy:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The documents: links lead somewhere, commands are understood, pages say what the code says."""
+"""Documentation: valid links and commands, and generated pages that are current."""
 
 from __future__ import annotations
 

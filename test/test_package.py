@@ -25,7 +25,7 @@ WITH_HEADER = ('.py', '.toml', '.yaml', '.xml')
 
 
 def tracked_files() -> list[Path]:
-    """Return the files of the project, without what tools and runs leave behind."""
+    """Return the files of the project, without generated ones."""
     listed = subprocess.run(
         ['git', 'ls-files', '--cached', '--others', '--exclude-standard'],
         cwd=ROOT,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the package must never do, read from its own code; and paths that stay where they belong."""
+"""Forbidden calls, found in the source code, and paths that stay in their folder."""
 
 from __future__ import annotations
 

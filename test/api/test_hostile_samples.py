@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples and stamps that no IMU has: results and pictures of the rest, or one line."""
+"""Impossible samples and stamps: the rest is analyzed and drawn, or refused in one line."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings spread over processes and over a cluster: the same sums, whoever dies on the way."""
+"""Recordings spread over processes and a cluster: the same sums, also when workers are killed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from allan_ros.io.recorded import (
 
 @pytest.fixture(scope='module')
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Return three short runs of one IMU."""
+    """Return three short recordings of one IMU."""
     folder = tmp_path_factory.mktemp('runs')
     paths = [str(folder / f'{seed}.npz') for seed in range(3)]
     for seed, path in enumerate(paths):
@@ -48,7 +48,7 @@ def documents(parts: Iterable[Any]) -> list[Any]:
 
 
 def shown(paths: list[str], capsys: pytest.CaptureFixture[str], *how: str) -> str:
-    """Return what an analysis prints."""
+    """Return the output of an analysis."""
     assert main(['analyze', *paths, '--method', 'relative', *how]) == 0
     return capsys.readouterr().out
 
@@ -101,7 +101,7 @@ def test_a_cluster_gives_what_one_process_gives(
 
 
 def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], RecordingSums]:
-    """Return work at which the worker of one recording dies so many times."""
+    """Return a job function that kills the worker a given number of times at one recording."""
 
     def work(job: ReadJob) -> RecordingSums:
         if job.path == victim and len(list(deaths.iterdir())) < times:

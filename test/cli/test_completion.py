@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Completion as a shell asks for it: bash in a child, with the code that `allan` prints for it."""
+"""Shell completion, run in bash with the code that `allan` prints for it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ while IFS= read -r line; do ask "$line"; done
 
 
 def asked(lines: list[str], folder: Path) -> list[list[str]]:
-    """Return what bash offers at the end of each line."""
+    """Return the completions that bash offers at the end of each line."""
     script = folder / 'allan'
     script.write_text(f'#!{sys.executable}\nfrom allan_ros.cli.main import console\nconsole()\n')
     script.chmod(0o755)

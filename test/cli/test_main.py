@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The shell around the verbs: exit codes, one line an error, and never a traceback."""
+"""Exit codes, one line for each error, and never a traceback."""
 
 from __future__ import annotations
 

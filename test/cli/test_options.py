@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options made from settings: every field, with its default, and nothing typed twice."""
+"""Options generated from settings: one for every field, with its default."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The progress line: right where it is shown, absent where it is not."""
+"""The progress line: correct on a terminal, absent elsewhere."""
 
 from __future__ import annotations
 

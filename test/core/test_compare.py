@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An IMU is blamed only when the complete interval lies beyond the limit."""
+"""An IMU exceeds a limit only when the complete interval lies beyond the limit."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def read_whole(path: Path, **options: Any) -> Contents:
 
 
 def read_or_say(path: Path, **options: Any) -> tuple[int, str]:
-    """Return how many samples a recording gives, and the one line said where it is refused."""
+    """Return the number of samples of a recording, and the error text if it is refused."""
     count = 0
     try:
         for recording in open_recordings([path], ReadOptions(**options)):
@@ -84,13 +84,13 @@ def read_or_say(path: Path, **options: Any) -> tuple[int, str]:
 
 @pytest.fixture
 def outcome() -> Callable[..., tuple[int, str]]:
-    """Return what reads a recording or catches what is said of it."""
+    """Return a function that reads a recording or catches its error."""
     return read_or_say
 
 
 @pytest.fixture
 def refused() -> Callable[..., str]:
-    """Return what checks that a recording is refused in one line that names it."""
+    """Return a function that checks that a recording is refused in one line that names it."""
 
     def say(path: Path, **options: Any) -> str:
         _, said = read_or_say(path, **options)
@@ -103,17 +103,17 @@ def refused() -> Callable[..., str]:
 
 @pytest.fixture
 def imu_batches() -> Callable[..., list[ImuBatch]]:
-    """Return what makes samples to write."""
+    """Return a function that makes samples to write."""
     return make_batches
 
 
 @pytest.fixture
 def joined() -> Callable[[Iterable[ImuBatch]], ImuBatch]:
-    """Return what joins batches."""
+    """Return a function that joins batches."""
     return join
 
 
 @pytest.fixture
 def read() -> Callable[..., Contents]:
-    """Return what reads a recording whole."""
+    """Return a function that reads a complete recording."""
     return read_whole

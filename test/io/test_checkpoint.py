@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A checkpoint is read back whole, put aside when broken, and never written over another's."""
+"""A checkpoint is read back completely, set aside when damaged, and never overwrites another."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_a_folder_that_is_not_there_is_found_at_once(tmp_path: Path):
 
 
 def special(kind: str, path: Path) -> None:
-    """Put something at the path that is no regular file."""
+    """Create something at the path that is not a regular file."""
     if kind == 'folder':
         path.mkdir()
     elif kind == 'FIFO':

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs side by side: what is compared, what is said first, what is written."""
+"""Comparison of runs: what is compared, the order of statements, and the files."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""results.json and sums.json: nothing is lost on the way, nothing wrong is believed."""
+"""results.json and sums.json: complete round trips, and wrong documents are refused."""
 
 from __future__ import annotations
 

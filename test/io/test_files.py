@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A file is whole or not there, and nothing is left beside it."""
+"""A file is complete or missing, and no temporary file is left."""
 
 from __future__ import annotations
 

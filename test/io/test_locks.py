@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A path belongs to one process, and to nobody once that has ended, however it ended."""
+"""A path is locked by one process, and free once the process has ended, however it ended."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of results is always of one analysis: what it holds after a failure at any step."""
+"""A results folder always belongs to one analysis, also after a failure at any step."""
 
 from __future__ import annotations
 

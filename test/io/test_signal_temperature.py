@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The temperature beside an IMU is found, thinned, and laid on the time of the signal."""
+"""The temperature topic of an IMU is found, decimated, and shown over the time of the signal."""
 
 from __future__ import annotations
 

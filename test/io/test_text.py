@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of a stranger: values as they are, and no page of it fills the memory."""
+"""Untrusted YAML: plain values, and limited memory."""
 
 from __future__ import annotations
 

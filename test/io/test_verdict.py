@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict: its level follows findings and comparisons, and its words name what they mean."""
+"""The verdict: its level follows from findings and comparisons, and its text names the causes."""
 
 from __future__ import annotations
 

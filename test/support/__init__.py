@@ -1,3 +1,3 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several tests need to make and to compare."""
+"""Helpers shared by several tests."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a number in a document may be, and sums whose numbers are extreme."""
+"""Check of the numbers in documents, and sums with extreme numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from allan_ros.core.imu import AXES, LARGEST
 from .sums import sums_of
 
 NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
-"""What no text of ours says."""
+"""Pattern of texts that must not appear in any output."""
 
 SIGNED = {'reference', 'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'}
 """Fields whose numbers may be below zero."""

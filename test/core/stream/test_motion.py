@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion gate: what is trimmed, and that honest noise is not."""
+"""The motion gate: motion is excluded, stationary noise is not."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def white(seconds, seed=0):
 
 
 def gate(rows, cut_at=()):
-    """Return the stage's output, its counts, and whether each sample was passed on."""
+    """Return the output of the stage, its counts, and whether each sample was passed on."""
     counts = Counts()
     stage = MotionGate(1e9 / RATE, AXES, counts, 3.0, 0.0087)
     index = np.arange(rows.shape[1])

@@ -24,7 +24,7 @@ def still(n, seed=0):
 
 
 def accumulate(times, samples, chunks=(4096,), record=None, frames=None, **settings_):
-    """Return what an accumulator knows after the samples, fed in chunks (cycled)."""
+    """Return the result of an accumulator after the samples, fed in chunks (cycled)."""
     accumulator = ImuStream(SegmenterSettings(**settings_))
     at = i = 0
     while at < len(times):
@@ -53,7 +53,7 @@ def ids(result):
 
 
 def assert_accounted(result):
-    """Every sample that came, or was made up, is in exactly one place."""
+    """Check that every received or interpolated sample is counted exactly once."""
     c = result.health.counts
     fates = c.used + c.skipped + c.not_finite + c.duplicate + c.backward
     assert c.received + c.bridged == fates + c.untimed + c.moving + c.stuck + c.louder

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a live input is said while it is wrong, and no longer."""
+"""Findings of a live input exist while the problem lasts, and no longer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Input:
     def second(
         self, publishers=ONE, stream=(), messages: int = 200, graph=(), **changes: int
     ) -> list[str]:
-        """Let a second pass in which counts grow; return the ids of the findings."""
+        """Advance by a second in which counts grow; return the ids of the findings."""
         self.time_s += 1.0
         self.reception.received += messages
         self.counts.received += messages

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One fixed results document, with levels that a head can reckon with."""
+"""A fixed results document with levels that are easy to compute by hand."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ OPENCV = {
 
 @pytest.fixture
 def opencv_node() -> Callable[[str, str], Any]:
-    """Return what opens a text with cv::FileStorage, below ``imu0`` for OpenVINS."""
+    """Return a function that opens a text with cv::FileStorage, below ``imu0`` for OpenVINS."""
     cv2 = pytest.importorskip('cv2', reason='needs the extra "consumers"')
     storages = []  # a node is nothing without the storage it is of
 
@@ -112,7 +112,9 @@ def test_opencv_reads_a_merged_file_with_its_matrices(
 
 
 def gtsam_covariance(gtsam: Any, text: str, steps: int, dt: float) -> NDArray[np.float64]:
-    """Return what GTSAM expects of a still IMU: angle, position, velocity, accel and gyro bias."""
+    """Return the covariance that GTSAM predicts for a static IMU: angle, position, velocity,
+    biases.
+    """
     names: dict[str, Any] = {}
     exec(text, names)
     params = names['set_noise'](gtsam.PreintegrationCombinedParams.MakeSharedU(9.81))

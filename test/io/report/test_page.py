@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page: it stands alone, escapes what it is told, and says what the results say."""
+"""The page is self-contained, escapes foreign text, and shows the results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HOSTILE = '</script><script>alert(1)</script><img src=x onerror=alert(2)>&"\'\u2
 
 
 class Page(HTMLParser):
-    """Collects the text and scripts of a page, and refuses anything fetched from elsewhere."""
+    """Collects the text and scripts of a page, and rejects external resources."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -77,7 +77,7 @@ def a_signal(n: int = 5000, start_ns: int = 10**18) -> SignalEnvelope:
 
 
 def everything(results: Results) -> ReportContext:
-    """Return all that a page can show beside results."""
+    """Return everything that a page can show in addition to results."""
     running = RunningSpectrum(tuple(results.axes))
     running.update(np.random.default_rng(2).normal(size=(len(results.axes), 5000)))
     spectrum = spectrum_of(running.sums, results.tau0)
