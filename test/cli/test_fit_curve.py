@@ -3,8 +3,6 @@
 """`allan fit`: curves that were made elsewhere, healthy and faulty."""
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from allan_ros.core.fit.curve_fit import fit_curve
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.curves import read_curves
 
-SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared')) / 'data' / 'curves'
 TAU = np.geomspace(0.1, 1000.0, 200)
 
 
@@ -62,11 +59,10 @@ def test_what_is_no_curve_is_an_error(tmp_path, text, capsys):
 
 
 @pytest.mark.parametrize(('name', 'faulty'), [('alphasense', False), ('adis', True)])
-def test_published_values_are_checked(name, faulty, capsys):
+def test_published_values_are_checked(shared_data, name, faulty, capsys):
     """The accelerometer z of one was not at rest, and its published N is far too large."""
-    if not SHARED.exists():
-        pytest.skip('skipped: no shared data')
-    curve, published = SHARED / f'{name}.allan_variance.csv', SHARED / f'{name}.imu.yaml'
+    folder = shared_data / 'curves'
+    curve, published = folder / f'{name}.allan_variance.csv', folder / f'{name}.imu.yaml'
     arguments = [str(curve), '--published', str(published), '--hours', '36', '--json']
     assert main(['fit', *arguments]) == 0
     document = json.loads(capsys.readouterr().out)
