@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """The configuration file and the launch file agree with the defaults in the code."""
-=======
-"""The configuration and launch files agree with the defaults in the code."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """Statuses name the state, its numbers with units, and the next step."""
-=======
-"""Diagnostic statuses state value, unit and advice."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """A checkpoint file belongs to one node and one IMU; no other overwrites it."""
-=======
-"""A checkpoint belongs to one node and one IMU and is never overwritten by another."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """The player publishes every message with its time; allan_watch shows every status."""
-=======
-"""The player preserves all messages and their times; the watcher shows the diagnostics."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 
@@ -27,7 +23,7 @@ from allan_ros.nodes.settings import InputSettings
 
 
 class Ear:
-    """Collects the played messages."""
+    """Collects what is played."""
 
     def __init__(self, graph) -> None:
         self._graph = graph

@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """The relay changes only the covariances of a message, and loses none."""
-=======
-"""The relay over real DDS: equal bytes except for two covariances, and no lost message."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 
@@ -234,7 +230,7 @@ def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
     driver = CovariancePatch({'gyro': (1.0, 2.0, 3.0)}).patch(whole)
 
     def relayed(expected: bytes) -> None:
-        """Send until the relayed message is as expected, because a change takes a moment."""
+        """Send until what the relay makes of it is as it must be: a change takes a moment."""
 
         def arrives() -> bool:
             del received[:]

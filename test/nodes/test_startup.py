@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """A node logs what it does at its start, and names the cause of a silent input first."""
-=======
-"""Messages of a node at its start, and the cause that it names first for a silent input."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-<<<<<<< HEAD
 """Output of `allan_watch`: at every width, as text, as JSON, and without any status."""
-=======
-"""Output of `allan_watch` for terminals of any width, for scripts, and without nodes."""
->>>>>>> 335ee2a (Reword docstrings of tests)
 
 from __future__ import annotations
 
