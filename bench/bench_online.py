@@ -40,7 +40,10 @@ rclpy.init()
 node = rclpy.create_node('empty')
 qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 node.create_subscription(Imu, 'imu/data', lambda raw: None, qos, raw=True)
-rclpy.spin(node)
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+    pass
 """
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 150
 
@@ -50,6 +53,7 @@ def cpu(client: Client) -> None:
     print('CPU per message in microseconds, and its ratio to the empty subscriber')
     print(f'{"":>8} {"empty":>8} {"accumulator":>12} {"ratio":>6} {"monitor":>8} {"ratio":>6}')
     for rate in RATES_HZ:
+        client.spin(2.0)  # receive what is left of the nodes before
         client.statuses.clear()
         empty = Process('-c', EMPTY_SUBSCRIBER)
         with (
@@ -67,7 +71,7 @@ def cpu(client: Client) -> None:
                 messages = rate * (time.monotonic() - began)
                 cost = [(n.cpu_s() - b) / messages * 1e6 for n, b in zip(watched, before)]
                 age = float(client.value('gyro z', 'fit age') or 0.0)
-        empty.end(signal.SIGKILL)
+        empty.end(signal.SIGINT)
         print(
             f'{rate:>5} Hz {cost[0]:8.1f} {cost[1]:12.1f} {cost[1] / cost[0]:6.2f} '
             f'{cost[2]:8.1f} {cost[2] / cost[0]:6.2f}',

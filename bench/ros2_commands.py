@@ -59,7 +59,7 @@ COMMANDS = (
         '-r imu/data_with_covariance:=/a',
         'relayed to itself',
     ),
-    ('ros2 allan simulate --hours 0.05 --rate 100 {folder}/run.csv', ''),
+    ('ros2 allan simulate --preset paper --hours 0.2 --rate 100 {folder}/run.csv', ''),
     ('ros2 allan analyze {folder}/run.csv -o {folder}/results', ''),
     ('ros2 allan check {folder}/run.csv', ''),
     ('ros2 run allan_ros allan sensors', 'adis16475-3'),
