@@ -156,9 +156,8 @@ def check_result_arguments(args: argparse.Namespace) -> None:
     load_style(settings_of(PictureSettings, args).plot_style)
     for name in args.export:
         target_of(name)
-    for option, given in (('--export', args.export), ('--baseline', args.baseline)):
-        if given and not args.output:
-            raise AllanError(f'{option} writes into the folder of -o: give one')
+    if args.export and not args.output:
+        raise AllanError('--export writes into the folder of -o: give one')
 
 
 def fitted(

@@ -94,9 +94,6 @@ class Fields:
             raise self._wrong(key, values, 'a pair of numbers')
         return self._number(key, values[0]), self._number(key, values[1])
 
-    def optional_interval(self, key: str) -> tuple[float, float] | None:
-        return None if self._document.get(key) is None else self.interval(key)
-
     def numbers(self, key: str) -> NDArray[np.float64]:
         """Return a list of numbers as an array, null as NaN."""
         return np.array(

@@ -111,11 +111,6 @@ SCHEMA = 'allan_ros/filter/1'
 FIELDS = ('sensor', 'axis', 'expression', 'limits', 'unit')
 
 
-def filter_names() -> list[str]:
-    """Return the names of the mappings that come with the package."""
-    return config_names('filters')
-
-
 def load_filter(name: str) -> FilterMapping:
     """Return a mapping by the name of one that comes with the package, or by its path.
 

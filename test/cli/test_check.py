@@ -56,6 +56,9 @@ def test_the_accepted_run_is_healthy_against_itself_and_results_are_read(
     assert main(['check', str(accepted), *baseline, '--json']) == 0
     document = json.loads(capsys.readouterr().out.partition('\n')[2])
     assert (document['level'], document['exit_code']) == ('healthy', 0)
+    folder = ['--baseline', str(accepted)]
+    assert main(['analyze', str(recording), *folder]) == 0
+    assert 'numbers are within' in capsys.readouterr().out
 
 
 def test_without_a_reference_or_enough_data_nothing_is_judged(

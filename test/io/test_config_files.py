@@ -13,7 +13,7 @@ from allan_ros.core.filters.mapping import propose
 from allan_ros.core.filters.noise_parameters import madgwick_drift_gain, madgwick_gain
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
-from allan_ros.io.config_files import filter_names, load_filter
+from allan_ros.io.config_files import config_names, load_filter
 
 GOOD = """
 schema: allan_ros/filter/1
@@ -25,8 +25,8 @@ parameters:
 
 
 def test_every_mapping_of_the_package_can_be_read():
-    assert filter_names() == ['imu_filter_madgwick', 'noise_densities']
-    for name in filter_names():
+    assert config_names('filters') == ['imu_filter_madgwick', 'noise_densities']
+    for name in config_names('filters'):
         assert load_filter(name).name == name
 
 
