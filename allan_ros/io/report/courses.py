@@ -107,7 +107,7 @@ def _bias(recording: Recording, start: float, tau0: float) -> Course:
     span = cells.step * tau0
     known = cells.cell_samples[:, None] > cells.step / 2
     values = np.where(known, cells.cell_means + cells.reference, np.nan)
-    middles: Floats = (np.arange(len(values)) + 0.5) * span + start
+    middles = np.asarray((np.arange(len(values)) + 0.5) * span + start, float)
     return Course(middles, values, span)
 
 
@@ -120,7 +120,7 @@ def _noise(recording: Recording, start: float, tau0: float) -> Course:
     m, count = recording.level_m[level], recording.level_count[:, level]
     square = recording.level_sum_sq[:, level] / (2.0 * np.maximum(count, 1)[:, None])
     adev = np.where(count[:, None] >= LEAST_COUNT, np.sqrt(square) / m, np.nan)
-    middles: Floats = (begins + np.append(begins[1:], recording.length)) / 2.0
+    middles = np.asarray((begins + np.append(begins[1:], recording.length)) / 2.0, float)
     return Course(middles * tau0 + start, adev, float(m * tau0))
 
 
