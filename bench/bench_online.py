@@ -82,6 +82,8 @@ def cpu(client: Client) -> None:
 def bursts(client: Client) -> None:
     """Print the number of messages lost in bursts of 400, with the default QoS."""
     terms = [NoiseTerms(N=5e-5)] * 3
+    client.spin(2.0)
+    client.statuses.clear()
     with node('monitor'):
         publisher = client.publisher()
         sent = 0
