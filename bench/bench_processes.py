@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of the process model: Gauss-Markov processes in addition to the five terms.
 
-    python bench/bench_processes.py humps --blocks 1      one process beside table 1, X
+    python bench/bench_processes.py humps --rate 20       one process beside table 1, X
+    python bench/bench_processes.py bounds                how often it can be found at all
     python bench/bench_processes.py growth --blocks 1     predicted against actual angle growth
     python bench/bench_processes.py adis                  measured curve over drawn model
 
@@ -26,6 +27,7 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.fit import AxisFit, fit_noise
+from allan_ros.core.fit.select import LIKELIER
 from allan_ros.core.noise import (
     NoiseTerms,
     ProcessModel,
@@ -51,11 +53,11 @@ def process(n: int, tau0: float, sigma: float, time: float, rng: np.random.Gener
     return np.asarray(lfilter([1.0], [1.0, -keep], steps))
 
 
-def sigma_of_hump(truth: NoiseTerms, time: float, hump: float) -> float:
+def sigma_of_hump(truth: NoiseTerms, time: float, hump: float, rate: float = RATE) -> float:
     """Return sigma such that the Allan deviation of the process is ``hump`` times the rest."""
-    m = np.unique(np.round(np.geomspace(1.0, 100.0 * time * RATE, 300)))
-    rest = term_avar(m, 1.0 / RATE, truth).sum(axis=-1)
-    return hump / math.sqrt(float(np.max(gauss_markov_avar(m, time * RATE) / rest)))
+    m = np.unique(np.round(np.geomspace(1.0, 100.0 * time * rate, 300)))
+    rest = term_avar(m, 1.0 / rate, truth).sum(axis=-1)
+    return hump / math.sqrt(float(np.max(gauss_markov_avar(m, time * rate) / rest)))
 
 
 def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
@@ -66,26 +68,60 @@ def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
     return engine.sums
 
 
-def humps(blocks: int) -> None:
+def bounds() -> None:
+    """Print the power of the likelihood ratio test for one process beside table 1, X.
+
+    Twice the Kullback-Leibler divergence (Whittle 1953) of the record from the nearest noise of N,
+    B and K is the noncentrality of the test. The first frequency counts half: the ramp is free.
+    """
+    from scipy.optimize import minimize
+    from scipy.special import ndtr
+
+    frequency = np.arange(1, round(SECONDS * RATE / 2)) / SECONDS
+    weight = np.where(frequency < 1.5 / SECONDS, 0.5, 1.0)
+    omega = 2.0 * math.pi * frequency
+    step = 2.0 * np.sin(omega / (2.0 * RATE)) * RATE
+    columns = np.stack([np.ones_like(omega), 1.0 / omega, 1.0 / step**2], axis=1)
+    start = np.log([X.N**2, X.B**2, X.K**2])
+    print('| T [s] | hump | noncentrality | power at 1 % false alarms |')
+    print('|---|---|---|---|')
+    for time_, hump in ((t, h) for t in (0.3, 1.0, 10.0, 30.0, 100.0) for h in (0.3, 1.0, 3.0)):
+        sigma, keep = sigma_of_hump(X, time_, hump), math.exp(-1.0 / (time_ * RATE))
+        drift = (1.0 - keep**2) / (1.0 - 2.0 * keep * np.cos(omega / RATE) + keep**2)
+        truth = columns @ np.exp(start) + sigma**2 / RATE * drift
+
+        def divergence(log_power: np.ndarray, truth: np.ndarray = truth) -> tuple:
+            parts = columns * np.exp(log_power)
+            ratio = truth / parts.sum(axis=1)
+            slope = (weight * (1.0 - ratio) / parts.sum(axis=1)) @ parts
+            return float(np.sum(weight * (ratio - 1.0 - np.log(ratio)))), slope
+
+        ends = [(s - 30.0, s + 10.0) for s in start]
+        twice = 2.0 * minimize(divergence, start, jac=True, method='L-BFGS-B', bounds=ends).fun
+        power = ndtr(math.sqrt(twice) - math.sqrt(LIKELIER))
+        print(f'| {time_:g} | {hump:g} | {twice:.1f} | {100 * power:.0f} % |', flush=True)
+
+
+def humps(blocks: int, rate: float) -> None:
     """Print N and how often the process is detected, for one process added to table 1, X."""
     print(
         '| T [s] | hump | records | N bias % | N coverage % (95 % band) | found % | ms per axis |'
     )
     print('|---|---|---|---|---|---|---|')
-    n = round(SECONDS * RATE)
+    n = round(SECONDS * rate)
     for time_ in (0.1, 0.3, 1.0, 10.0, 100.0):
         for hump in (0.3, 1.0, 3.0):
-            sigma, fits, spent = sigma_of_hump(X, time_, hump), [], 0.0
+            sigma, fits, spent = sigma_of_hump(X, time_, hump, rate), [], 0.0
             for block in range(blocks):
                 rng = np.random.default_rng([31, block, round(1e3 * time_), round(10 * hump)])
                 rows = np.stack(
                     [
-                        simulate_axis(n, 1 / RATE, X, rng) + process(n, 1 / RATE, sigma, time_, rng)
+                        simulate_axis(n, 1 / rate, X, rng) + process(n, 1 / rate, sigma, time_, rng)
                         for _ in AXES
                     ],
                     axis=1,
                 )
-                sums = sums_of(rows)
+                sums = sums_of(rows, rate)
                 begin = time.process_time()
                 fits += fit_noise(sums).axes.values()
                 spent += time.process_time() - begin
@@ -216,12 +252,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description='Accuracy of the process model.')
     parser.add_argument('what', nargs='*', default=['humps', 'growth'])
     parser.add_argument('--blocks', type=int, default=1)
+    parser.add_argument('--rate', type=float, default=RATE, help='samples per second (humps)')
     parser.add_argument('--skip', type=float, default=3900.0, help='seconds left out (adis)')
     parser.add_argument('--gmwm', action='store_true', help='also the prototype of the GMWM')
     options = parser.parse_args()
     for what in options.what:
         if what == 'humps':
-            humps(options.blocks)
+            humps(options.blocks, options.rate)
+        elif what == 'bounds':
+            bounds()
         elif what == 'growth':
             growth(options.blocks, options.gmwm)
         elif what == 'adis':

@@ -26,8 +26,7 @@ from ..allan.sums import (
     counts,
     ols_ramp_weights,
 )
-from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, pair_sums
-from .filled import filled_white
+from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, filled_white, pair_sums
 from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
 from .process_covariance import process_pairs, process_squares
 from .ramp import RampEffect, RampGeometry, ramp_geometry, ramp_shift

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.filled import filled_white
+from allan_ros.core.fit.covariance import filled_white
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 
