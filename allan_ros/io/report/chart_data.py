@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -58,11 +57,6 @@ TERM_NAMES = {
 def in_units(html_of: Callable[[str], str]) -> str:
     """Return the HTML of both systems of units, of which the page shows the chosen one."""
     return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
-
-
-def cell(text: str, what: str = '') -> str:
-    """Return a table cell of escaped text."""
-    return f'<td{f" class={what!r}" if what else ""}>{escape(text)}</td>'
 
 
 Floats = NDArray[np.float64]
