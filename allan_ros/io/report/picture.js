@@ -7,6 +7,8 @@ const Picture = (() => {
   const { colour } = Chart;
   const HEAD = 30;  // pixels above the chart, for the title
 
+  let pens = 0;
+
   // The part of a canvas' drawing interface that the charts use, which writes SVG.
   class SvgPen {
     constructor() {
@@ -14,6 +16,8 @@ const Picture = (() => {
       this.state = { font: '12px sans-serif', fillStyle: '#000', strokeStyle: '#000', lineWidth: 1, lineJoin: 'miter', textAlign: 'start', textBaseline: 'alphabetic', globalAlpha: 1, dash: [], clip: '', turn: '' };
       this.saved = [];
       this.clips = 0;
+      pens += 1;  // several pictures in one page must not share the names of their clip paths
+      this.name = `p${pens}`;
       this.ruler = document.createElement('canvas').getContext('2d');
       for (const name of Object.keys(this.state)) {
         if (name !== 'clip' && name !== 'turn' && name !== 'dash') {
@@ -34,8 +38,8 @@ const Picture = (() => {
     turned(x, y) { this.state.turn = ` transform="rotate(-90 ${f(x)} ${f(y)})"`; }
     clip() {
       this.clips += 1;
-      this.put(`<clipPath id="c${this.clips}"><path d="${this.path}"/></clipPath>`, false);
-      this.state.clip = ` clip-path="url(#c${this.clips})"`;
+      this.put(`<clipPath id="${this.name}c${this.clips}"><path d="${this.path}"/></clipPath>`, false);
+      this.state.clip = ` clip-path="url(#${this.name}c${this.clips})"`;
     }
     put(markup, clipped = true) { this.parts.push(clipped && this.state.clip ? `<g${this.state.clip}>${markup}</g>` : markup); }
     stroke() {

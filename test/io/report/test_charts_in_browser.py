@@ -234,5 +234,7 @@ def test_printing_replaces_the_canvas_by_a_vector_picture(
     opened(browser, pages['adis16405'], 1280)
     browser.evaluate('dispatchEvent(new Event("beforeprint"))')
     assert browser.evaluate('document.querySelectorAll("figure.paper svg").length') == 8
+    names = browser.evaluate('[...document.querySelectorAll("clipPath")].map(c => c.id)')
+    assert names and len(set(names)) == len(names)
     browser.evaluate('dispatchEvent(new Event("afterprint"))')
     assert browser.evaluate('document.querySelectorAll("figure.paper").length') == 0
