@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import AllanError
+from .errors import AllanError, one_line
 
 T = TypeVar('T')
 
@@ -192,7 +192,8 @@ class Fields:
         if get_origin(hint) is tuple:
             return self.interval(key)
         if hint is str:
-            return self.text(key)
+            value = self.text(key)
+            return value if value.isprintable() else one_line(value)
         if hint is int:
             return self.integer(key, least=max(int(least), -MAX_INTEGER))
         return self.number(key, least)
