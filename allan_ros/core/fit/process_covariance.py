@@ -10,8 +10,8 @@ keep that at some 50 ms:
 
 - A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) with E a sum of nine exponentials.
 - C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so
-  half of the lags is enough, and the number of pairs depends on max(2 m_j, m_i + m_j + u) only:
-  the segments of any number of records are counted by one look-up.
+  half of the lags is enough. The number of pairs depends on max(2 m_j, m_i + m_j + u) only and
+  falls linearly until the segment ends: all segments share the values of C.
 - Between its corners at u = 0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
   Gauss-Legendre quadrature. The Euler-Maclaurin formula turns the integral into the sum over the
   lattice of lags: every corner adds a twelfth of its change of slope.
@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from ..noise import gauss_markov_sums
@@ -44,14 +45,18 @@ CORNER_WEIGHTS = np.array([4.0, -4.0, -4.0, 2.0, 2.0])
 
 Q, N, B, K = range(len(RANDOM_TERMS))
 
-_GAUSS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(NODES)
-_EVEN = (1.0 + _GAUSS) / 2.0
-_EVEN_WEIGHTS = _GAUSS_WEIGHTS / 2.0
+_GAUSS, _GAUSS_WEIGHTS = legendre.leggauss(NODES)
+_EVEN, _WEIGHTS = (1.0 + _GAUSS) / 2.0, _GAUSS_WEIGHTS / 2.0
 _DENSITY = _EVEN**2 + (1.0 - _EVEN) ** 2
 _GRADED = _EVEN**2 / _DENSITY
 """Quadrature points on 0..1 that are denser at both ends, where C changes within a correlation
 time."""
-_GRADED_WEIGHTS = _EVEN_WEIGHTS * 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
+_SLOPES = 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
+_POLYNOMIALS = (_WEIGHTS[:, None] * legendre.legvander(_GAUSS, NODES - 1)).T
+_UP_TO = 0.5 * _POLYNOMIALS
+"""From P_k+1 - P_k-1 of Legendre to the weights of an integral from 0 to there."""
+_AT = (2.0 * np.arange(NODES) + 1.0)[:, None] * _POLYNOMIALS
+"""From P_k of Legendre to the weights of a value there."""
 
 
 def process_pairs(processes: int) -> list[tuple[int, int]]:
@@ -98,35 +103,25 @@ def process_squares(
 
 
 class _Segments:
-    """Counts pairs of differences over all segments."""
+    """Number of segments of at least some length, and their samples."""
 
     def __init__(self, lengths: Sequence[tuple[float, int]]) -> None:
         by_length = sorted(lengths)
         self.samples = np.array([n for n, _ in by_length], float)
-        number = np.array([count for _, count in by_length], float)
-        self.number = np.append(np.cumsum(number[::-1])[::-1], 0.0)
-        self.total = np.append(np.cumsum((number * self.samples)[::-1])[::-1], 0.0)
-        self.single = len(by_length) == 1
+        self.number = np.array([count for _, count in by_length], float)
+        self._number = np.append(np.cumsum(self.number[::-1])[::-1], 0.0)
+        total = np.cumsum((self.number * self.samples)[::-1])[::-1]
+        self._total = np.append(total, 0.0)
 
-    def pairs(self, reach: Floats, stride: Floats, lost: Floats) -> Floats:
-        """Return the number of differences of that reach, one start every ``stride`` samples.
+    def longer(self, than: Floats) -> tuple[Floats, Floats]:
+        """Return the number of segments longer than that, and their samples."""
+        at = np.searchsorted(self.samples, than, side='right')
+        return self._number[at], self._total[at]
 
-        ``lost`` is what the mean over all lags has less than at lags where both start.
-        """
-        if self.single:
-            here = (self.samples[0] - reach) / stride + 1.0 - lost
-            return np.asarray(self.number[0] * np.maximum(here, 0.0))
-        at = np.searchsorted(self.samples, reach)
-        number = self.number[at]
-        return (self.total[at] - number * reach) / stride + number * (1.0 - lost)
-
-    def whole_pairs(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences of that reach, an integer per segment."""
-        if self.single or len(self.samples) < 64:
-            each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
-            number = -np.diff(self.number)
-            return np.asarray(np.maximum(each, 0.0) @ number)
-        return self.pairs(reach, stride, (1.0 - 1.0 / stride) / 2.0)
+    def differences(self, reach: Floats, stride: Floats) -> Floats:
+        """Return the number of differences of that reach, one start every ``stride`` samples."""
+        each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
+        return np.asarray(np.maximum(each, 0.0) @ self.number)
 
 
 class _Lags:
@@ -141,14 +136,17 @@ class _Lags:
         self.ratio = stride_j / self.stride
         self.lost = (1.0 - 1.0 / self.ratio) / 2.0
         self.segments, self.stride_j = segments, stride_j
-        self.plateau = segments.whole_pairs(2.0 * self.mj, stride_j)
+        self.plateau = segments.differences(2.0 * self.mj, stride_j)
         self.dense = self.mj < NODES * self.stride
-        self.end = segments.samples[-1] + stride_j * (1.0 - self.lost) - self.far
+        # A segment has pairs of differences up to the lag of its samples less this.
+        self.less = self.far - stride_j * (1.0 - self.lost)
+        self.end = segments.samples[-1] - self.less
 
     def pairs_at(self, u: Floats) -> Floats:
         """Return the number of pairs of differences at lags u, (pairs, lags)."""
-        reach = np.maximum(2.0 * self.mj[:, None], self.far[:, None] + u)
-        falling = self.segments.pairs(reach, self.stride_j[:, None], self.lost[:, None])
+        lost = u + self.less[:, None]
+        number, samples = self.segments.longer(np.maximum(lost, 2.0 * self.mj[:, None] - 0.5))
+        falling = (samples - number * lost) / self.stride_j[:, None]
         return np.where(u <= self.near[:, None], self.plateau[:, None], falling)
 
     def covariances(self, u: Floats, times: Sequence[float]) -> Floats:
@@ -180,61 +178,88 @@ class _Lags:
 
     def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
         """Return twice (or four times) the sums over lags of the products, (products, pairs)."""
-        u, weight = self._nodes(max(times))
+        u, weight = self._weights(max(times))
         c = self.covariances(u, times)
-        weight = weight * self.pairs_at(u) * (2.0 / self.stride)[:, None]
         corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)
-        ends = np.stack([self.near, np.maximum(self.end, 0.0)], axis=1)
         at_corners = self.pairs_at(corners) * CORNER_WEIGHTS * self.norm[:, None]
-        c_corners, c_ends = self.covariances(corners, times), self.covariances(ends, times)
-        at_ends = self._end_weights()
+        c_corners = self.covariances(corners, times)
+        near = 3
+        inner, _ = self._staircase()
+        longer, _ = self.segments.longer(2.0 * self.mj - 0.5)
+        at_near = np.where(self.dense, 0.0, 2.0 * longer * inner)
         kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: of w, b, k
         for time in times:
             slope, step = (float(x[0]) for x in gauss_markov_sums(time))
             kink.append(slope - step / time)
         twelfth = np.where(self.dense, 0.0, self.stride / 12.0)[:, None]
-        at_ends[self.dense] = 0.0
         out = np.empty((len(products), len(self.mi)))
         for row, (a, b) in enumerate(products):
             if a == Q:  # white phase: C is not 0 at the corners only
                 out[row] = 4.0 * (at_corners * c_corners[b - 1]).sum(axis=1)
                 continue
-            first, second = c[a - 1], c[b - 1]
-            total = np.einsum('pu,pu,pu->p', weight, first, second)
-            total += (at_ends * c_ends[a - 1] * c_ends[b - 1]).sum(axis=1)
+            total = np.einsum('pu,pu,pu->p', weight, c[a - 1], c[b - 1])
+            total += at_near * c_corners[a - 1, :, near] * c_corners[b - 1, :, near]
             bent = kink[a - 1] * c_corners[b - 1] + kink[b - 1] * c_corners[a - 1]
             total += (at_corners * bent * twelfth).sum(axis=1)
             out[row] = (2.0 if a == b else 4.0) * total
         return out
 
-    def _nodes(self, longest: float) -> tuple[Floats, Floats]:
-        """Return lags and quadrature weights, (pairs, nodes) each."""
+    def _weights(self, longest: float) -> tuple[Floats, Floats]:
+        """Return lags, (pairs, nodes), and the weights there of products of C in their sum.
+
+        The number of pairs has a bend where a segment ends. A segment that ends between two
+        corners is integrated up to its end, by the polynomial through the nodes.
+        """
+        lags, weights = [], []
+        for low, high in pairwise(self._bounds(longest)):
+            width = (high - low)[:, None]
+            u = low[:, None] + width * _GRADED
+            number, samples = self.segments.longer(high + self.less)
+            level = (samples - number * self.less)[:, None] - number[:, None] * u
+            inside = high <= self.near
+            level[inside] = (self.plateau * self.stride_j)[inside, None]
+            weight = level / self.stride_j[:, None] * (width * _SLOPES * _WEIGHTS)
+            weight *= (2.0 / self.stride)[:, None]
+            self._add_ends(weight, low, high, u)
+            lags.append(u)
+            weights.append(weight)
+        u, weight = np.concatenate(lags, axis=1), np.concatenate(weights, axis=1)
+        # Corners a few samples apart: all lags one by one, 0 counting half.
+        each, dense = np.arange(u.shape[1]), self.dense
+        u[dense] = each * self.stride[dense, None]
+        weight[dense] = np.where(each == 0, 1.0, 2.0) * self.pairs_at(u)[dense]
+        return u, weight
+
+    def _add_ends(self, weight: Floats, low: Floats, high: Floats, u: Floats) -> None:
+        """Add the weights of the segments whose last lag is in low..high."""
+        _, outer = self._staircase()
+        width = (high - low)[:, None]
+        first = np.maximum(np.maximum(low, self.near) + self.less, 2.0 * self.mj - 1.0)
+        for samples, number in zip(self.segments.samples, self.segments.number):
+            at = np.flatnonzero((first < samples) & (samples <= high + self.less))
+            if not len(at):
+                continue
+            end = samples - self.less[at]
+            part = np.clip((end - low[at]) / width[at, 0], 0.0, 1.0)
+            part = np.sqrt(part) / (np.sqrt(part) + np.sqrt(1.0 - part))
+            powers = legendre.legvander(2.0 * part - 1.0, NODES)
+            falling = (end[:, None] - u[at]) / self.stride_j[at, None] * (width[at] * _SLOPES)
+            before = np.concatenate([np.full((len(at), 1), -1.0), powers[:, : NODES - 1]], axis=1)
+            integral = (powers[:, 1:] - before) @ _UP_TO
+            weight[at] += (2.0 * number / self.stride[at, None]) * falling * integral
+            weight[at] += 2.0 * number * outer[at, None] * (powers[:, :NODES] @ _AT)
+
+    def _bounds(self, longest: float) -> list[Floats]:
+        """Return the lags between which C is smooth, ascending."""
         corners = np.sort(
             np.stack([np.zeros_like(self.mi), self.mi, self.near, self.mj, self.far]), axis=0
         )
-        corners = np.minimum(corners, np.maximum(self.end, 0.0))
-        lags, weights = [], []
-        for low, high in pairwise(corners):
-            width = (high - low)[:, None]
-            lags.append(low[:, None] + width * _GRADED)
-            weights.append(width * _GRADED_WEIGHTS)
-        start = np.zeros_like(self.mi)
-        for end in TAIL:
-            stop = np.minimum(end * longest, np.maximum(self.end - self.far, 0.0))
-            width = (stop - start)[:, None]
-            lags.append((self.far + start)[:, None] + width * _EVEN)
-            weights.append(width * _EVEN_WEIGHTS)
-            start = stop
-        u, weight = np.concatenate(lags, axis=1), np.concatenate(weights, axis=1)
-        # Corners a few samples apart: all lags one by one, 0 counting half.
-        each = np.arange(u.shape[1])
-        u[self.dense] = each * self.stride[self.dense, None]
-        weight[self.dense] = np.where(each == 0, 0.5, 1.0) * self.stride[self.dense, None]
-        return u, weight
+        tail = [self.far + end * longest for end in TAIL]
+        return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
 
-    def _end_weights(self) -> Floats:
-        """Return the difference of sum and integral at the points where the slope of the counts
-        changes.
+    def _staircase(self) -> tuple[Floats, Floats]:
+        """Return the difference of sum and integral at the lag where the number of pairs begins to
+        fall and at its end, in units of C squared.
 
         The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
         """
@@ -242,9 +267,7 @@ class _Lags:
         bend = np.where(ratio <= self.mi / self.stride, (ratio - 1.0 / ratio) / 12.0, lost / 2.0)
         inner = lost / 2.0 - bend + 1.0 / (12.0 * ratio)
         outer = (1.0 - lost) / 2.0 + bend - (1.0 - lost) ** 2 * ratio / 2.0 - 1.0 / (12.0 * ratio)
-        several = 1.0 if self.segments.single else 0.0
-        number = self.segments.number[0]
-        return np.asarray(2.0 * number * np.stack([inner, several * outer], axis=1))
+        return inner, outer
 
 
 def _square_log(t: Floats, scale: Floats) -> Floats:

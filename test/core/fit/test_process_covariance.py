@@ -70,14 +70,20 @@ def test_it_is_the_sum_over_all_lags(power, times):
     assert np.abs(error).max() < 2e-2  # one or two differences
 
 
-def test_segments_of_several_lengths_add_up():
-    m, stride = grid_for(1000)
-    times = (20.0,)
-    apart = [process_squares(m, stride, [(n, 1)], times) for n in (1000, 1000, 700, 300)]
-    together = process_squares(m, stride, [(1000, 2), (700, 1), (300, 1)], times)
-    j = np.triu_indices(len(m))[1]
-    short = m[j] <= 300 / 8
-    np.testing.assert_allclose(together[:, short], sum(apart)[:, short], rtol=0.02)
+@pytest.mark.parametrize('times', [(20.0,), (150.0, 9.0)])
+def test_segments_of_several_lengths_add_up(times):
+    rng = np.random.default_rng(3)
+    lengths = [1500, 1000, 1000, *rng.integers(30, 1400, 40).tolist()]
+    m, stride = grid_for(max(lengths))
+    i, j = np.triu_indices(len(m))
+    apart = np.zeros((len(process_pairs(len(times))), len(i)))
+    for n in lengths:
+        own = np.flatnonzero(j < len(grid_for(n)[0]))
+        apart[:, own] += process_squares(*grid_for(n), [(n, 1)], times)
+    together = process_squares(m, stride, [(n, 1) for n in lengths], times)
+    deviation = np.sqrt(np.abs(apart[:, i == j]))
+    scale = deviation[:, i] * deviation[:, j]
+    assert (np.abs(together - apart) <= 2e-3 * scale).all()
 
 
 @pytest.mark.parametrize('time', [0.5, 3.0, 40.0])
