@@ -107,7 +107,7 @@ saturated: warning
   {count} samples are at the end of the measurement range.
   > Select a wider range if the motion matters; an IMU at rest should not reach it.
 spikes: info
-  {count} isolated spikes ({share:.2g} of the samples) were replaced by the mean of their neighbors.
+  {count} isolated spikes ({share:.3%} of the samples) were replaced by the mean of their neighbors.
   > Check the cable and the driver if there are many.
 noise_louder: warning
   The noise rose to {ratio:.1f} times its floor for {seconds:.0f} s although the IMU was at rest;
@@ -322,11 +322,13 @@ bias_steps: warning
   with these steps, {after:.3g} without.
   > Look for switching heaters, loose connections or popcorn noise.
 level_changes: warning
-  The white noise differs {which}: N is {low:.4g} to {high:.4g} {unit}, {value:.4g} in all.
-  > The interval of N includes this scatter; look for vibration and temperature.
+  The white noise differs {which}: N is {low:.4g} to {high:.4g} {unit}, {value:.4g} in all; the
+  interval of N includes this scatter.
+  > Look for vibration and changes of temperature.
 drift_changes: info
-  The size of the drift differs {which}, typically by {typical:.0%}.
-  > The intervals of B and K include this scatter; look for changes of temperature.
+  The size of the drift differs {which}, typically by {typical:.0%}; the intervals of B and K
+  include this scatter.
+  > Look for changes of temperature.
 misfit: warning
   The model deviates from the data by up to {deviation:.0%} at tau = {tau}; the intervals are
   widened accordingly.

@@ -363,11 +363,22 @@ IN_SUMMARY = ('N', 'B', 'K')
 """Terms of the text summary: those that filters take."""
 
 
+REPORTED_LEFT_OUT = 0.01
+"""Least share of the samples received that is reported in the headline where it is left out."""
+
+
+def used_samples(results: Results) -> str:
+    """Return '60,000 samples', or '737,856 of 1,000,000 samples' where a part is left out."""
+    used, received = results.samples, results.provenance.counts.received
+    of = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
+    return f'{used:,}{of} samples'
+
+
 def headline(results: Results) -> str:
     """Return one line: which IMU, how many samples, how long at rest."""
     name = results.identity.label or 'IMU'
     return (
-        f'{name}: {results.samples:,} samples at {results.rate_hz:.5g} Hz, '
+        f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '
         f'{duration_text(results.duration_s, 3)} of static data in {results.segments:,} '
         f'segment{"" if results.segments == 1 else "s"}, fitted by {results.method}'
     )

@@ -48,6 +48,17 @@ def test_headline(small_results: Results) -> None:
     )
 
 
+def test_headline_states_how_many_samples_are_left_out(small_results: Results) -> None:
+    def text(received: int) -> str:
+        counts = replace(small_results.provenance.counts, received=received)
+        return headline(
+            replace(small_results, provenance=replace(small_results.provenance, counts=counts))
+        )
+
+    assert text(120_000).startswith('unit 7: 60,000 of 120,000 samples at 50 Hz, 20 min')
+    assert text(60_100).startswith('unit 7: 60,000 samples at 50 Hz, 20 min')
+
+
 def test_a_method_without_intervals_says_so(small_results: Results) -> None:
     axes = {
         name: replace(axis, fit=replace(axis.fit, noise={term: Coefficient(1.0) for term in TERMS}))

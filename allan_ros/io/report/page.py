@@ -27,7 +27,7 @@ from ...core.findings import Finding, duration_text, grouped
 from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, significant, text_in_units
-from ..results import Results
+from ..results import Results, used_samples
 from ..signal_summary import SignalSummary
 from ..verdict import WORDS, Verdict, finding_text, verdict_of
 from .chart_data import in_units, sensor_charts, temperature_chart, to_script
@@ -251,7 +251,7 @@ def _header(
 ) -> Iterator[str]:
     number = results.segments
     facts = [
-        f'{results.samples:,} samples at {significant(results.rate_hz, 4)} Hz',
+        f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
         f'{duration_text(results.duration_s, 3)} at rest in {number} '
         f'segment{"" if number == 1 else "s"}',
         recorded_on(results),
