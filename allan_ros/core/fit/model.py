@@ -238,8 +238,9 @@ def _is_likely(term: str, c: Coefficient) -> bool:
         return True
     if term not in 'BK' or c.value is None or c.upper95 is None:
         return False
-    # The limit of the square is 1.645 standard deviations above its estimate.
-    return 1.645 * c.value**2 > c.upper95**2 - c.value**2
+    # The limit of the square is 1.645 standard deviations above its estimate. An estimate above its
+    # own limit, from a few seconds of data, contradicts the interval: the limit holds.
+    return c.value < c.upper95 and 1.645 * c.value**2 > c.upper95**2 - c.value**2
 
 
 @dataclass(frozen=True)

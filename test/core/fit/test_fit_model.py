@@ -29,3 +29,12 @@ def test_without_processes_the_selected_model_is_the_five_terms():
     fit = AxisFit({t: Coefficient(1e-3, (0.5e-3, 2e-3)) for t in 'QNBKR'})
     assert fit.selected.terms == NoiseTerms(1e-3, 1e-3, 1e-3, 1e-3, 1e-3)
     assert fit.gauss_markov is None and fit.sinusoid is None
+
+
+def test_the_selected_model_has_no_unresolved_term_beyond_its_own_limit():
+    def with_bias(value: float) -> NoiseTerms:
+        bias = Coefficient(value, upper95=3e-4, status='not_observable')
+        return AxisFit({'N': Coefficient(1e-3, (0.9e-3, 1.1e-3)), 'B': bias}).selected.terms
+
+    assert with_bias(2.5e-4) == NoiseTerms(N=1e-3, B=2.5e-4)
+    assert with_bias(4e-4) == NoiseTerms(N=1e-3)
