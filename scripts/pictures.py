@@ -80,7 +80,7 @@ SHAPES = (
 def analysed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
     """Return the results of the paper's IMU, where only what a picture shows moves."""
     recording = ar.simulate(hours, RATE, seed=seed, **faults)
-    return ar.analyze(recording, rate=RATE, motion_gate=False)
+    return ar.analyze(recording, rate=RATE, motion_gate=False, skip=0)
 
 
 def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: object) -> None:

@@ -32,10 +32,7 @@ SHORTEST_BEYOND_CUT = 4.0
 
 LONGEST_CORRELATION = 20
 """A correlation time over this part of the longest segment cannot be distinguished from a random
-walk."""
-
-LONGEST_ALONE = 8
-"""The same in a model without a random walk."""
+walk, and its covariance with the ramp of the segment is not that of white noise (`processes`)."""
 
 FASTEST_LINE = 0.45
 """Of the sample rate."""
@@ -120,7 +117,7 @@ class ProcessSearch:
         self._walk = walk
         shortest = SHORTEST_CORRELATION if table.m[0] == 1 else SHORTEST_BEYOND_CUT
         least = shortest * float(table.m[0])
-        drifts = _spaced(least, samples / (LONGEST_CORRELATION if walk else LONGEST_ALONE))
+        drifts = _spaced(least, samples / LONGEST_CORRELATION)
         lines = _spaced(LINE_CYCLES / samples, FASTEST_LINE / float(table.m[0]))
         self._grid: list[Extra] = [GaussMarkovTerm(float(t)) for t in drifts]
         self._grid += [SinusoidTerm(float(f)) for f in lines]

@@ -23,8 +23,9 @@ from ..findings import Finding, duration_text, finding
 from ..imu import SENSORS, sensor_of, to_datasheet
 from . import TERMS, Coefficient, NoiseModel, fit_noise
 
-LEAST_REST = 0.5
-"""The settled part is used if at least this fraction of the samples remains."""
+LEAST_REST = 0.4
+"""The settled part is used if at least this fraction of the samples remains: half after the sensor
+has settled, less what is lost because sums are divided at some ages only."""
 
 CERTAIN = 8.0
 """Twice the log likelihood ratio beyond the threshold from which the early part is left out."""
