@@ -102,6 +102,7 @@ def with_extras(
         squares=squares,
         noises=len(RANDOM_TERMS) + len(drifts),
         line_scatter=_line_scatter(pooled, drifts, extras[len(drifts) :]),
+        line_rest=_line_rest(pooled, table, extras[len(drifts) :]),
     )
 
 
@@ -154,6 +155,32 @@ def _line_scatter(
             density.append(lost * (1.0 + keep) / (lost**2 + keep * step))
         rows.append(8.0 / samples * np.array(density))
     return np.array(rows).reshape(len(lines), len(RANDOM_TERMS) + len(drifts))
+
+
+def _line_rest(pooled: PooledTable, table: Table, lines: Sequence[Extra]) -> Floats:
+    """Return `Table.line_rest`.
+
+    Differences at every s-th start also hold the noise at the aliases of the sinusoid. With C
+    differences l_j of the sinusoid and d_j of white noise, the variance of mean(l d) is
+    E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k). The mean of l^2 itself depends on the phase
+    by 1/(C sin(omega s)), or entirely where each start meets the same phase.
+    """
+    out = np.zeros((2, len(lines), len(table.m)))
+    stride = pooled.sums.stride[np.isin(pooled.m, table.m)]
+    column = columns_of(table, lines).T if lines else out[0]
+    omega = 2.0 * np.pi * np.array([line.shape for line in lines])
+    for n, (m, s, count) in enumerate(zip(table.m, stride, table.count)):
+        lag = np.arange(min((2 * m - 1) // s + 1, count))
+        h = (lag * s)[:, None] + np.array([0, -m, m])
+        overlap = np.maximum(m - np.abs(h), 0) @ np.array([2.0, -1.0, -1.0]) / float(m) ** 2
+        weight = np.where(lag > 0, 2.0, 1.0) * (1.0 - lag / count) * overlap
+        level = 2.0 / count * (np.cos(np.outer(omega, lag * s)) @ weight)
+        level -= 8.0 / pooled.sums.samples * column[:, n]
+        out[0, :, n] = column[:, n] * np.maximum(level, 0.0)
+        swing = count * np.abs(np.sin(omega * s))
+        share = np.minimum(1.0, len(pooled.segments) / np.maximum(swing, 1e-9) ** 2 / 2.0)
+        out[1, :, n] = column[:, n] ** 2 / 2.0 * share
+    return out
 
 
 def _ramp_squares(table: Table, white: Sequence[float]) -> Floats:

@@ -59,6 +59,16 @@ SWEEPS = 4
 FINE = 8
 """Shapes tried between two neighbours of the first search when a shape is refined."""
 
+LINE_FINE = 32
+"""The same for a sinusoid: chi^2 has many minima near that of a strong one."""
+
+ZOOM = 4.0
+"""How much finer each round of a refinement is than the one before."""
+
+LINE_ZOOMS = 9
+"""Bound on these rounds for a sinusoid. Far above the noise, the curve determines its frequency to
+a part in a million."""
+
 LITTLE_GAIN = 0.05
 """Change of chi^2 below which shapes are no longer adjusted."""
 
@@ -148,22 +158,34 @@ class ProcessSearch:
         start : sequence of Extra
             Processes to begin with; those that are not significant any more are removed.
         """
-        found = self.adjusted(self.fitted(start))
-        while found.extras:  # remove processes that are not significant
-            without = [
-                self.fitted([e for k, e in enumerate(found.extras) if k != out])
-                for out in range(len(found.extras))
-            ]
-            best = min(without, key=lambda f: f.chi_squared)
-            needed = self._needed(best) if self._walk else COMPARED_GAIN
-            if best.chi_squared - found.chi_squared > needed:
-                break
-            found = self.adjusted(best)
+        found = self._pruned(self.adjusted(self.fitted(start)))
         while True:
             more = self.with_one_more(found)
             if more is None or found.chi_squared - more.chi_squared < self._needed(found):
                 return self.adjusted(self._with_a_drift(found), SWEEPS)
             found = more
+
+    def _pruned(self, found: Found) -> Found:
+        """Return the fit without the processes that are not significant."""
+        while found.extras:
+            without = [self._without(found, out) for out in range(len(found.extras))]
+            best = min(without, key=lambda f: f.chi_squared)
+            needed = self._needed(best) if self._walk else COMPARED_GAIN
+            if best.chi_squared - found.chi_squared > needed:
+                break
+            found = self.adjusted(best)
+        return found
+
+    def _without(self, found: Found, out: int) -> Found:
+        """Return the fit without a process; of two sinusoids side by side one takes the middle."""
+        kept = [e for k, e in enumerate(found.extras) if k != out]
+        less = self.fitted(kept)
+        gone = found.extras[out]
+        for k, other in enumerate(kept):
+            near = abs(np.log2(other.shape / gone.shape)) * SHAPES_PER_OCTAVE < 1.0
+            if isinstance(gone, SinusoidTerm) and isinstance(other, SinusoidTerm) and near:
+                less = self._with_best_shape(less, k, everywhere=False)
+        return less
 
     def _with_a_drift(self, found: Found) -> Found:
         """Return the fit with a Gauss-Markov process in place of the walk, where there is none."""
@@ -222,12 +244,20 @@ class ProcessSearch:
         active = tuple(c for c in (B, K) if found.power[c] > 0.0)
         step = 2.0 ** (1.0 / SHAPES_PER_OCTAVE)
         low, high = grid[0].shape, grid[-1].shape
-        for reach in (step, step ** (2.0 / FINE)):
-            shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * FINE + 1)
+        points, zooms = (LINE_FINE, LINE_ZOOMS) if isinstance(best, SinusoidTerm) else (FINE, 2)
+        last = np.inf
+        for zoom in range(zooms):
+            reach = step ** (ZOOM**-zoom)
+            shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * points + 1)
             fine = [replace(best, shape=float(s)) for s in np.clip(shapes, low, high)]
             chi_squared = self._tried(others, power, self._white(fine), (active,))
-            if np.isfinite(chi_squared).any():
-                best = fine[int(np.argmin(chi_squared))]
+            least = float(chi_squared.min())
+            if not np.isfinite(least):
+                break
+            best = fine[int(np.argmin(chi_squared))]
+            if zoom > 0 and last - least < LITTLE_GAIN:
+                break
+            last = least
         changed = self.fitted(_sorted([*others, best]))
         return changed if changed.chi_squared < found.chi_squared else found
 

@@ -396,7 +396,7 @@ def _without_the_shortest(
         fit = point_fit(pooled, axis, options, start.power[: len(RANDOM_TERMS)])
         if not _fits(fit):
             kept = tuple(e for e in start.options.extras if e.scale > CLEAR_OF_CUT * m_min)
-            known = replace(start, power=fit.power, options=replace(options, extras=kept))
+            known = replace(fit, options=replace(options, extras=kept))
             fit = _searched(pooled, axis, _resized(known), HOPELESS)
         out.append(fit)
         if _fits(fit) and _z(fit) < Z_LOOK and not _replaces_white(fit):

@@ -74,6 +74,9 @@ class Table:
         For each sinusoid, whose columns follow, the variance of its squared amplitude over the
         squared amplitude, per unit variance of each noise. Further columns only shift the
         expectation.
+    line_rest : (2, lines, factors) float64 array
+        The other variance of ``avar`` that a sinusoid causes, independent at each factor: over its
+        squared amplitude and w, and over its squared amplitude squared.
     filled : (factors,) float64 array
         What interpolated samples have added to the column of white noise.
     """
@@ -88,6 +91,7 @@ class Table:
     ramp_squares: Floats
     noises: int = len(RANDOM_TERMS)
     line_scatter: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
+    line_rest: Floats = field(default_factory=lambda: np.zeros((2, 0, 0)))
     filled: Floats | float = 0.0
 
     @property
@@ -98,7 +102,8 @@ class Table:
     def covariance(self, power: Floats) -> Floats:
         """Return the covariance of ``avar`` under these coefficients, (factors, factors).
 
-        A sinusoid multiplies with the noise at its frequency, which changes its amplitude alone.
+        A sinusoid multiplies with the noise at its frequency, which changes its amplitude alone,
+        and with that at its aliases where not every start is used (``line_rest``).
         """
         p = np.maximum(power, 0.0)
         pairs = (*TERM_PAIRS, *process_pairs(self.noises - len(RANDOM_TERMS)))
@@ -107,6 +112,10 @@ class Table:
         for k, scatter in enumerate(self.line_scatter, start=self.noises):
             column = self.terms[:, k]
             covariance += p[k] * (scatter @ p[: self.noises]) * np.outer(column, column)
+            of_noise, of_itself = self.line_rest[:, k - self.noises]
+            covariance[np.diag_indices_from(covariance)] += p[k] * (
+                p[N] * of_noise + p[k] * of_itself
+            )
         return covariance
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
@@ -120,6 +129,7 @@ class Table:
             terms=self.terms[keep],
             squares=self.squares[:, keep[i] & keep[j]],
             ramp_squares=self.ramp_squares[:, keep[i] & keep[j]],
+            line_rest=self.line_rest[:, :, keep] if self.lines else self.line_rest,
             filled=self.filled if isinstance(self.filled, float) else self.filled[keep],
         )
 

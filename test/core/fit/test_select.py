@@ -92,6 +92,24 @@ def test_a_line_far_above_the_noise_ends_in_a_fit():
     assert findings
 
 
+@pytest.mark.parametrize('amplitude, hertz', [(1e-3, 3.0), (1e-3, 7.0), (3e-3, 12.0)])
+def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz):
+    """Three to ten times the noise: its frequency must be exact for the residual to be noise."""
+    rate, n = 50.0, 18_000
+    truth = NoiseTerms(N=5e-5, B=2e-5, K=2e-6)
+    y = simulate_axis(n, 1.0 / rate, truth, np.random.default_rng(1))
+    y = y + amplitude * np.sin(2.0 * np.pi * hertz / rate * np.arange(n) + 5.0)
+    engine = RunningAllan(axes=('gyro_x',))
+    engine.update(y.reshape(-1, 1), 0, round((n - 1) / rate * 1e9))
+    engine.end_segment()
+    axis = fit_gls(engine.sums).axes['gyro_x']
+    line = max(axis.processes.sinusoid, key=lambda s: s.amplitude)
+    assert line.frequency == pytest.approx(hertz, rel=1e-3)
+    assert line.amplitude == pytest.approx(amplitude, rel=0.02)
+    assert axis.noise['N'].value == pytest.approx(truth.N, rel=0.05)
+    assert (axis.m_min, axis.misfit) == (1, 0.0)
+
+
 def test_gauss_markov_noise_is_found_with_its_time(noise):
     keep = np.exp(-1.0 / (RATE * 1.0))
     rng = np.random.default_rng(22)
