@@ -30,8 +30,8 @@ has settled, less what is lost because sums are divided at some ages only."""
 CERTAIN = 8.0
 """Twice the log likelihood ratio beyond the threshold from which the early part is left out."""
 
-N_SHIFT, LEAST_SHIFT = 0.02, 0.005
-"""Relative changes of N: one that matters in any case, and one below which it never does."""
+SHIFT, LEAST_SHIFT = 0.02, 0.005
+"""Relative changes of a value: one that matters in any case, and one below which none does."""
 
 TESTED_RECORDINGS = 8
 """How many of the longest recordings are tested."""
@@ -51,6 +51,19 @@ class _Change:
     term: str
     complete: Coefficient
     settled: Coefficient
+
+    @property
+    def matters(self) -> bool:
+        """Whether the coefficient leaves its interval or moves by more than 2 %."""
+        a, b = self._both
+        low, high = _range(a)
+        if b.status != 'estimated' or b.value is None:
+            return b.upper95 is not None and b.upper95 < low
+        left = not low <= b.value <= high
+        if a.status != 'estimated' or not a.value:
+            return left
+        shift = abs(b.value / a.value - 1.0)
+        return shift > SHIFT or (left and shift > LEAST_SHIFT)
 
     @property
     def size(self) -> float:
@@ -128,7 +141,7 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
 def _without_early_part(
     sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart]
 ) -> tuple[AllanSums, NoiseModel, list[Finding]]:
-    """Return the sums to be used, their fit, and the finding of the early part if it matters."""
+    """Return the sums to be used, their fit, and the finding of the early part."""
     if not parts or not sums.tau0:
         return sums, fit_noise(sums, method), []
     last = max(parts, key=lambda part: part.age)
@@ -139,16 +152,18 @@ def _without_early_part(
     certain = settle and max(part.excess for part in parts) >= CERTAIN
     # The selection of the model takes most of the time: once is enough.
     complete = fit_noise(sums, method, settled if certain else None)
-    changes = sorted(_changes(complete, settled), key=lambda change: -change.size)
-    if not changes:
+    every = sorted(_changes(complete, settled), key=lambda change: -change.size)
+    changes = [change for change in every if change.matters]
+    if not changes and not certain:
         return sums, complete, []
+    stated = changes or every[:NAMED_CHANGES]
     early = duration_text((_edge(sums, last.age) or 0) * sums.tau0)
     found = finding(
         'settled_part' if certain else 'early_part',
-        tuple(dict.fromkeys(change.axis for change in changes)),
+        tuple(dict.fromkeys(change.axis for change in stated)),
         early=early,
         what=_what(sums, parts),
-        changes='; '.join(change.text(early) for change in changes[:NAMED_CHANGES]),
+        changes='; '.join(change.text(early) for change in stated[:NAMED_CHANGES]),
     )
     return (rest, settled, [found]) if certain else (sums, complete, [found])
 
@@ -280,20 +295,10 @@ def _what(sums: AllanSums, parts: list[EarlyPart]) -> str:
 
 
 def _changes(complete: NoiseModel, settled: NoiseModel) -> Iterator[_Change]:
-    """Yield the coefficients that leave their interval, and an N that moves by over 2 %."""
+    """Yield every coefficient of all data with that of the settled part."""
     for axis, fit in complete.axes.items():
         for term in TERMS:
-            a, b = fit.noise[term], settled.axes[axis].noise[term]
-            low, high = _range(a)
-            if b.status == 'estimated' and b.value is not None:
-                left = not low <= b.value <= high
-            else:
-                left = b.upper95 is not None and b.upper95 < low
-            if term == 'N' and a.value and b.value is not None:
-                shift = abs(b.value / a.value - 1.0)
-                left = shift > N_SHIFT or (left and shift > LEAST_SHIFT)
-            if left:
-                yield _Change(axis, term, a, b)
+            yield _Change(axis, term, fit.noise[term], settled.axes[axis].noise[term])
 
 
 def _range(c: Coefficient) -> tuple[float, float]:
