@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -100,10 +99,8 @@ def _fit_axis(
         options.m_min,
         selected.first.z,
         _processes(selected.fit, table, tau0),
+        largest_deviation(selected.fit, tau0),
     )
-    used = np.isin(pooled.m, selected.fit.table.m)
-    avar = pooled.sums.avar[used, axis]
-    fit = replace(fit, deviation=largest_deviation(selected.fit, avar, fit.selected, tau0))
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc, ndtri
 
-from ..noise import ProcessModel
 from .intervals import coefficient_interval
 from .model import RANDOM_TERMS, Deviation, Floats
 from .solve import JITTER, NO_MISFIT, K, Misfit, PointFit, Whitening, solve, weights_at
@@ -182,33 +181,19 @@ def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misf
     return Misfit(eps, m_min)
 
 
-def largest_deviation(
-    fit: PointFit, avar: Floats, model: ProcessModel, tau0: float
-) -> Deviation | None:
-    """Return where the measured Allan deviation departs most from a model, beyond its scatter.
-
-    Parameters
-    ----------
-    fit : PointFit
-        Gives the averaging factors that count, and the scatter of the curve there.
-    avar : (factors,) float64 array
-        Measured Allan variance at the factors of the table, ramps included, as it is drawn.
-    model : ProcessModel
-        The selected model, as it is drawn.
-    tau0 : float
-        Sample period in s.
+def largest_deviation(fit: PointFit, tau0: float) -> Deviation | None:
+    """Return where the measured Allan deviation departs most from the model, beyond its scatter.
 
     Returns
     -------
     Deviation or None
         None where no averaging time departs by more than two standard deviations.
     """
-    table, tiny = fit.table, np.finfo(float).tiny
-    expected = table.terms @ fit.power
+    table = fit.table
+    model = table.terms @ fit.power
     covariance = weights_at(table, fit.power, NO_MISFIT)
-    scatter = np.sqrt(np.diag(covariance)) / np.maximum(expected, tiny)  # 2 sigma
-    drawn = np.maximum(model.avar(table.m * tau0, tau0), tiny)
-    ratio = np.sqrt(np.maximum(avar, 0.0) / drawn)
+    ratio = np.sqrt(np.maximum(table.avar, 0.0) / np.maximum(model, np.finfo(float).tiny))
+    scatter = np.sqrt(np.diag(covariance)) / np.maximum(model, np.finfo(float).tiny)  # 2 sigma
     beyond = np.abs(ratio - 1.0) - scatter
     at = int(np.argmax(beyond))
     if beyond[at] <= 0.0:
