@@ -165,7 +165,7 @@ class Fields:
         **known
             Fields that are not read.
         """
-        defaults = getattr(kind, '_field_defaults', None) or vars(kind)
+        defaults = getattr(kind, '_field_defaults', vars(kind))
         for key, hint in _hints(kind).items():  # type: ignore[arg-type]
             if key in known or (key not in self and key in defaults):
                 continue

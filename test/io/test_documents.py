@@ -128,6 +128,13 @@ def test_extra_terms_survive(small_results: Results) -> None:
     assert earlier == Processes(fit.processes.gauss_markov[:1], fit.processes.sinusoid)
 
 
+def test_a_deviation_without_its_fields_is_refused(small_results: Results) -> None:
+    document = json.loads(to_json(results_to_document(small_results)))
+    document['axes']['gyro_x']['deviation'] = {'tau': 3.0}
+    with pytest.raises(AllanError, match='relative'):
+        results_from_document(document)
+
+
 def test_of_many_segments_the_longest_are_listed(small_results: Results) -> None:
     spans = tuple(Segment(i, i + 1, float(i + 1)) for i in range(1500))
     results = replace(

@@ -118,9 +118,9 @@ def growth_interval(
     for name in {**parts[0], **parts[2]}:
         middle, bottom, top = (part.get(name, zero) for part in parts)
         total = total + middle
-        below = below + np.maximum(middle - bottom, 0.0) ** 2
-        above = above + np.maximum(top - middle, 0.0) ** 2
-    return np.sqrt(np.maximum(total - np.sqrt(below), 0.0)), np.sqrt(total + np.sqrt(above))
+        below = np.hypot(below, np.maximum(middle - bottom, 0.0))
+        above = np.hypot(above, np.maximum(top - middle, 0.0))
+    return np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
 
 
 def drift_model(model: ProcessModel) -> ProcessModel:
