@@ -59,29 +59,31 @@ COMMANDS = (
         '-r imu/data_with_covariance:=/a',
         'relayed to itself',
     ),
-    ('ros2 allan simulate --preset paper --hours 0.2 --rate 100 {folder}/run.csv', ''),
-    ('ros2 allan analyze {folder}/run.csv -o {folder}/results', ''),
-    ('ros2 allan check {folder}/run.csv', ''),
+    ('ros2 allan simulate --preset paper --hours 0.2 --rate 100 run.csv', ''),
+    ('ros2 allan analyze run.csv -o results', ''),
+    ('ros2 allan check run.csv', ''),
     ('ros2 run allan_ros allan sensors', 'adis16475-3'),
 )
 """Command, and a text of the line of its output that is shown; '' for the last line."""
 
 
-def background(command: str) -> subprocess.Popen[bytes]:
+def background(command: str, folder: str) -> subprocess.Popen[bytes]:
     """Start a command in a process group of its own, without its output."""
     return subprocess.Popen(
         command.split(),
+        cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
 
 
-def run(command: str) -> tuple[str, str]:
+def run(command: str, folder: str) -> tuple[str, str]:
     """Return the exit code and the output of a command; 'none' for one that does not end."""
     try:
         ended = subprocess.run(
             command,
+            cwd=folder,
             shell=True,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -104,22 +106,21 @@ def line_of(output: str, words: str) -> str:
 def main() -> None:
     """Run all commands and write the table."""
     table = DocTable('commands', ('command', 'exit', 'output'), PAGE)
+    launch = (
+        'ros2 launch allan_ros allan_ros.launch.py sensor:=adis16475-3 relay:=true '
+        'checkpoint:=imu.json'
+    )
+    player = 'ros2 run allan_ros allan_player --simulate 1800 --frequency 100 --wait 2'
     with tempfile.TemporaryDirectory() as folder:
-        launch = (
-            'ros2 launch allan_ros allan_ros.launch.py sensor:=adis16475-3 relay:=true '
-            f'checkpoint:={folder}/imu.json'
-        )
-        player = 'ros2 run allan_ros allan_player --simulate 1800 --frequency 100 --wait 2'
-        running = [background(launch), background(player)]
+        running = [background(launch, folder), background(player, folder)]
         try:
             for _ in range(20):  # until there are coefficients
-                if 'N ' in run('ros2 allan watch --once --plain')[1]:
+                if 'N ' in run('ros2 allan watch --once --plain', folder)[1]:
                     break
                 time.sleep(3.0)
             for command, words in COMMANDS:
-                code, output = run(command.format(folder=folder))
-                shown = line_of(output, words).replace(folder, '/tmp/run')
-                row = f'`{command.format(folder="/tmp/run")}`', code, shown
+                code, output = run(command, folder)
+                row = f'`{command}`', code, line_of(output, words).replace(f'{folder}/', '')
                 print(' | '.join(row), flush=True)
                 table.put(row)
         finally:
@@ -127,8 +128,7 @@ def main() -> None:
                 os.killpg(process.pid, signal.SIGINT)
             codes = [process.wait(60) for process in running]
     for command, code in zip((launch, player), codes):
-        shown = command.replace(folder, '/tmp/run')
-        table.put((f'`{shown}`', str(code), 'ran beside the others, ended by SIGINT'))
+        table.put((f'`{command}`', str(code), 'ran beside the others, ended by SIGINT'))
 
 
 if __name__ == '__main__':

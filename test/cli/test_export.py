@@ -115,7 +115,7 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         ),
         (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
         (['analyze', '{results}', '--export', 'kalibr'], 'folder of -o'),
-        (['merge', '{sums}', '--export', 'klibr', '-o', '/tmp'], 'did you mean kalibr'),
+        (['merge', '{sums}', '--export', 'klibr', '-o', '{above}'], 'did you mean kalibr'),
         (['merge', '{above}'], 'no sums.json in this folder'),
     ],
 )

@@ -5,7 +5,7 @@
 Needs launch_testing and the installed package, as in a ROS workspace.
 """
 
-import os
+import tempfile
 import time
 import unittest
 from pathlib import Path
@@ -111,8 +111,7 @@ def filled(value, folder):
 @launch_testing.parametrize('case', list(CASES))
 def generate_test_description(case):
     """Start the launch file with the arguments of a case."""
-    folder = os.environ.get('TMPDIR', '/tmp') + f'/allan_ros_launch_{os.getpid()}'
-    os.makedirs(folder, exist_ok=True)
+    folder = tempfile.mkdtemp(prefix='allan_ros_launch_')
     Path(folder, 'config.yaml').write_text(CONFIG)
     if 'baseline' in CASES[case][0]:
         samples = np.random.default_rng(1).normal(0.0, 1e-3, (6000, 3))
