@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -40,9 +41,20 @@ def with_new_output(text: str) -> str:
     subprocess.CalledProcessError
         When a command fails.
     """
-    tools = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get('PATH', '')])
-    environment = {**os.environ, 'PATH': tools, 'COLUMNS': '100', 'NO_COLOR': '1'}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as tools:
+        # An installed `allan` may be absent from the PATH (colcon), or be that of another version.
+        allan, python = Path(tools, 'allan'), str(Path(sys.executable).parent)
+        allan.write_text(
+            f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m allan_ros.cli.main "$@"\n'
+        )
+        allan.chmod(0o755)
+        environment = {
+            **os.environ,
+            'PATH': os.pathsep.join([tools, python, os.environ.get('PATH', '')]),
+            'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
+            'COLUMNS': '100',
+            'NO_COLOR': '1',
+        }
 
         def rerun(match: re.Match[str]) -> str:
             done = subprocess.run(
