@@ -34,7 +34,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # The matrices of a fit are small: more threads per process only cost time.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test unit test-floor site lint format bench fuzz faults soak audit docs pictures clean
+.PHONY: help venv demo test unit test-pythons test-floor site lint format bench fuzz faults soak audit docs pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -88,11 +88,16 @@ pictures: $(VENV)/.ready  ## redraw the pictures of docs/
 	$(VENV)/bin/python scripts/pictures.py docs/images
 	$(VENV)/bin/python scripts/report_pictures.py docs/images
 
+test-pythons:  ## run all tests on every CPython from 3.10 to 3.14 of this machine
+	@scripts/pythons.sh | while read -r version python; do \
+		echo "== Python $$version"; \
+		$(MAKE) test PYTHON=$$python VENV=.venv-$$version </dev/null || exit 1; done
+
 test-floor: $(FLOOR)/.ready  ## run core, io and cli tests on the oldest numpy and scipy
 	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) --dist loadfile test/core test/io test/cli
 
 clean:  ## remove environments and what was built
-	rm -rf $(VENV) $(FLOOR) $(LINT) $(SITE) build site install log demo *.egg-info
+	rm -rf $(VENV) .venv .venv-* build site install log demo *.egg-info
 
 # The stamp is written last: an unfinished environment, or one whose Python is gone, is recreated.
 define runs

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -50,10 +51,15 @@ def package_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0]
 
 
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding='utf-8'))
+
+
 def imports_of(path: Path) -> Iterator[tuple[str, ...]]:
     """Yield the absolute dotted name of everything the file imports, as parts."""
     package = ('allan_ros', *path.relative_to(PACKAGE).parts[:-1])
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from (tuple(alias.name.split('.')) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -89,9 +95,7 @@ def test_core_is_arithmetic_only(path: Path) -> None:
 @pytest.mark.parametrize('path', [f for f in FILES if package_of(f) in ('core', 'io')], ids=named)
 def test_below_the_shells_nothing_prints_or_exits(path: Path) -> None:
     calls = {
-        ast.unparse(node.func)
-        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
-        if isinstance(node, ast.Call)
+        ast.unparse(node.func) for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)
     }
     assert not calls & {'print', 'sys.exit', 'exit', 'quit'}
 
@@ -110,41 +114,51 @@ def test_the_scan_sees_a_forbidden_import(tmp_path: Path, monkeypatch: pytest.Mo
     ]
 
 
-def test_help_imports_no_library() -> None:
-    program = (
-        'import sys\n'
-        'from allan_ros.cli.main import main\n'
-        'try:\n'
-        "    main(['--help'])\n"
-        'except SystemExit as stop:\n'
-        '    assert stop.code == 0\n'
-        'heavy = sorted({name.partition(".")[0] for name in sys.modules} & '
-        '{"numpy", "scipy", "matplotlib", "rosbags", "yaml", "rclpy"})\n'
-        'assert not heavy, heavy\n'
-    )
-    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+EVERY_MODULE = """
+import importlib, pkgutil
+for package in ('core', 'io', 'cli'):
+    path = f'{allan_ros.__path__[0]}/{package}'
+    for module in pkgutil.walk_packages([path], f'allan_ros.{package}.'):
+        if module.name not in ('allan_ros.io.comparison_files', 'allan_ros.io.plots'):
+            importlib.import_module(module.name)
+"""
+HELP = """
+from allan_ros.cli.main import main
+try:
+    main(['--help'])
+except SystemExit as stop:
+    assert stop.code == 0
+"""
+ANALYZE = """
+import numpy as np
+allan_ros.analyze(np.random.default_rng(0).normal(size=4000), rate=100)
+"""
+ALL = 'numpy scipy matplotlib pandas rosbags yaml rclpy'
+LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas rosbags'
 
 
-def test_importing_loads_no_heavy_library() -> None:
+@pytest.mark.parametrize(
+    ('code', 'libraries'),
+    [
+        ("assert 'analyze' in dir(allan_ros)", ALL),
+        (HELP, ALL),
+        (EVERY_MODULE, f'{LARGE} rclpy'),
+        ('import allan_ros.core.stream.pipeline', 'scipy'),
+        ('import allan_ros.io.plots', 'matplotlib.pyplot'),
+        (ANALYZE, 'matplotlib'),
+        ('import allan_ros.nodes.monitor', f'{LARGE} scipy.fft'),
+    ],
+    ids=['package', 'help', 'every module', 'pipeline', 'plots', 'analyze', 'monitor'],
+)
+def test_no_large_library_is_loaded_before_it_is_needed(code: str, libraries: str) -> None:
     """Each takes 0.2 to 1 s of CPU at every start of `allan` or a node, and up to 20 MB."""
-    program = (
-        'import importlib, pkgutil, sys, allan_ros\n'
-        'drawing = {"allan_ros.io.comparison_files", "allan_ros.io.plots"}\n'
-        'for package in ("core", "io", "cli"):\n'
-        '    path = f"{allan_ros.__path__[0]}/{package}"\n'
-        '    for module in pkgutil.walk_packages([path], f"allan_ros.{package}."):\n'
-        '        if module.name not in drawing:\n'
-        '            importlib.import_module(module.name)\n'
-        'heavy = sorted({"scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", '
-        '"matplotlib", "pandas", "rosbags", "rclpy"} & set(sys.modules))\n'
-        'assert not heavy, heavy\n'
+    if 'monitor' in code:
+        pytest.importorskip('rclpy')
+    check = (
+        f'import sys, allan_ros\n{code}\nsys.exit(str({{*{libraries.split()}}} & {{*sys.modules}}))'
     )
-    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    program = 'import sys, allan_ros.core.stream.pipeline\nassert "scipy" not in sys.modules'
-    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    done = subprocess.run([sys.executable, '-c', check], capture_output=True, text=True)
+    assert done.stderr == 'set()\n', done.stderr
 
 
 def module_of(path: Path) -> tuple[str, ...]:

@@ -213,11 +213,3 @@ def test_what_the_terminal_cannot_write_does_no_harm(tmp_path: Path) -> None:
     )
     assert done.returncode == 1
     assert 'no such file' in done.stderr and done.stderr.count('\n') == 1
-
-
-def test_verbs_that_draw_nothing_do_without_matplotlib() -> None:
-    program = (
-        'import sys, allan_ros.cli.analyze, allan_ros.cli.batch\n'
-        'sys.exit("matplotlib" in sys.modules)'
-    )
-    assert subprocess.run([sys.executable, '-c', program]).returncode == 0

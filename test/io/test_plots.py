@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,11 +69,6 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
     flat = replace(axis, curve=replace(axis.curve, adev=zero, ci_low=zero, ci_high=zero))
     figure = sensor_figure(replace(small_results, axes={'gyro_x': flat}), 'gyro', a_summary())
     assert to_png(figure)
-
-
-def test_plots_do_without_pyplot() -> None:
-    program = 'import sys, allan_ros.io.plots; sys.exit("matplotlib.pyplot" in sys.modules)'
-    assert subprocess.run([sys.executable, '-c', program]).returncode == 0
 
 
 def test_every_form_is_written_and_a_pdf_has_its_fonts_whole(small_results: Results) -> None:

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -75,16 +73,3 @@ def test_the_launch_file_describes_itself(repository: Path):
         str(repository / 'launch' / 'allan_ros.launch.py')
     )
     assert isinstance(made, LaunchDescription)
-
-
-def test_a_monitor_imports_no_large_library_before_it_needs_one():
-    """Together these take 60 MB, in each process."""
-    pytest.importorskip('rclpy')
-    code = (
-        'import sys, allan_ros.nodes.monitor; '
-        'print(*({"scipy.stats", "scipy.optimize", "scipy.signal", "scipy.fft", "matplotlib"} '
-        '& {*sys.modules}))'
-    )
-    assert (
-        subprocess.run([sys.executable, '-c', code], capture_output=True, text=True).stdout == '\n'
-    )
