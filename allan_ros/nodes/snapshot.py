@@ -19,7 +19,7 @@ from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.findings import Finding, finding
 from ..core.imu import AXES
-from ..core.stream.sensor_stream import Means
+from ..core.stream.health import Means
 from ..io.checkpoint import Checkpoint
 from ..io.documents import sums_file_from_document, sums_file_to_document
 from ..io.files import PathLock, parse_json

@@ -30,6 +30,40 @@ BACKWARD_RUN = 16
 dropped."""
 
 
+class StampChoice:
+    """Chooses the stamps of a stream: from the header, the record times, or the declared rate."""
+
+    def __init__(self, use_record: bool, declared_rate: float) -> None:
+        self.use_record = use_record
+        self._rate = declared_rate
+        self._placed: int | None = None  # samples with stamps from that rate, where it is used
+
+    def learn(self, first: ImuBatch) -> list[Finding]:
+        """Decide by the first samples of the stream, and return the findings on their stamps."""
+        stamps = first.stamps_ns
+        if self.use_record or len(stamps) < 2 or stamps.min() != stamps.max():
+            return []
+        what = 'all equal' if stamps.any() else 'all zero'
+        if first.record_ns is not None:
+            self.use_record = True
+            return [finding('stamps_unusable', what=what)]
+        if self._rate:
+            self._placed = self._placed or 0
+            return [finding('stamps_from_rate', what=what, rate=self._rate)]
+        return [finding('stamps_missing', what=what)]
+
+    def of(self, batch: ImuBatch) -> Stamps:
+        """Return the stamps of the next samples, (n,), in ns."""
+        if self.use_record and batch.record_ns is not None:
+            return batch.record_ns
+        if self._placed is None:
+            return batch.stamps_ns
+        index = np.arange(self._placed, self._placed + len(batch))
+        self._placed += len(batch)
+        stamps: Stamps = np.rint(index * (1e9 / self._rate)).astype(np.int64)
+        return stamps
+
+
 class StampFilter:
     """Drops samples that are not finite, repeat the previous one, or go back in time."""
 
@@ -91,12 +125,7 @@ class PassSplitter:
 
     Single backward stamps are left to `StampFilter`. So samples before the latest stamp wait until
     `BACKWARD_RUN` of them have come in a row (a new pass begins with the first of them) or one
-    after it has come.
-
-    Parameters
-    ----------
-    latest_ns : int or None
-        Latest stamp of the sums there are already, as from a checkpoint.
+    after it has come. ``latest_ns`` is the latest stamp of sums there are already (a checkpoint).
     """
 
     def __init__(self, latest_ns: int | None = None) -> None:

@@ -1,21 +1,24 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Counts, segments, state and findings of a stream."""
+"""What is known of a stream so far: counts, state, sums, segments, means and findings."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.sums import AllanSums
+from ..allan.spectrum import SpectrumSums
+from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..findings import Finding, finding
 from ..imu import SENSORS, STANDARD_GRAVITY, sensor_of
 from ..settings import SegmenterSettings
+
+Floats = NDArray[np.float64]
 
 State = Literal['waiting', 'learning', 'still', 'moving', 'louder']
 """No sample yet; the rate and the noise floor are learned; data at rest accumulate; the IMU moves;
@@ -62,20 +65,14 @@ class Counts:
         Samples received, and samples in the sums (interpolated ones included).
     skipped : int
         Left out at the start (warm-up).
-    not_finite, duplicate, backward : int
-        Dropped: NaN or inf; stamp and values of the sample before; a stamp before the latest.
-    untimed : int
-        Dropped because a thousand stamps in a row were equal.
-    lost : int
-        Samples that are missing according to the stamps.
-    bridged : int
-        Lost ones that were interpolated.
-    moving, stuck : int
-        Dropped because the IMU moved, or an axis showed one value.
-    saturated : int
-        Of the moving ones, those at the end of the measurement range.
-    louder : int
-        Dropped because the noise at rest was much louder than the noise floor.
+    not_finite, duplicate, backward, untimed : int
+        Dropped: NaN or inf; stamp and values of the sample before; a stamp before the latest; a
+        thousand equal stamps in a row.
+    lost, bridged : int
+        Missing according to the stamps; those of them that were interpolated.
+    moving, saturated, stuck, louder : int
+        Dropped: the IMU moved (and was at the end of the range); an axis showed one value; the
+        noise at rest was much louder than the noise floor.
     spikes : int
         Values that were isolated spikes and were replaced, counted per axis.
     cuts : Counter
@@ -106,17 +103,46 @@ class Counts:
         self.cuts.update(other.cuts)
 
 
-class Segment(NamedTuple):
-    """A stretch of samples without a gap.
+class FilledGaps:
+    """Counts the runs of interpolated samples in the sums, ``count``, (lengths, axes)."""
 
-    Attributes
-    ----------
-    start_ns : int
-        Stamp of its first sample.
-    samples : int
-    duration_s : float
-    cut : str
-        Why it does not follow the previous one, as in ``Counts.cuts``; '' for the first.
+    def __init__(self, axes: int) -> None:
+        self.count = np.zeros((0, axes), np.int64)
+        self._open = [0] * axes  # lengths of the runs that may go on
+
+    def add(self, filled: NDArray[np.bool_] | None) -> None:
+        """Take the flags of the next samples, (axes, n); None if none of them is filled."""
+        if filled is None:
+            self.end()
+            return
+        for axis, flags in enumerate(filled):
+            runs = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+            if not len(runs) or runs[0, 0]:
+                self._close(axis)
+            for begin, end in runs.tolist():
+                self._open[axis] += end - begin
+                if end < len(flags):
+                    self._close(axis)
+
+    def end(self) -> None:
+        """End all runs: the next sample is not filled, or belongs to another segment."""
+        for axis in range(len(self._open)):
+            self._close(axis)
+
+    def _close(self, axis: int) -> None:
+        length, self._open[axis] = min(self._open[axis], LONGEST_FILLED), 0
+        if not length:
+            return
+        if length > len(self.count):
+            longer = np.zeros((length - len(self.count), self.count.shape[1]), np.int64)
+            self.count = np.concatenate([self.count, longer])
+        self.count[length - 1, axis] += 1
+
+
+class Segment(NamedTuple):
+    """A stretch of samples without a gap, from the stamp ``start_ns`` on.
+
+    ``cut`` is why it does not follow the previous one, as in ``Counts.cuts``; '' for the first.
     """
 
     start_ns: int
@@ -133,24 +159,18 @@ class StreamHealth:
     ----------
     counts : Counts
         A copy; later samples do not change it.
-    state : State
-    rate_hz : float or None
-        From the working period of the stamps; None before it is learned.
-    bursty : bool
-        Whether stamps come in bursts.
+    rate_hz, bursty : float or None, bool
+        Working rate (None before it is learned), and whether stamps come in bursts.
     first_ns, last_ns : int or None
         First and latest stamp of the present frame.
     stamps : str
         Which stamps are used: 'header' or 'record'.
-    frame_id : str
-        Of the latest sample.
-    evidence_frame_id : str
-        Of the sums with the longest time.
+    frame_id, evidence_frame_id : str
+        Of the latest sample, and of the sums with the longest time.
     frame_changes : int
         How often a sample had another frame_id than the one before.
     discarded : int
-        How often sums were discarded since the start, because they were taken in motion: results
-        computed from earlier sums are void.
+        How often sums were discarded, because they were taken in motion: results of them are void.
     loudest : mapping of axis to float
         How many times louder than its floor an axis became at rest; empty if none did.
     """
@@ -176,21 +196,120 @@ class StreamHealth:
         return c.used / judged if judged else None
 
 
+LISTED_SEGMENTS = 1000
+"""How many of the longest segments are listed."""
+
+
+class StreamSums(NamedTuple):
+    """Sums, spectrum if requested, and the listed segments of the samples at one rate."""
+
+    sums: AllanSums
+    spectrum: SpectrumSums | None
+    segments: tuple[Segment, ...]
+
+    def joined(self, other: StreamSums) -> StreamSums:
+        """Return both together; raise AllanError when they are of different rates."""
+        spectra = (self.spectrum, other.spectrum)
+        both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
+        segments = sorted(
+            [*self.segments, *other.segments], key=lambda segment: (-segment.samples, segment)
+        )
+        return StreamSums(self.sums + other.sums, both, tuple(sorted(segments[:LISTED_SEGMENTS])))
+
+
+@dataclass(frozen=True)
+class Accumulation:
+    """The results of a stream so far.
+
+    There are sums of all axes, or of each sensor where their rates differ; a sensor without samples
+    has none. If the rate or the frame changed, ``sums`` are those of the longest time, ``current``
+    those of the present rate and frame. ``spectra`` (if requested) are in the order of ``sums``,
+    and ``segments`` are the listed ones of the first of these.
+    """
+
+    sums: tuple[AllanSums, ...]
+    current: tuple[AllanSums, ...]
+    health: StreamHealth
+    findings: tuple[Finding, ...]
+    segments: tuple[Segment, ...]
+    spectra: tuple[SpectrumSums, ...] = ()
+
+
+KEPT_MEANS = 120
+"""Latest means that are kept, for a reader that asks once in a while."""
+
+
+class Means(NamedTuple):
+    """Means of static samples of the axes of one sensor stream: the input of the bias filter.
+
+    Times at which they end in ns, (n,), and values in the unit of the samples, (n, axes).
+    """
+
+    axes: tuple[str, ...]
+    end_ns: NDArray[np.int64]
+    values: Floats
+
+
+class RunningMeans:
+    """Means over consecutive seconds of contiguous samples."""
+
+    def __init__(self, axes: tuple[str, ...]) -> None:
+        self._axes = axes
+        self._kept: deque[tuple[int, Floats]] = deque(maxlen=KEPT_MEANS)
+        self.cut()
+
+    def cut(self) -> None:
+        """Drop the mean in progress: the samples that follow are not contiguous."""
+        self._start_ns: int | None = None
+        self._second, self._count = 0, 0
+        self._sum = np.zeros(len(self._axes))
+
+    def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
+        """Take contiguous samples: stamps (n,) in ns, rows (axes, n)."""
+        if self._start_ns is None:
+            self._start_ns = int(stamps[0])
+        seconds = (stamps - self._start_ns) // 10**9
+        begins = np.concatenate([[0], np.flatnonzero(np.diff(seconds)) + 1])
+        sums = np.add.reduceat(rows, begins, axis=1).T
+        counts = np.diff(begins, append=len(stamps)).tolist()
+        for second, total, count in zip(seconds[begins].tolist(), sums, counts):
+            if second > self._second:
+                end_ns = self._start_ns + (self._second + 1) * 10**9
+                self._kept.append((end_ns, self._sum / max(self._count, 1)))
+                self._sum, self._count, self._second = np.zeros(len(total)), 0, second
+            self._sum = self._sum + total
+            self._count += count
+
+    @property
+    def means(self) -> Means:
+        """The latest complete means."""
+        end_ns = np.array([end for end, _ in self._kept], np.int64)
+        values = np.array([value for _, value in self._kept]).reshape(-1, len(self._axes))
+        return Means(self._axes, end_ns, values)
+
+
 def stream_findings(
     health: StreamHealth, sums: tuple[AllanSums, ...], settings: SegmenterSettings
 ) -> list[Finding]:
     """Return the findings about a stream and its sums."""
     counts = health.counts
     found: list[Finding] = []
+
+    def add(id: str, present: object, axes: tuple[str, ...] = (), **numbers: Any) -> None:
+        if present:
+            found.append(finding(id, axes, **numbers))
+
+    changes = health.frame_changes
+    add('frame_changed', changes, times=changes, frame_id=health.frame_id)
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
     declared = settings.declared_rate
-    if declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE:
-        found.append(finding('rate_differs', measured=rate, declared=declared))
-    if health.bursty and rate:
-        found.append(finding('bursty_stamps', rate=rate))
-    if changes := counts.cuts['rate change']:
-        found.append(finding('rate_changed', times=changes, rate=health.rate_hz or 0.0))
-    for name, count in (
+    if declared and rate:
+        differs = abs(rate / declared - 1.0) > RATE_CHANGE
+        add('rate_differs', differs, measured=rate, declared=declared)
+    add('bursty_stamps', health.bursty and rate, rate=rate)
+    changes = counts.cuts['rate change']
+    add('rate_changed', changes, times=changes, rate=health.rate_hz or 0.0)
+    for id, count in (
         ('not_finite', counts.not_finite),
         ('duplicates', counts.duplicate),
         ('backward_stamps', counts.backward),
@@ -198,34 +317,28 @@ def stream_findings(
         ('stuck', counts.stuck),
         ('saturated', counts.saturated),
     ):
-        if count:
-            found.append(finding(name, count=count))
-    if counts.cuts['gap']:
-        found.append(finding('gaps', lost=counts.lost, cuts=counts.cuts['gap']))
-    if counts.bridged > REPORTED_BRIDGED_SHARE * counts.received:
-        share = counts.bridged / counts.received
-        found.append(finding('bridged', bridged=counts.bridged, share=share))
-    if counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used):
-        found.append(finding('spikes', count=counts.spikes, share=counts.spikes / counts.used))
-    if health.discarded:
-        found.append(finding('relearned'))
-    if counts.louder and health.rate_hz and health.loudest:
+        add(id, count, count=count)
+    gaps = counts.cuts['gap']
+    add('gaps', gaps, lost=counts.lost, cuts=gaps)
+    bridged = counts.bridged / max(counts.received, 1)
+    add('bridged', bridged > REPORTED_BRIDGED_SHARE, bridged=counts.bridged, share=bridged)
+    many = counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used)
+    add('spikes', many, count=counts.spikes, share=counts.spikes / max(counts.used, 1))
+    add('relearned', health.discarded)
+    if health.rate_hz and counts.louder and health.loudest:
         ratio = max(health.loudest.values())
         axes = tuple(axis for axis, r in health.loudest.items() if r > LOUDER_SHARE * ratio)
-        seconds = counts.louder / health.rate_hz
-        found.append(finding('noise_louder', axes, ratio=ratio, seconds=seconds))
+        add('noise_louder', True, axes, ratio=ratio, seconds=counts.louder / health.rate_hz)
     if counts.moving and not counts.used and health.rate_hz:
-        found.append(finding('never_still', seconds=counts.moving / health.rate_hz))
+        add('never_still', True, seconds=counts.moving / health.rate_hz)
     elif counts.moving:
         judged = counts.moving + counts.louder + counts.used
-        found.append(finding('motion', share=counts.moving / judged))
+        add('motion', True, share=counts.moving / judged)
     for each in sums:
         flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
-        if flat:
-            found.append(finding('no_noise', flat))
+        add('no_noise', flat, flat)
         found += _unit_findings(each)
-    if counts.received and not sums:
-        found.append(finding('nothing_left', received=counts.received))
+    add('nothing_left', counts.received and not sums, received=counts.received)
     return found
 
 
@@ -239,7 +352,9 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
     """Return a finding for each sensor whose values at rest are impossible in SI units."""
     if not sums.tau0 or not sums.history.recordings:
         return []
-    mean = _mean_at_rest(sums)
+    periods = sums.history.recordings
+    total = sum(p.cell_samples @ p.cell_means + p.cell_samples.sum() * p.reference for p in periods)
+    mean = np.asarray(total / max(sum(int(p.cell_samples.sum()) for p in periods), 1))
     short = sums.m * sums.tau0 <= 1.0
     found: list[Finding] = []
     for sensor, place in SENSORS.items():
@@ -263,24 +378,11 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
 
 
 def gravity_unit(norm: float) -> str | None:
-    """Return the unit in which a mean acceleration is that of gravity.
+    """Return the unit in which a mean acceleration is that of gravity; None for no usual unit.
 
-    Returns
-    -------
-    str or None
-        'm/s^2' also where gravity was removed; None for no usual unit.
+    Where gravity was removed it is 'm/s^2'.
     """
     for unit, gravity in (('m/s^2', STANDARD_GRAVITY), ('g', 1.0), ('mg', 1000.0)):
         if abs(norm / gravity - 1.0) < G_BAND:
             return unit
     return 'm/s^2' if norm < WEIGHTLESS else None
-
-
-def _mean_at_rest(sums: AllanSums) -> NDArray[np.float64]:
-    """Return the mean of each axis over the samples that count, (axes,)."""
-    total, number = np.zeros(len(sums.axes)), 0
-    for recording in sums.history.recordings:
-        samples = recording.cell_samples
-        total += samples @ recording.cell_means + samples.sum() * recording.reference
-        number += int(samples.sum())
-    return np.asarray(total / max(number, 1))

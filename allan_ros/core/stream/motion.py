@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .health import Counts
+from .health import Counts, State
 from .noise_floor import (
     LEAST_WINDOW,
     SPIKE_NEIGHBORS,
@@ -96,26 +96,10 @@ class _Judged(NamedTuple):
 class MotionGate:
     """Passes on the samples at rest; at most the windows of the learning phase are buffered.
 
-    Parameters
-    ----------
-    period_ns : float
-        Sample period.
-    axes : tuple of str
-    counts : Counts
-        Changed in place.
-    motion_ratio : float
-        Standard deviation of a moving window over that of the floor.
-    rate_limit : float
-        Least mean rate in rad/s, away from that at rest, that is a turn.
-
-    Attributes
-    ----------
-    moving : bool
-        Whether the latest window was moving.
-    louder : (axes,) float64 array or None
-        How many times louder than the floor the sensor is at rest now; None if it is not.
-    loudest : (axes,) float64 array or None
-        The largest that ``louder`` was.
+    ``counts`` is changed in place. A window is moving above ``motion_ratio`` times the standard
+    deviation of the floor, or ``rate_limit`` rad/s away from the mean rate at rest. ``louder`` is
+    how many times louder than the floor the sensor is at rest now, (axes,), or None if it is not;
+    ``loudest`` has the largest values so far, 0 where there are none.
     """
 
     def __init__(
@@ -130,7 +114,7 @@ class MotionGate:
         self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
         self.moving = False
         self.louder: Floats | None = None
-        self.loudest: Floats | None = None
+        self.loudest = np.zeros(len(axes))
         self._counts = counts
         self._ratio = motion_ratio
         self._rate_limit = np.array(
@@ -139,7 +123,8 @@ class MotionGate:
         self._limits = RestLimits.of(axes)
         self._floor: NoiseFloor | None = None
         self._learning: list[Block] = []  # stretches that wait for the floor
-        self._waiting = Block.empty(len(axes))  # samples that do not fill a window yet
+        # samples that do not fill a window yet
+        self._waiting = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
         self._before = np.empty((len(axes), 0))  # the last samples before them
         self._extreme = np.zeros(len(axes))  # largest value of each axis, either way
         self._last_mean: Floats | None = None
@@ -152,9 +137,13 @@ class MotionGate:
         self._noisy_blocks = 0
 
     @property
-    def learning(self) -> bool:
-        """Whether the noise floor is not known yet, and nothing showed motion either."""
-        return self._floor is None and not self.moving
+    def state(self) -> State:
+        """State of the stream: learning as long as neither the noise floor nor motion is known."""
+        if self._floor is None and not self.moving:
+            return 'learning'
+        if self.louder is not None:
+            return 'louder'
+        return 'moving' if self.moving else 'still'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
         """Add consecutive blocks, and return the data that are certainly at rest."""
@@ -162,7 +151,8 @@ class MotionGate:
         for stretch in _stretches(blocks):
             if self._floor is None:
                 self._learning += stretch
-                while self._floor is None and self._have() >= BLOCK_WINDOWS * self.size:
+                needed = BLOCK_WINDOWS * self.size
+                while self._floor is None and sum(map(len, self._learning)) >= needed:
                     out += self._learn()
             else:
                 out += self._take(stretch)
@@ -177,9 +167,6 @@ class MotionGate:
 
     # --- learning ---------------------------------------------------------------------------------
 
-    def _have(self) -> int:
-        return sum(len(block) for block in self._learning)
-
     def _learn(self) -> list[Block]:
         """Learn the floor from the first windows, or drop them if they cannot be those of an IMU at
         rest."""
@@ -192,7 +179,7 @@ class MotionGate:
             self.moving = False
             return self.feed(waited)
         self._learning = rest
-        self._counts.moving += sum(len(block) for block in first)
+        self._counts.moving += sum(map(len, first))
         if not self.moving:
             self.moving = True
             self._counts.cuts['motion'] += 1
@@ -293,7 +280,7 @@ class MotionGate:
             self.moving = True
             reason = 'stuck' if stuck else 'motion'
             self._counts.cuts[reason] += 1
-            self._counts.moving += sum(len(block) for block in self._margin)
+            self._counts.moving += sum(map(len, self._margin))
             self._margin = []
             self._cut = self._cut or reason
         if stuck:
@@ -373,13 +360,12 @@ class MotionGate:
         samples = blocks * BLOCK_WINDOWS * self.size
         self._counts.moving -= samples
         self._counts.louder += samples
-        before = self.louder if self.loudest is None else self.loudest
-        self.loudest = np.maximum(before, self.louder)
+        self.loudest = np.maximum(self.loudest, self.louder)
 
     def _judge_again(self, block: list[_Judged]) -> list[Block]:
         """Judge a block again with the floor learned from it; all data before it are void."""
         # released samples are counted as moving where they are discarded
-        self._counts.moving += sum(len(b) for b in self._margin)
+        self._counts.moving += sum(map(len, self._margin))
         samples = sum(len(j.block) for j in block)
         stuck = self.size * sum(int(np.count_nonzero(j.windows_class.stuck)) for j in block)
         self._counts.moving -= samples - stuck
@@ -419,30 +405,6 @@ def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]
     return first, []
 
 
-class _Limits(NamedTuple):
-    """Thresholds of moving windows, (axes, 1) arrays; infinite where the floor is unknown."""
-
-    variance: Floats
-    peak: Floats
-    step: Floats
-    turn: Floats
-
-    @classmethod
-    def of(cls, floor: NoiseFloor, size: int, motion_ratio: float, rate_limit: Floats) -> _Limits:
-        scale, lsb = floor.scale[:, None], floor.lsb[:, None]
-        unknown = np.where(scale > 0.0, 0.0, np.inf)
-        sigma = np.sqrt(scale)
-        step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
-        # the variance of few samples scatters: a short window is judged by its farthest sample
-        unsure = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
-        return cls(
-            motion_ratio**2 * scale + unsure,
-            np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown,
-            STEP_SIGMAS * step_sigma + lsb + unsure,
-            np.maximum(rate_limit[:, None], STEP_SIGMAS * step_sigma),
-        )
-
-
 def classify_windows(
     windows: Windows,
     previous_mean: Floats | None,
@@ -456,19 +418,29 @@ def classify_windows(
     The mean of the window before the first, (axes,), is None when it does not follow any;
     ``motion_ratio`` and ``rate_limit``, (axes,), are those of `MotionGate`.
     """
-    limits = _Limits.of(floor, size, motion_ratio, rate_limit)
+    # (axes, 1) each; infinite where the floor is unknown
+    scale, lsb = floor.scale[:, None], floor.lsb[:, None]
+    unknown = np.where(scale > 0.0, 0.0, np.inf)
+    sigma = np.sqrt(scale)
+    step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
+    # the variance of few samples scatters: a short window is judged by its farthest sample
+    unsure = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
+    most_variance = motion_ratio**2 * scale + unsure
+    most_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
+    most_step = STEP_SIGMAS * step_sigma + lsb + unsure
+    most_turn = np.maximum(rate_limit[:, None], STEP_SIGMAS * step_sigma)
     previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
     means = np.concatenate([previous, windows.mean], axis=1)
     step = np.abs(means[:, 1:] - means[:, :-1])
-    restless = windows.variance > LEAVE_RATIO**2 * limits.variance
-    knocked = (windows.peak > limits.peak) | (step > limits.step)
-    turning = np.abs(windows.mean - floor.mean[:, None]) > limits.turn
+    restless = windows.variance > LEAVE_RATIO**2 * most_variance
+    knocked = (windows.peak > most_peak) | (step > most_step)
+    turning = np.abs(windows.mean - floor.mean[:, None]) > most_turn
     none = np.zeros(windows.mean.shape[1], bool)
     if windows.variance.all() and not (restless | knocked | turning).any():
         return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
     noisy = (floor.variance > floor.lsb**2)[:, None] & (size >= LEAST_WINDOW)
     stuck = ((windows.variance == 0.0) & noisy).any(axis=0)
-    wild = windows.variance > limits.variance
+    wild = windows.variance > most_variance
     moving = (wild | knocked | turning).any(axis=0) | stuck
     restless_any = (restless | knocked).any(axis=0) | stuck
     return WindowClass(moving, ~(moving | restless_any), stuck, turning.any(axis=0) & ~restless_any)

@@ -69,16 +69,10 @@ the mean than this fraction of its least height: a knock rings, a spike does not
 class RestLimits:
     """Limits of the slow changes that a sensor can show at rest, (axes,) arrays.
 
-    White noise has no limit: large values mean another unit, which is reported elsewhere.
-
-    Attributes
-    ----------
-    deviation : float64 array
-        Standard deviation within a window of noise at low frequencies.
-    step : float64 array
-        Change between the means of neighboring windows, if it is more than that of white noise.
-    gravity : bool array
-        Whether the axis measures gravity.
+    They are the standard deviation within a window of noise at low frequencies, and the change
+    between the means of neighboring windows if it is more than that of white noise. White noise has
+    no limit: large values mean another unit, which is reported elsewhere. ``gravity`` flags the
+    axes that measure gravity.
     """
 
     deviation: Floats
@@ -142,21 +136,19 @@ def smoothness(stretches: Iterable[Floats]) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The noise of a sensor at rest, per axis, in the unit of the samples (squared).
+    """The noise of a sensor at rest, (axes,) arrays in the unit of the samples (squared).
 
     Attributes
     ----------
-    variance : (axes,) float64 array
-        Variance of the samples of a window about their mean.
-    step : (axes,) float64 array
+    variance, mean : float64 array
+        Of the samples of a still window; the variance is about their mean.
+    step : float64 array
         Standard deviation of the step between the means of neighboring windows.
-    mean : (axes,) float64 array
-        Mean of a still window.
-    lsb : (axes,) float64 array
+    lsb : float64 array
         Smallest change between two samples: the resolution of the sensor, or less.
-    smooth : (axes,) float64 array
+    smooth : float64 array
         `smoothness` of the samples the floor was learned from.
-    heavy : (axes,) bool array
+    heavy : bool array
         Whether these samples have heavy tails: then single large values are noise, not spikes.
     """
 

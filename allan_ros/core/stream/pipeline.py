@@ -2,57 +2,57 @@
 # SPDX-License-Identifier: Apache-2.0
 """From batches of samples to sums: the path that nodes and offline tools share.
 
-`ImuStream` separates IMUs by their frame_id; each `FrameStream` chooses the stamps and separates
-the sensors where their rates differ; each `SensorStream` runs the stages from samples to sums.
+`ImuStream` separates IMUs by their frame_id, `FrameStream` chooses the stamps and separates the
+sensors where their rates differ, and `SensorStream` runs the stages from samples to sums.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from bisect import insort
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..allan.spectrum import SpectrumSums
+from ..allan.engine import RunningAllan
+from ..allan.spectrum import RunningSpectrum
 from ..allan.sums import AllanSums
-from ..findings import Finding, finding
+from ..errors import AllanError
+from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
-from .cleaning import plan_sensors
-from .health import Counts, Segment, State, StreamHealth, stream_findings
-from .sensor_stream import Means, SensorStream, StreamOptions, StreamSums
-from .timing import LEARN
+from .cleaning import SampleHoldFilter, SensorPlan, StampChoice, StampFilter, plan_sensors
+from .health import (
+    LISTED_SEGMENTS,
+    Accumulation,
+    Counts,
+    FilledGaps,
+    Means,
+    RunningMeans,
+    Segment,
+    State,
+    StreamHealth,
+    StreamSums,
+    stream_findings,
+)
+from .motion import RELEARNED, MotionGate
+from .timing import LEARN, Block, Clock, SampleClock, learn_clock
 
 KEPT_FRAMES = 8
 """Different frame_ids in one stream whose sums are kept: each is another IMU."""
 
+KEPT_RATES = 8
+"""Rates of one sensor stream whose sums are kept."""
 
-@dataclass(frozen=True)
-class Accumulation:
-    """The results of a stream so far.
 
-    Attributes
-    ----------
-    sums : tuple of AllanSums
-        One with all axes, or one per sensor where their rates differ; sensors without samples are
-        left out. If the rate or the frame changed: those of the longest time.
-    current : tuple of AllanSums
-        The same, of the present rate and frame.
-    health : StreamHealth
-    findings : tuple of Finding
-    segments : tuple of Segment
-        The longest 1000 segments of the first of ``sums``, in order of time;
-        ``sums[0].segment_count`` is their full number.
-    spectra : tuple of SpectrumSums
-        Those of ``sums``, in the same order; empty unless requested.
-    """
+class StreamOptions(NamedTuple):
+    """What is accumulated: the settings, and whether to keep spectra and means too."""
 
-    sums: tuple[AllanSums, ...]
-    current: tuple[AllanSums, ...]
-    health: StreamHealth
-    findings: tuple[Finding, ...]
-    segments: tuple[Segment, ...]
-    spectra: tuple[SpectrumSums, ...] = ()
+    settings: SegmenterSettings
+    with_spectra: bool
+    with_means: bool
 
 
 class ImuStream:
@@ -61,23 +61,7 @@ class ImuStream:
     Any chunking of the same samples gives the same sums, bit for bit: all decisions are taken on
     samples counted from the start of the stream, with a fixed look-ahead.
 
-    Parameters
-    ----------
-    settings : SegmenterSettings
-    hardware_id : str
-    with_spectra, with_means : bool
-        Whether to keep the power spectral density, and the means over a second too.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> stream = ImuStream()
-    >>> stamps = np.arange(5000) * 10_000_000
-    >>> noise = np.random.default_rng(0).normal(size=(5000, 6))
-    >>> stream.update(ImuBatch(stamps, noise))
-    >>> stream.end()
-    >>> stream.result().sums[0].samples
-    5000
+    The power spectral density and the means over a second are kept if requested.
     """
 
     def __init__(
@@ -88,10 +72,10 @@ class ImuStream:
         with_means: bool = False,
     ) -> None:
         self._hardware_id = hardware_id
-        self._wanted = StreamOptions(settings, with_spectra, with_means)
+        self._options = StreamOptions(settings, with_spectra, with_means)
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
-        self._present = self._frame('')
+        self._present = FrameStream(ImuIdentity('', hardware_id), self._options)
         self._frame_changes = 0
         self._dropped = Counts()  # of the frames there was no room for
 
@@ -99,12 +83,10 @@ class ImuStream:
         """Take the next samples of the stream."""
         if not len(batch):
             return
-        before, after = self._present.identity.frame_id, batch.frame_id
-        if self._received == 0:
-            self._present = self._frames[after] = self._frame(after)
-        elif after != before:
-            self._frame_changes += 1
-            self._present = self._frames.get(after) or self._another(after)
+        frame_id = batch.frame_id
+        if not self._frames or frame_id != self._present.identity.frame_id:
+            self._frame_changes += bool(self._frames)
+            self._present = self._frames.get(frame_id) or self._add_frame(frame_id)
         self._received += len(batch)
         self._present.update(batch)
 
@@ -122,42 +104,41 @@ class ImuStream:
         now = copy.deepcopy(self)
         state = now._present.state
         now.end()
-        streams = now._present.sensors
         longest = now._longest()
         sums = tuple(each.sums for each in longest)
         health = now._health(state, sums)
+        notes = [note for frame in now._frames.values() for note in frame.notes]
+        found = [*notes, *stream_findings(health, sums, now._options.settings)]
         return Accumulation(
             sums,
-            tuple(s.present.sums for s in streams if s.present.sums.samples),
+            tuple(s for each in now._present.sensors if (s := each.present.sums).samples),
             health,
-            now._findings(health, sums),
+            tuple(dict.fromkeys(found)),
             longest[0].segments if longest else (),
             tuple(each.spectrum for each in longest if each.spectrum is not None),
         )
 
-    def _frame(self, frame_id: str) -> FrameStream:
-        return FrameStream(ImuIdentity(frame_id, self._hardware_id), self._wanted)
-
-    def _another(self, frame_id: str) -> FrameStream:
+    def _add_frame(self, frame_id: str) -> FrameStream:
         """Add a frame; if there are too many, drop the one with the shortest data."""
         if len(self._frames) >= KEPT_FRAMES:
-            least = min(self._frames.values(), key=lambda frame: frame.longest_ns)
+            least = min(
+                self._frames.values(),
+                key=lambda frame: max((s.sums.elapsed_ns for s in frame.by_rate()), default=0),
+            )
+            del self._frames[least.identity.frame_id]
             least.flush()
             self._dropped.add(least.counts)
-            del self._frames[least.identity.frame_id]
-        self._frames[frame_id] = self._frame(frame_id)
-        return self._frames[frame_id]
+        frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), self._options)
+        self._frames[frame_id] = frame
+        return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
         """Return the sums of the longest time for each sensor that was ever present."""
         best: dict[str, StreamSums] = {}
-        for frame in self._frames.values():
-            for each in frame.by_rate():
-                sums = each.sums
-                for axis in sums.axes:
-                    have = best.get(axis)
-                    if sums.samples and (have is None or sums.elapsed_ns > have.sums.elapsed_ns):
-                        best[axis] = each
+        for each in (each for frame in self._frames.values() for each in frame.by_rate()):
+            for axis in each.sums.axes if each.sums.samples else ():
+                if axis not in best or each.sums.elapsed_ns > best[axis].sums.elapsed_ns:
+                    best[axis] = each
         return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
 
     def _health(self, state: State, longest: tuple[AllanSums, ...]) -> StreamHealth:
@@ -170,11 +151,11 @@ class ImuStream:
         return StreamHealth(
             counts,
             state,
-            1e9 / clock[0] if clock else None,
-            clock[1] if clock else False,
+            1e9 / clock.period_ns if clock else None,
+            clock.bursty if clock else False,
             frame.first_ns,
             frame.last_ns,
-            'record' if frame.use_record else 'header',
+            'record' if frame.stamps.use_record else 'header',
             frame.identity.frame_id,
             longest[0].identity.frame_id if longest else frame.identity.frame_id,
             self._frame_changes,
@@ -182,48 +163,27 @@ class ImuStream:
             {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
         )
 
-    def _findings(
-        self, health: StreamHealth, longest: tuple[AllanSums, ...]
-    ) -> tuple[Finding, ...]:
-        found = [note for frame in self._frames.values() for note in frame.notes]
-        if self._frame_changes:
-            times, frame_id = self._frame_changes, self._present.identity.frame_id
-            found.append(finding('frame_changed', times=times, frame_id=frame_id))
-        found += stream_findings(health, longest, self._wanted.settings)
-        return tuple(dict.fromkeys(found))
-
 
 class FrameStream:
     """The samples of one frame_id: chooses the stamps and feeds the sensor streams.
 
-    Attributes
-    ----------
-    identity : ImuIdentity
-    sensors : tuple of SensorStream
-        One, or one per sensor where their rates differ; empty during the learning phase.
-    notes : list of Finding
-        Findings of the learning phase.
-    first_ns, last_ns : int or None
-        First and latest stamp.
-    use_record : bool
-        Whether record times are used as stamps.
+    There is one of these, or one per sensor where their rates differ; none during the learning
+    phase, whose findings are ``notes``.
     """
 
-    def __init__(self, identity: ImuIdentity, wanted: StreamOptions) -> None:
+    def __init__(self, identity: ImuIdentity, options: StreamOptions) -> None:
         self.identity = identity
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.last_ns: int | None = None
-        self.use_record = wanted.settings.stamps == 'record'
-        self._wanted = wanted
-        self._settings = wanted.settings
+        settings = options.settings
+        self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
+        self._options = options
         self._learning: list[ImuBatch] = []
         self._learned = 0
         self._skipped = 0
         self._skip_until: int | None = None
-        self._placed = 0  # samples whose stamps come from the declared rate
-        self._without_stamps = False
 
     @property
     def state(self) -> State:
@@ -244,11 +204,6 @@ class FrameStream:
     def by_rate(self) -> list[StreamSums]:
         """Return the sums of each sensor stream at each of its rates."""
         return [each for sensor in self.sensors for each in sensor.by_rate()]
-
-    @property
-    def longest_ns(self) -> int:
-        """Length of the longest data in ns."""
-        return max((each.sums.elapsed_ns for each in self.by_rate()), default=0)
 
     def update(self, batch: ImuBatch) -> None:
         """Take the next samples."""
@@ -274,36 +229,19 @@ class FrameStream:
     def _learn(self) -> None:
         """Choose the stamps and the sensor streams from the first samples, then take them."""
         first, self._learning, self._learned = joined(self._learning), [], 0
-        stamps, record = first.stamps_ns, first.record_ns
-        if not self.use_record and len(stamps) > 1 and stamps.min() == stamps.max():
-            what = 'all zero' if not stamps.any() else 'all equal'
-            if record is not None:
-                self.use_record = True
-                self.notes.append(finding('stamps_unusable', what=what))
-            elif self._settings.declared_rate:
-                self._without_stamps = True
-                rate = self._settings.declared_rate
-                self.notes.append(finding('stamps_from_rate', what=what, rate=rate))
-            else:
-                self.notes.append(finding('stamps_missing', what=what))
-        plans, findings = plan_sensors(stamps, first.samples.T)
-        self.notes += findings
-        self.sensors = tuple(SensorStream(p, self.identity, self._wanted) for p in plans)
+        plans, findings = plan_sensors(first.stamps_ns, first.samples.T)
+        self.notes += [*self.stamps.learn(first), *findings]
+        self.sensors = tuple(SensorStream(p, self.identity, self._options) for p in plans)
         self._feed(first)
 
     def _feed(self, batch: ImuBatch) -> None:
-        stamps, rows = batch.stamps_ns, batch.samples.T
-        if self.use_record and batch.record_ns is not None:
-            stamps = batch.record_ns
-        elif self._without_stamps:
-            index = np.arange(self._placed, self._placed + len(stamps))
-            self._placed += len(stamps)
-            stamps = np.rint(index * (1e9 / self._settings.declared_rate)).astype(np.int64)
+        stamps, rows, skip = self.stamps.of(batch), batch.samples.T, self._options.settings.skip
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
-            self._skip_until = self.first_ns + round(self._settings.skip * 1e9)
+            if skip > 0.0:
+                self._skip_until = self.first_ns + round(skip * 1e9)
         self.last_ns = int(stamps[-1])
-        if self._skip_until is not None and self._settings.skip > 0.0:
+        if self._skip_until is not None:
             late = stamps >= self._skip_until
             start = int(np.argmax(late)) if late.any() else len(stamps)
             if late.any():
@@ -312,3 +250,198 @@ class FrameStream:
             stamps, rows = stamps[start:], rows[:, start:]
         for sensor in self.sensors:
             sensor.feed(stamps, rows)
+
+
+class SensorStream:
+    """Feeds the engine with the samples at rest of the axes that are sampled together.
+
+    These are all six axes, or those of one sensor where the two have different rates. The stages
+    are: own samples, order of stamps, sample clock, motion gate, engine. ``relearned`` counts how
+    often the sums were discarded because they had been taken in motion.
+    """
+
+    def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
+        self.counts = Counts()
+        self.relearned = 0
+        self._axes = plan.axes
+        self._former: list[StreamSums] = []  # one of each rate the stream had
+        self._identity = identity
+        self._options = options
+        self._own = SampleHoldFilter(plan)
+        self._order = StampFilter(len(plan.axes), self.counts)
+        self._start(np.empty(0, np.int64), np.empty((len(plan.axes), 0)))
+
+    def _start(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+        """Start to learn a rate, with the buffered samples."""
+        self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
+        self._clock: SampleClock | None = None
+        self._gate: MotionGate | None = None
+        self._clear()
+
+    def _clear(self) -> None:
+        """Start with empty sums."""
+        axes = self._axes
+        self._engine = RunningAllan(self._identity, axes)
+        self._spectrum = RunningSpectrum(axes) if self._options.with_spectra else None
+        self._means = RunningMeans(axes) if self._options.with_means else None
+        self._filled = FilledGaps(len(axes))
+        self._segments: list[tuple[int, Segment]] = []  # shortest first
+        self._start_ns = self._end_ns = 0
+        self._cut = ''
+
+    @property
+    def _buffered(self) -> int:
+        """Number of samples that wait for the clock to be learned."""
+        return sum(len(stamps) for stamps, _, _ in self._learning)
+
+    @property
+    def state(self) -> State:
+        """State of the stream."""
+        if self._clock is None:
+            return 'learning' if self._buffered else 'waiting'
+        return 'still' if self._gate is None else self._gate.state
+
+    @property
+    def loudest(self) -> dict[str, float]:
+        """Axis -> how many times louder than its floor it became at rest; empty if it did not."""
+        if self._gate is None or not self._gate.loudest.any():
+            return {}
+        return dict(zip(self._axes, self._gate.loudest.tolist()))
+
+    @property
+    def clock(self) -> Clock | None:
+        """Working period and regularity of the stamps; None before they are learned."""
+        return None if self._clock is None else self._clock.clock
+
+    @property
+    def present(self) -> StreamSums:
+        """Sums at the present rate."""
+        spectrum = None if self._spectrum is None else self._spectrum.sums
+        segments = tuple(sorted(segment for _, segment in self._segments))
+        sums = self._engine.sums
+        if len(self._filled.count):
+            sums = replace(sums, filled=self._filled.count.copy())
+        return StreamSums(sums, spectrum, segments)
+
+    def by_rate(self) -> list[StreamSums]:
+        """Return the sums at each rate; a rate that returns is continued."""
+        present = self.present
+        if not present.sums.samples:
+            return self._former
+        for i, former in enumerate(self._former):
+            try:
+                joined = former.joined(present)
+            except AllanError:  # another rate
+                continue
+            return [*self._former[:i], joined, *self._former[i + 1 :]]
+        return [*self._former, present]
+
+    @property
+    def means(self) -> Means | None:
+        """The latest means of static samples over a second, if they are kept."""
+        return None if self._means is None else self._means.means
+
+    def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+        """Take samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
+        own = self._order.feed(*self._own.pick(stamps, rows))
+        if self._clock is not None:
+            self._advance(self._clock.feed(*own))
+            return
+        self._learning.append(own)
+        if self._buffered >= LEARN:
+            self._learn()
+
+    def flush(self) -> None:
+        """Process all buffered samples at the end of the input, and close the segment."""
+        while True:
+            if self._clock is None:
+                self._learn()
+            if self._clock is None:
+                break
+            self._pass_on(self._clock.flush())
+            if not self._clock.rate_changed:
+                break
+            self._change_rate()
+        self._end_gate()
+
+    def _learn(self) -> None:
+        """Learn the clock from the first samples, then take them all."""
+        if not self._buffered:
+            return
+        parts, self._learning = self._learning, []
+        stamps, jumped = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
+        rows = np.concatenate([part[1] for part in parts], axis=1)
+        clock = learn_clock(stamps[:LEARN])
+        if clock is None:
+            # equal stamps give no time; kept, they would fill the memory
+            self.counts.untimed += len(stamps)
+            return
+        settings, axes = self._options.settings, self._axes
+        self._clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
+        if settings.motion_gate:
+            self._gate = MotionGate(
+                clock.period_ns, axes, self.counts, settings.motion_ratio, settings.rate_limit
+            )
+        self._advance(self._clock.feed(stamps, rows, jumped))
+
+    def _advance(self, blocks: list[Block]) -> None:
+        self._pass_on(blocks)
+        if self._clock is not None and self._clock.rate_changed:
+            self._change_rate()
+            if self._buffered >= LEARN:
+                self._learn()
+
+    def _change_rate(self) -> None:
+        """Keep the sums of the former rate, and start to learn the new one."""
+        assert self._clock is not None
+        self._end_gate()
+        self.counts.cuts['rate change'] += 1
+        longest_first = sorted(self.by_rate(), key=lambda each: -each.sums.elapsed_ns)
+        self._former = longest_first[:KEPT_RATES]
+        stamps, rows = self._clock.waiting
+        self._start(stamps.copy(), rows.copy())
+
+    def _end_gate(self) -> None:
+        if self._gate is not None:
+            for block in self._gate.flush():
+                self._accumulate(block)
+        self._close_segment()
+
+    def _pass_on(self, blocks: list[Block]) -> None:
+        for block in blocks if self._gate is None else self._gate.feed(blocks):
+            self._accumulate(block)
+
+    def _accumulate(self, block: Block) -> None:
+        if block.cut == RELEARNED:
+            self.counts.moving += self._engine.sums.samples
+            self.counts.used -= self._engine.sums.samples
+            self.relearned += 1
+            self._clear()
+        elif block.cut:
+            self._close_segment()
+        if not len(block):
+            return
+        if not self._engine.open_samples:
+            self._start_ns, self._cut = int(block.stamps[0]), block.cut
+        self._end_ns = int(block.stamps[-1])
+        self.counts.used += len(block)
+        self._filled.add(block.filled)
+        self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns)
+        if self._means is not None:
+            self._means.update(block.stamps, block.rows)
+        if self._spectrum is not None:
+            self._spectrum.update(block.rows)
+
+    def _close_segment(self) -> None:
+        samples = self._engine.open_samples
+        if not samples:
+            return
+        length = (self._end_ns - self._start_ns) * 1e-9
+        insort(self._segments, (samples, Segment(self._start_ns, samples, length, self._cut)))
+        del self._segments[:-LISTED_SEGMENTS]
+        self._engine.end_segment()
+        self._filled.end()
+        if self._means is not None:
+            self._means.cut()
+        if self._spectrum is not None:
+            self._spectrum.end_segment()

@@ -12,6 +12,7 @@ Decisions are taken on blocks counted from the first sample, so they do not depe
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 from .health import RATE_CHANGE, Counts
 
 Stamps = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 LEARN = 1024
 """Samples from which the period of a stream is learned."""
@@ -47,16 +50,9 @@ mean is at least this share of the mean of all steps."""
 
 @dataclass(frozen=True)
 class Clock:
-    """Period and regularity of the stamps of a stream.
+    """Working period and median step of the stamps of a stream.
 
-    Attributes
-    ----------
-    period_ns : float
-        Working sample period.
-    step_ns : float
-        Median step between two stamps.
-    bursty : bool
-        Whether stamps come in bursts, so that single steps carry no information.
+    ``bursty`` stamps come in bursts, so that single steps carry no information.
     """
 
     period_ns: float
@@ -84,12 +80,9 @@ class Clock:
 
 
 def learn_clock(stamps: Stamps) -> Clock | None:
-    """Return the clock of the stamps, or None if no two of them differ.
+    """Return the clock of stamps in ns, (n,), or None if no two of them differ.
 
-    Parameters
-    ----------
-    stamps : (n,) int64 array
-        In ns, in the order received; backward ones are ignored.
+    They are in the order received; backward ones are ignored.
     """
     if not len(stamps):
         return None
@@ -114,23 +107,16 @@ def learn_clock(stamps: Stamps) -> Clock | None:
 
 @dataclass(frozen=True)
 class Block:
-    """Evenly spaced samples that follow those of the previous block, unless ``cut`` is set.
+    """Evenly spaced samples: stamps in ns, (n,), and rows, (axes, n).
 
-    Attributes
-    ----------
-    stamps : (n,) int64 array
-        In ns, as they came (interpolated for filled samples).
-    rows : (axes, n) float64 array
-    cut : str
-        '' or the reason why no difference may straddle the start of this block.
-    filled : (axes, n) bool array or None
-        Values that were interpolated; None if there are none.
+    They follow those of the previous block, unless ``cut`` is the reason why no difference may
+    straddle their start. ``filled``, (axes, n), flags interpolated values; None if there are none.
     """
 
-    stamps: NDArray[np.int64]
-    rows: NDArray[np.float64]
+    stamps: Stamps
+    rows: Floats
     cut: str = ''
-    filled: NDArray[np.bool_] | None = None
+    filled: Flags | None = None
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -144,11 +130,6 @@ class Block:
         """Return a block that shares no memory with this one."""
         filled = None if self.filled is None else self.filled.copy()
         return Block(self.stamps.copy(), self.rows.copy(), self.cut, filled)
-
-    @classmethod
-    def empty(cls, axes: int) -> Block:
-        """Return a block without samples."""
-        return cls(np.empty(0, np.int64), np.empty((axes, 0)))
 
     @classmethod
     def joined(cls, parts: list[Block]) -> Block:
@@ -168,8 +149,6 @@ class Block:
         )
 
 
-Floats = NDArray[np.float64]
-
 TRACK_BLOCKS = 16
 """Blocks after which the working period is updated."""
 
@@ -186,23 +165,9 @@ BRIDGED_SHARE = 0.1
 class SampleClock:
     """Turns samples into evenly spaced blocks; at most one block and the look-ahead are buffered.
 
-    Parameters
-    ----------
-    clock : Clock
-    axes : int
-        Number of axes.
-    max_bridge : int
-        Longest gap in samples that is interpolated.
-    counts : Counts
-        Changed in place.
-
-    Attributes
-    ----------
-    clock : Clock
-        Its working period follows the stamps.
-    rate_changed : bool
-        Whether the rate is another than the one learned. Then `waiting` has the samples from the
-        change on, and no more are taken.
+    The working period of its ``clock`` follows the stamps. Gaps of up to ``max_bridge`` samples
+    are interpolated, and ``counts`` is changed in place. Once ``rate_changed`` is set, `waiting`
+    has the samples from the change on, and no more are taken.
     """
 
     def __init__(self, clock: Clock, axes: int, max_bridge: int, counts: Counts) -> None:
@@ -214,7 +179,7 @@ class SampleClock:
         # samples that wait, behind up to `_reach` that were judged already (`_past` of them)
         self._stamps: Stamps = np.empty(0, np.int64)
         self._rows: Floats = np.empty((axes, 0))
-        self._jumped: NDArray[np.bool_] = np.empty(0, bool)
+        self._jumped: Flags = np.empty(0, bool)
         self._past = 0
         self._index: NDArray[np.int64] = np.empty(0, np.int64)  # of the past samples
         self._since_cut = 0  # past samples since the last cut, at most `_reach`
@@ -226,7 +191,7 @@ class SampleClock:
         """Samples that are not processed yet: stamps (n,) and rows (axes, n)."""
         return self._stamps[self._past :], self._rows[:, self._past :]
 
-    def feed(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> list[Block]:
+    def feed(self, stamps: Stamps, rows: Floats, jumped: Flags) -> list[Block]:
         """Take more samples, return the blocks that are complete."""
         if rows.strides[1] != rows.itemsize:
             rows = np.ascontiguousarray(rows)  # axis by axis, however they lay in memory
@@ -246,8 +211,7 @@ class SampleClock:
             self._append(stamps[:0], rows[:, :0], jumped[:0])  # a copy: lets go of the others
         return done
 
-    def _append(self, stamps: Stamps, rows: Floats, jumped: NDArray[np.bool_]) -> None:
-        """Append samples to the buffer."""
+    def _append(self, stamps: Stamps, rows: Floats, jumped: Flags) -> None:
         self._stamps = np.concatenate([self._stamps, stamps])
         self._rows = np.concatenate([self._rows, rows], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
@@ -273,8 +237,8 @@ class SampleClock:
 
     def _view(self, first: int) -> list[Block]:
         """Return the processed samples from an index on."""
-        judged = slice(first, self._past)
-        return [Block(self._stamps[judged], self._rows[:, judged])] if first < self._past else []
+        passed = slice(first, self._past)
+        return [Block(self._stamps[passed], self._rows[:, passed])] if first < self._past else []
 
     def flush(self) -> list[Block]:
         """Return the blocks of all buffered samples at the end of the input."""
@@ -306,17 +270,13 @@ class SampleClock:
     def _judge(self, n: int) -> list[Block]:
         """Process the next n samples (complete blocks, or the last ones)."""
         begin = self._past
-        stamps = self._stamps[begin : begin + n]
+        stamps, jumped = (a[begin : begin + n] for a in (self._stamps, self._jumped))
         before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
         step = np.diff(stamps, prepend=before)
-        silent = (step > self.clock.silence_ns) | self._jumped[begin : begin + n]
-        advance = np.ones(n, np.int64)  # index steps; 0 means a gap
+        advance = np.where(jumped, 0, 1)  # index steps; 0 means a gap
         missing = np.zeros(n, np.int64)
         bridged = np.zeros(-(-n // CLOCK_BLOCK), np.int64)
-        for j in np.flatnonzero(silent):
-            if self._jumped[begin + j]:
-                advance[j] = 0
-                continue
+        for j in np.flatnonzero((step > self.clock.silence_ns) & ~jumped):
             missing[j] = lost = self._lost(begin + int(j), int(j), advance)
             block = j // CLOCK_BLOCK
             if lost > self._max_bridge or bridged[block] + lost > BRIDGED_SHARE * CLOCK_BLOCK:
@@ -329,21 +289,15 @@ class SampleClock:
             self.rate_changed = True
             if same == 0:
                 return []
-        self._count(begin, missing[:same], advance[:same])
-        blocks = self._blocks_of(begin, same, advance[:same])
-        self._step_forward(same, advance[:same])
-        return blocks
-
-    def _count(self, begin: int, missing: NDArray[np.int64], advance: NDArray[np.int64]) -> None:
-        """Count missing and interpolated samples and gaps."""
-        jumps = int(np.count_nonzero(self._jumped[begin : begin + len(advance)]))
-        gaps = int(np.count_nonzero(advance == 0)) - jumps
-        self._counts.lost += int(missing.sum())
+        advance = advance[:same]
+        self._counts.lost += int(missing[:same].sum())
         self._counts.bridged += int((advance[advance > 1] - 1).sum())
-        if jumps:
-            self._counts.cuts['clock jump'] += jumps
-        if gaps:
-            self._counts.cuts['gap'] += gaps
+        jumps = int(np.count_nonzero(jumped[:same]))
+        gaps = int(np.count_nonzero(advance == 0)) - jumps
+        self._counts.cuts += Counter({'clock jump': jumps, 'gap': gaps})
+        blocks = self._blocks_of(begin, advance)
+        self._step_forward(same, advance)
+        return blocks
 
     def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
         """Return how many of the samples come before a change of the rate.
@@ -370,8 +324,7 @@ class SampleClock:
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
         """Return how many samples are missing before a sample, by the lower envelope.
 
-        The sample has index ``at`` in the buffer, and ``j`` among those being processed, the index
-        steps of which are ``advance``.
+        It is number ``at`` of the buffer and ``j`` of those being processed with steps ``advance``.
         """
         period, reach = self.clock.period_ns, self._reach
         judged = self._since_cut + j
@@ -396,15 +349,16 @@ class SampleClock:
         least = max(0.5 * silence, self.clock.least_loss)
         return round(shift) if shift > least else 0
 
-    def _blocks_of(self, begin: int, n: int, advance: NDArray[np.int64]) -> list[Block]:
+    def _blocks_of(self, begin: int, advance: NDArray[np.int64]) -> list[Block]:
         """Return the processed samples as blocks, short gaps interpolated."""
+        n = len(advance)
         judged = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
         blocks: list[Block] = []
         parts: list[Block] = []
         cut, at = '', 0
         for j in (*np.flatnonzero(advance != 1).tolist(), n):
             if j > at:
-                parts.append(judged.part(slice(at, j), parts[0].cut if parts else cut))
+                parts.append(judged.part(slice(at, j), cut))
             at = j
             if j == n:
                 break

@@ -8,7 +8,7 @@ reports present faults only.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, replace
 
 from ..findings import Finding, finding
@@ -32,18 +32,8 @@ STARTUP_S = 5.0
 """Silence before the first message is no error for this long: discovery takes seconds."""
 
 LIVE_FINDINGS = (
-    'stamps_unusable',
-    'stamps_from_rate',
-    'stamps_missing',
-    'rate_differs',
-    'sensor_all_zero',
-    'zero_filled',
-    'held',
-    'never_still',
-    'no_noise',
-    'gyro_unit',
-    'accel_unit',
-    'accel_scale',
+    *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'sensor_all_zero'),
+    *('zero_filled', 'held', 'never_still', 'no_noise', 'gyro_unit', 'accel_unit', 'accel_scale'),
 )
 """Findings of a complete stream that remain true while it runs."""
 
@@ -54,17 +44,13 @@ class TransportStatistics:
 
     Attributes
     ----------
-    received : int
-        Messages received.
+    received, malformed : int
+        Messages received, and those of them that are not Imu messages.
     sent_before : int
         Messages that a publisher had sent before the first one received; either the subscription
         came later, or they were lost.
-    skipped_numbers : int
-        Sequence numbers of the publishers that are missing.
-    reported_lost : int
-        Messages that the middleware itself reported as lost.
-    malformed : int
-        Payloads that are not Imu messages.
+    skipped_numbers, reported_lost : int
+        Sequence numbers of the publishers that are missing; losses that the middleware reported.
     incompatible_qos : int
         Publishers whose QoS is incompatible, so that nothing arrives from them.
     """
@@ -82,35 +68,15 @@ class TransportStatistics:
         return max(self.skipped_numbers, self.reported_lost)
 
 
-@dataclass(frozen=True)
-class _Tally:
-    """The counts at one time; ``events`` has those of the present pass, by finding."""
-
-    time_s: float
-    received: int
-    lost: int
-    absent: int
-    leapt: int
-    samples: int
-    events: dict[str, int]
-
-
 class TransportMonitor:
-    """Monitors one input and reports its present faults.
-
-    Parameters
-    ----------
-    topic : str
-    time_s : float
-        When the monitor started, on a steady clock in s.
-    """
+    """Reports the present faults of an input since ``time_s``, which is on a steady clock, in s."""
 
     def __init__(self, topic: str, time_s: float) -> None:
         self._topic = topic
         self._began = time_s
         self._last_message = self._last_usable = time_s
-        self._messages = self._usable = 0
-        self._tallies: deque[_Tally] = deque()
+        self._messages = self._usable = self._samples = 0
+        self._tallies: deque[tuple[float, Counter[str]]] = deque()  # time, and the counts then
         self._missing = 0  # according to the stamps, in this pass; also the next two
         self._leapt = 0  # by stamps that jumped ahead
         self._elsewhere = 0  # while samples of another frame arrived
@@ -140,26 +106,15 @@ class TransportMonitor:
     ) -> tuple[Finding, ...]:
         """Return the present findings, the most severe first and causes before their effects.
 
-        Parameters
-        ----------
-        time_s : float
-            Now, on the same clock; called about once a second.
-        reception, health : TransportStatistics, StreamHealth
-            Counts since the start.
-        publishers : tuple of str
-            Names of the nodes that publish on the topic.
-        stale_after : float
-            Silence in s that is an error.
-        stream : tuple of Finding
-            Findings of the complete stream.
-        graph : tuple of Finding
-            Why the publishers and the subscription do not match; they explain silence.
+        It is called about once a second, with the present time and the counts since the start. The
+        publishers are names of nodes; silence of ``stale_after`` s is an error. ``stream`` has the
+        findings of the complete stream, ``graph`` why the publishers and the subscription do not
+        match, which explains silence.
         """
         self._follow(time_s, reception, health)
         found = [*graph] or self._silence(time_s, reception, publishers, stale_after)
         if len(publishers) > 1:
-            names = ', '.join(publishers)
-            count = len(publishers)
+            names, count = ', '.join(publishers), len(publishers)
             found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
         found += self._lately(health)
         louder = ('noise_louder',) if health.state == 'louder' else ()
@@ -179,27 +134,30 @@ class TransportMonitor:
         passed_s = time_s - self._last_usable
         if usable != self._usable:
             self._last_usable, self._usable = time_s, usable
-        events = {
-            'stuck': c.stuck,
-            'not_finite': c.not_finite,
-            'duplicates': c.duplicate,
-            'backward_stamps': c.backward,
-            'clock_jumps': c.cuts['clock jump'],
-            'rate_changed': c.cuts['rate change'],
-            'frame_changed': health.frame_changes,
-        }
-        if self._tallies and c.received < self._tallies[-1].samples:
+        if c.received < self._samples:
             # a new pass: its counts start at zero, those of the middleware continue
             self._missing = self._leapt = self._elsewhere = 0
             self._absent = self._absent_before = 0
             self._lost_before = reception.lost
-            self._tallies = deque([_Tally(time_s, reception.received, reception.lost, 0, 0, 0, {})])
+            begin = Counter(received=reception.received, lost=reception.lost)
+            self._tallies = deque([(time_s, begin)])
+        self._samples = c.received
         self._follow_stamps(passed_s, reception, health)
-        absent, leapt = self._absent, self._leapt
-        self._tallies.append(
-            _Tally(time_s, reception.received, reception.lost, absent, leapt, c.received, events)
+        counts = Counter(
+            received=reception.received,
+            lost=reception.lost,
+            absent=self._absent,
+            leapt=self._leapt,
+            stuck=c.stuck,
+            not_finite=c.not_finite,
+            duplicates=c.duplicate,
+            backward_stamps=c.backward,
+            clock_jumps=c.cuts['clock jump'],
+            rate_changed=c.cuts['rate change'],
+            frame_changed=health.frame_changes,
         )
-        while len(self._tallies) > 2 and self._tallies[1].time_s <= time_s - LATELY_S:
+        self._tallies.append((time_s, counts))
+        while len(self._tallies) > 2 and self._tallies[1][0] <= time_s - LATELY_S:
             self._tallies.popleft()
 
     def _follow_stamps(
@@ -237,8 +195,7 @@ class TransportMonitor:
         if seconds > stale_after:
             if starting:
                 return []
-            if publishers:
-                count = len(publishers)
+            if count := len(publishers):
                 return [finding('input_silent', topic=topic, seconds=seconds, publishers=count)]
             if reception.received:
                 return [finding('input_stopped', topic=topic, seconds=seconds)]
@@ -250,28 +207,23 @@ class TransportMonitor:
 
     def _lately(self, health: StreamHealth) -> list[Finding]:
         """Return what happened in the last minute, causes before their effects."""
-        then, now = self._tallies[0], self._tallies[-1]
-        more = {id: count - then.events.get(id, 0) for id, count in now.events.items()}
+        more = self._tallies[-1][1].copy()
+        more.subtract(self._tallies[0][1])
         found = []
-        if now.leapt > then.leapt and health.rate_hz:
-            seconds = (now.leapt - then.leapt) / health.rate_hz
-            found.append(finding('stamps_leapt', seconds=seconds))
+        if more['leapt'] > 0 and health.rate_hz:
+            found.append(finding('stamps_leapt', seconds=more['leapt'] / health.rate_hz))
         if more['clock_jumps'] > 0:
             found.append(finding('clock_jumps', when=LATELY, count=more['clock_jumps']))
             # the first stamps after such a step are dropped as backward ones
             more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
-        if more['frame_changed'] > 0:
-            times = more['frame_changed']
-            found.append(
-                finding('frame_changed', when=LATELY, times=times, frame_id=health.frame_id)
-            )
-        if more['rate_changed'] > 0 and health.rate_hz:
-            times = more['rate_changed']
+        if (times := more['frame_changed']) > 0:
+            frame = health.frame_id
+            found.append(finding('frame_changed', when=LATELY, times=times, frame_id=frame))
+        if (times := more['rate_changed']) > 0 and health.rate_hz:
             found.append(finding('rate_changed', when=LATELY, times=times, rate=health.rate_hz))
-        received, lost = now.received - then.received, now.lost - then.lost
+        received, lost, absent = more['received'], more['lost'], more['absent']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
-        absent = now.absent - then.absent
         # Until a lower rate is recognized, the samples between look as if they were missing.
         if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
@@ -280,6 +232,6 @@ class TransportMonitor:
             if more[id] > 0:
                 found.append(finding(id, when=LATELY, count=more[id]))
         if health.frame_id != health.evidence_frame_id:
-            present, shown = health.frame_id, health.evidence_frame_id
-            found.append(finding('frame_waits', present=present, shown=shown))
+            shown = health.evidence_frame_id
+            found.append(finding('frame_waits', present=health.frame_id, shown=shown))
         return found

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.health import KEPT_MEANS, RunningMeans
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.core.stream.sensor_stream import KEPT_MEANS, RunningMeans
 
 STEP_NS = 10_000_000
 
