@@ -16,7 +16,7 @@ from ..core.allan.sums import AllanSums
 from ..core.filters.bias import TurnOnBias, turn_on_bias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis, sample_variance
-from ..core.filters.state_space import StateSpace
+from ..core.filters.reductions import StateSpace
 from ..core.fit import AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
 from ..core.fit.regions import Region, read_curve

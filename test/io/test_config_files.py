@@ -10,7 +10,7 @@ import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.mapping import propose
-from allan_ros.core.filters.noise_parameters import madgwick_drift_gain, madgwick_gain
+from allan_ros.core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.config_files import config_names, load_filter
@@ -41,7 +41,7 @@ def test_madgwick_gets_what_the_file_for_it_gets():
     gain, zeta = (propose(p, axes, 200.0, mapping.constants) for p in mapping.parameters)
     expected = madgwick_gain(ProcessModel(NoiseTerms(N=n, B=b)), 1.0)
     assert gain.values[0] == pytest.approx(expected, rel=1e-4)
-    assert zeta.values[0] > madgwick_drift_gain(k, 1.0)  # K of the reduction covers B
+    assert zeta.values[0] > MADGWICK_FACTOR * k  # K of the reduction covers B
 
 
 def test_a_file_is_read_as_it_is_written(tmp_path: Path):

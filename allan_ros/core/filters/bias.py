@@ -23,7 +23,7 @@ from ..fit.model import AxisFit
 from ..noise import ProcessModel
 from .growth import drift_model, predicted_growth
 from .noise_parameters import NORMAL_LIMIT
-from .state_space import StateSpace, state_space
+from .reductions import state_space
 
 Floats = NDArray[np.float64]
 
@@ -139,7 +139,11 @@ class BiasFilter:
     """
 
     def __init__(self, model: BiasModel, period: float = MEAN_S) -> None:
-        self._space = filter_space(model)
+        space = state_space(drift_model(model.processes))
+        if not space.white and not space.walk:
+            # without any noise the variance of the walk would become 0
+            space = replace(space, white=1e-12)
+        self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
         self.period = period
         self._phi, self._noise = self._space.transition(period), self._space.noise(period)
@@ -153,8 +157,11 @@ class BiasFilter:
 
     def update(self, mean: float) -> None:
         """Take the mean of the samples over the next ``period``."""
-        if self.count == 0:
-            self._start(mean)
+        if self.count == 0:  # the constant part of the bias, with a vague prior around it
+            spread = [sigma for sigma, _ in self._space.gauss_markov]
+            vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
+            self._state[1] = mean
+            self._covariance = self._space.initial_covariance(vague, self._slope_std)
         self._predict(self._phi, self._noise)
         variance = self._covariance[0, 0]
         gain = self._covariance[:, 0] / variance
@@ -186,13 +193,6 @@ class BiasFilter:
         added = self._space.noise(over)[0, 0] - self._space.white**2 * over
         variance = mean @ covariance[1:, 1:] @ mean + added / over**2
         return BiasEstimate(float(mean @ state[1:]), math.sqrt(max(float(variance), 0.0)))
-
-    def _start(self, mean: float) -> None:
-        """Take the first mean for the constant part of the bias, with a vague prior around it."""
-        spread = [sigma for sigma, _ in self._space.gauss_markov]
-        vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
-        self._state[1] = mean
-        self._covariance = self._space.initial_covariance(vague, self._slope_std)
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
@@ -249,14 +249,12 @@ class BiasTracker:
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
             kept.clear()
             self._filters.pop(axis, None)
-        last = kept[-1][0] if kept else None
         for end, value in zip(end_ns, values):
-            if last is not None and end <= last:
+            if kept and end <= kept[-1][0]:
                 continue
             if axis in self._filters:
-                self._update(axis, last, end, value)
+                _advance(self._filters[axis], kept[-1][0] if kept else None, end, value)
             kept.append((end, value))
-            last = end
         if axis not in self._filters:
             self._rebuild(axis)
 
@@ -283,31 +281,23 @@ class BiasTracker:
         return AxisBias(bias.estimate(), kept[-1][0], *self._facts[axis])
 
     def _rebuild(self, axis: str) -> None:
+        """Start the filter of an axis from the stored means."""
         kept = self._kept.get(axis)
         if axis not in self._models or not kept:
             return
         self._filters[axis] = BiasFilter(self._models[axis])
         last = None
         for end, value in kept:
-            self._update(axis, last, end, value)
+            _advance(self._filters[axis], last, end, value)
             last = end
 
-    def _update(self, axis: str, last: int | None, end: int, value: float) -> None:
-        bias = self._filters[axis]
-        if last is not None:
-            pause = (end - last) * 1e-9 - MEAN_S
-            if pause > 0.1 * MEAN_S:
-                bias.pause(pause)
-        bias.update(value)
 
-
-def filter_space(model: BiasModel) -> StateSpace:
-    """Return the states of `BiasFilter`: those of the processes, and the slope if there is one."""
-    space = state_space(drift_model(model.processes))
-    if not space.white and not space.walk:
-        # without any noise the variance of the walk would become 0
-        space = replace(space, white=1e-12)
-    return replace(space, slope=bool(model.slope_std))
+def _advance(bias: BiasFilter, last: int | None, end: int, value: float) -> None:
+    """Take the mean that ends at a time, after the time that passed without one."""
+    pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
+    if pause > 0.1 * MEAN_S:
+        bias.pause(pause)
+    bias.update(value)
 
 
 def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:

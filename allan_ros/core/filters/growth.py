@@ -22,7 +22,7 @@ theta with theta, C' = G, and with itself, H'' = -G.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,10 +107,6 @@ def growth_interval(
         ``high``.
     horizon, window, integrals
         As in `predicted_growth`.
-
-    Returns
-    -------
-    (low, high) : tuple of float64 arrays
     """
     parts = [dict(growth_parts(one, horizon, window, integrals)) for one in (model, low, high)]
     zero = np.zeros(np.shape(horizon))
@@ -159,8 +155,8 @@ class Growth:
 def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
     """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
 
-    With two integrals it is the position error of an accelerometer.
-    Terms that are not resolved are 0 in the prediction and at their 95 % limit at the upper end.
+    With two integrals it is the position error of an accelerometer. Terms that are not resolved
+    are 0 in the prediction and at their 95 % limit at the upper end.
     """
     h = np.array(GROWTH_S)
     model = drift_model(fit.selected)
@@ -168,9 +164,7 @@ def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
     ends: list[tuple[float, float] | None] = [None] * len(h)
     if has_intervals(fit):
         low, high = (drift_model(one) for one in interval_models(fit))
-        limits = {
-            term: getattr(high.terms, term) or _finite(fit.noise[term].upper95) for term in 'NBKR'
-        }
+        limits = {t: getattr(high.terms, t) or _limit(fit, t) for t in 'NBKR'}
         high = replace(high, terms=NoiseTerms(**limits))
         bounds = growth_interval(model, low, high, h, GROWTH_WINDOW_S, integrals)
         ends = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
@@ -180,7 +174,9 @@ def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
     )
 
 
-def _finite(value: float | None) -> float:
+def _limit(fit: AxisFit, term: str) -> float:
+    """Return the finite 95 % limit of a term; 0 for none."""
+    value = fit.noise[term].upper95
     return value if value is not None and math.isfinite(value) else 0.0
 
 
@@ -196,19 +192,16 @@ def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
     """
     if not getattr(fit.selected.terms, term):
         return 0.0, 0.0
-    coefficient = fit.noise[term]
-    if coefficient.ci95 is not None:
-        return max(coefficient.ci95[0], 0.0), coefficient.ci95[1]
-    limit = _finite(coefficient.upper95)
+    ci95, limit = fit.noise[term].ci95, _limit(fit, term)
+    if ci95 is not None:
+        return max(ci95[0], 0.0), ci95[1]
     return (0.0, limit) if limit else None
 
 
 def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
     """Return the selected model with every level at the lower, and at the upper end."""
-    intervals = {
-        term: _interval(fit, term) or (abs(getattr(fit.selected.terms, term)),) * 2
-        for term in 'NBKR'
-    }
+    terms = fit.selected.terms
+    intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}
     low, high = (
         ProcessModel(
             NoiseTerms(**{term: ends[end] for term, ends in intervals.items()}),
@@ -245,25 +238,21 @@ def growth_parts(
     if terms.R:
         ramp = h * (h + w) / 2.0 if integrals == 1 else h * h * (h / 6.0 + w / 4.0)
         yield 'R', (terms.R * ramp) ** 2
-    for i, (sigma, tau) in enumerate(model.gauss_markov):
-        # in units of tau: the variance of theta scales with tau^2, that of its integral with tau^4
+    # in units of tau: the variance of theta scales with tau^2, that of its integral with tau^4
+    scaled = [
+        *(('gauss_markov', i, *pair, _gauss_markov) for i, pair in enumerate(model.gauss_markov)),
+        *(
+            ('sinusoid', i, amplitude, 1.0 / (2.0 * math.pi * frequency), _sinusoid)
+            for i, (amplitude, frequency) in enumerate(model.sinusoids)
+        ),
+    ]
+    for name, i, level, tau, kernel in scaled:
         scale = tau ** (2 * integrals)
-        yield (
-            f'gauss_markov {i}',
-            sigma**2 * scale * _contrast(_gauss_markov, h / tau, w / tau, integrals),
-        )
-    for i, (amplitude, frequency) in enumerate(model.sinusoids):
-        period = 1.0 / (2.0 * math.pi * frequency)
-        scale = period ** (2 * integrals)
-        yield (
-            f'sinusoid {i}',
-            amplitude**2 * scale * _contrast(_sinusoid, h / period, w / period, integrals),
-        )
+        yield f'{name} {i}', level**2 * scale * _contrast(kernel, h / tau, w / tau, integrals)
 
 
-def _contrast(kernel: object, h: Floats, w: Floats, integrals: int) -> Floats:
+def _contrast(kernel: Callable[[Floats], Kernels], h: Floats, w: Floats, integrals: int) -> Floats:
     """Return the variance of the error for a process of unit level with these covariances."""
-    assert callable(kernel)
     ratio = h / w
     zero = np.zeros_like(h)
     if integrals == 1:

@@ -20,21 +20,18 @@ from typing import Any
 from ..errors import AllanError
 from ..fit.model import TERMS, AxisFit
 from ..imu import AXES, SENSORS
-from .noise_parameters import RULES, axis_level, reduced_ends
+from .noise_parameters import RULES, Ends, axis_level, reduced_ends
 from .reductions import Horizons
 
 MAX_LENGTH = 200
 """Longest expression accepted, in characters."""
 
-_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
-}
-
-_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
@@ -91,9 +88,9 @@ class Expression:
         call: Callable[..., Any] | None = None
         arguments: list[ast.expr] = []
         if isinstance(node, ast.BinOp):
-            call, arguments = _BINARY.get(type(node.op)), [node.left, node.right]
+            call, arguments = _OPERATORS.get(type(node.op)), [node.left, node.right]
         elif isinstance(node, ast.UnaryOp):
-            call, arguments = _UNARY.get(type(node.op)), [node.operand]
+            call, arguments = _OPERATORS.get(type(node.op)), [node.operand]
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
             call, arguments = _FUNCTIONS.get(node.func.id), node.args
         if call is None or not arguments:
@@ -217,14 +214,10 @@ def propose(
     if any(name not in axes for name in names):
         raise AllanError(f'{parameter.name}: the noise model has no {parameter.sensor}')
     used = sorted(parameter.expression.names & set(TERMS))
-    ends = [_axis_ends(name, axes[name], used, Horizons.up_to(horizon)) for name in names]
-    levels = {term: _by_rule([one[term] for one in ends], parameter.rule) for term in used}
     known = {RATE: rate, **constants}
-    count = len(names) if parameter.rule == 'each' else 1
-    triples = [
-        _evaluate(parameter, {term: ends[i] for term, ends in levels.items()}, known)
-        for i in range(count)
-    ]
+    ends = [_axis_ends(name, axes[name], used, Horizons.up_to(horizon)) for name in names]
+    by_rule = _by_rule(ends, used, parameter.rule)
+    triples = [_evaluate(parameter, terms, known) for terms in by_rule]
     low_limit, high_limit = parameter.limits
     values = tuple(min(max(value, low_limit), high_limit) for _, value, _ in triples)
     limited = any(value != triple[1] for value, triple in zip(values, triples))
@@ -249,38 +242,31 @@ def narrow_enough(
 
 def _axis_ends(
     axis: str, fit: AxisFit, terms: Sequence[str], horizons: Horizons
-) -> dict[str, tuple[float, float, float]]:
+) -> dict[str, Ends]:
     """Return lower end, value and upper end of these terms on one axis."""
-    ends = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
-    return {term: ends.get(term) or _ends(axis, term, fit) for term in terms}
-
-
-def _ends(axis: str, term: str, fit: AxisFit) -> tuple[float, float, float]:
-    """Return lower end, value and upper end of a term on one axis."""
-    level = axis_level(axis, fit, term)
-    if level.is_limit:
-        return 0.0, level.value, level.value
-    low, high = level.ci95 or (0.0, math.inf)
-    return max(low, 0.0), level.value, high
+    reduced = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
+    return {term: reduced.get(term) or axis_level(axis, fit, term).ends for term in terms}
 
 
 def _by_rule(
-    ends: Sequence[tuple[float, float, float]], rule: str
-) -> list[tuple[float, float, float]]:
-    """Return the level of a sensor with three axes, as `noise_parameters.sensor_level` does."""
+    axes: Sequence[dict[str, Ends]], terms: Sequence[str], rule: str
+) -> list[dict[str, Ends]]:
+    """Return the ends of each term of a sensor with three axes, as `sensor_level` does."""
     if rule == 'each':
-        return list(ends)
-    if rule == 'mean':
-        low, value, high = (math.sqrt(sum(v * v for v in e) / len(ends)) for e in zip(*ends))
-        return [(low, value, high)]
-    return [max(ends, key=lambda e: e[1])]
+        return list(axes)
+    if rule == 'worst':
+        return [{term: max((one[term] for one in axes), key=lambda e: e[1]) for term in terms}]
+    return [{term: _mean([one[term] for one in axes]) for term in terms}]
+
+
+def _mean(ends: Sequence[Ends]) -> Ends:
+    low, value, high = (math.sqrt(sum(v * v for v in e) / len(ends)) for e in zip(*ends))
+    return low, value, high
 
 
 def _evaluate(
-    parameter: FilterParameter,
-    terms: Mapping[str, tuple[float, float, float]],
-    known: Mapping[str, float],
-) -> tuple[float, float, float]:
+    parameter: FilterParameter, terms: Mapping[str, Ends], known: Mapping[str, float]
+) -> Ends:
     """Return lower end, value and upper end of the expression.
 
     The ends are those over all corners of the intervals, which is exact where the expression

@@ -47,6 +47,9 @@ MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
 """Gain over gyro error (S. O. H. Madgwick, An efficient orientation filter for inertial and
 inertial/magnetic sensor arrays, 2010, on the filter gains)."""
 
+Ends = tuple[float, float, float]
+"""Lower end, value and upper end."""
+
 
 @dataclass(frozen=True)
 class Level:
@@ -74,6 +77,12 @@ class Level:
     is_limit: bool = False
     raised_from: float | None = None
 
+    @property
+    def ends(self) -> Ends:
+        """The value with its interval: from 0 to a limit, to infinity without an interval."""
+        low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
+        return max(low, 0.0), self.value, high
+
 
 @dataclass(frozen=True)
 class SensorLevel:
@@ -85,11 +94,10 @@ class SensorLevel:
 
 @dataclass(frozen=True)
 class AxisReduction:
-    """The reduction of one axis, with the levels of its N and K (None without a walk)."""
+    """The reduction of one axis, with the levels of N and (unless there is no walk) of K."""
 
     reduction: Reduction
-    white: Level
-    walk: Level | None
+    levels: dict[str, Level]
 
 
 def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
@@ -137,8 +145,7 @@ def reduce_axis(
     axis : str
         Its name, for messages.
     fit : AxisFit
-    states : str
-        The states of the filter, one of `STATES`.
+    states : one of `STATES`
     horizons : Horizons
         Range of times over which the filter integrates.
     strict : bool
@@ -174,17 +181,24 @@ def reduce_axis(
             'another --horizon, write state_space, or leave out --strict'
         )
     if walk is None and reduction.walk > 0.0:
-        raised = reduction.walk > 1.001 * resolved_walk
-        walk = Level(
-            axis,
-            'K',
-            reduction.walk,
-            None if raised else fit.noise['K'].ci95,
-            raised_from=resolved_walk if raised else None,
-        )
+        walk = Level(axis, 'K', reduction.walk, fit.noise['K'].ci95)
+        if reduction.walk > 1.001 * resolved_walk:
+            walk = replace(walk, ci95=None, raised_from=resolved_walk)
     if reduction.white > 1.001 * white.value:
         white = Level(axis, 'N', reduction.white, raised_from=white.value)
-    return AxisReduction(reduction, white, walk)
+    return AxisReduction(reduction, {'N': white, **({'K': walk} if walk else {})})
+
+
+_NAMES = {
+    'none': 'white noise alone',
+    'walk': 'a random walk',
+    'gauss_markov': 'one Gauss-Markov process',
+    'processes': 'the process model',
+}
+
+
+def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
+    return replace(model, terms=replace(model.terms, K=walk))
 
 
 UNRESOLVED_SHARE = 0.15
@@ -207,47 +221,25 @@ def expected_variance(coefficient: Coefficient) -> float:
     return mean + error * density / (0.5 * math.erfc(-x / math.sqrt(2.0)))
 
 
-def reduced_ends(
-    axis: str, fit: AxisFit, horizons: Horizons
-) -> dict[str, tuple[float, float, float]]:
-    """Return lower end, value and upper end of N and K of the reduction to a random walk.
+def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]:
+    """Return `Level.ends` of N and K of the reduction to a random walk.
 
-    The ends are the reductions of the models at the ends of the 95 % intervals; (0, limit, limit)
-    for an upper limit, (0, value, inf) where a term has no interval.
+    The ends are the reductions of the models at the ends of the 95 % intervals.
 
     Raises
     ------
     AllanError
         When a needed term has neither a value nor a limit.
     """
-    reduced = reduce_axis(axis, fit, 'walk', horizons)
-    low, high = (reduce_model(one, 'walk', horizons) for one in interval_models(fit))
-    known = has_intervals(fit)
-    assert reduced.walk is not None
+    levels = reduce_axis(axis, fit, 'walk', horizons).levels
+    bottom, top = (reduce_model(one, 'walk', horizons) for one in interval_models(fit))
+    intervals = {'N': (bottom.white, top.white), 'K': (bottom.walk, top.walk)}
     ends = {}
-    for level, bottom, top in (
-        (reduced.white, low.white, high.white),
-        (reduced.walk, low.walk, high.walk),
-    ):
-        if level.is_limit:
-            ends[level.term] = (0.0, level.value, level.value)
-        elif not known:
-            ends[level.term] = (0.0, level.value, math.inf)
-        else:
-            ends[level.term] = (min(bottom, level.value), level.value, max(top, level.value))
+    for term, level in levels.items():
+        low, high = intervals[term]
+        interval = min(low, level.value), max(high, level.value)
+        ends[term] = replace(level, ci95=interval if has_intervals(fit) else None).ends
     return ends
-
-
-_NAMES = {
-    'none': 'white noise alone',
-    'walk': 'a random walk',
-    'gauss_markov': 'one Gauss-Markov process',
-    'processes': 'the process model',
-}
-
-
-def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
-    return replace(model, terms=replace(model.terms, K=walk))
 
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
@@ -278,33 +270,18 @@ def white_std(density: float, rate: float) -> float:
 def midpoint_white_std(density: float, rate: float) -> float:
     """Return N sqrt(2 f), for a step that averages two samples and treats them as independent.
 
-    Such a step adds 2 (s/2)^2 / f^2 = s^2 / (2 f^2) for samples of standard deviation s; N^2/f
-    needs s = N sqrt(2 f).
+    Such a step adds 2 (s/2)^2 / f^2 for samples of standard deviation s, and N^2/f is needed.
     """
-    return density * math.sqrt(2.0 * rate)
+    return white_std(density, 2.0 * rate)
 
 
 def madgwick_gain(model: ProcessModel, horizon: float) -> float:
     """Return Madgwick's gain beta (rad/s) of a gyro that is corrected over ``horizon`` s.
 
-    beta = sqrt(3/4) times the gyro's zero error; over a horizon h its standard deviation is the
-    Allan deviation at h, here without quantization and vibration.
+    beta = sqrt(3/4) times the zero error of the gyro: the Allan deviation at the horizon, without
+    quantization and vibration.
     """
     return MADGWICK_FACTOR * math.sqrt(float(drift_model(model).avar([horizon])[0]))
-
-
-def madgwick_drift_gain(k: float, horizon: float) -> float:
-    """Return Madgwick's drift gain zeta (rad/s^2) of a gyro with rate random walk K.
-
-    zeta = sqrt(3/4) times the drift of the gyro; over a horizon h a random walk drifts by
-    K sqrt(h), at a rate of K / sqrt(h).
-    """
-    return MADGWICK_FACTOR * k / math.sqrt(horizon)
-
-
-def madgwick_ramp_gain(r: float) -> float:
-    """Return Madgwick's drift gain zeta (rad/s^2) of a gyro with rate ramp R: sqrt(3/4) |R|."""
-    return MADGWICK_FACTOR * abs(r)
 
 
 SAMPLE_WINDOW_S = 1.0
@@ -326,11 +303,10 @@ def sample_variance(
 
     Parameters
     ----------
-    m : (factors,) array
-        With every power of two of the window among them.
-    adev : (factors,) array
-    tau0 : float
-        Sample period in s.
+    m, adev : (factors,) arrays
+        Allan deviations at averaging factors, among them every power of two of the window.
+    tau0, window : float
+        Sample period and longest window in s.
 
     Returns
     -------
@@ -352,23 +328,17 @@ def white_variances(
     With a horizon in s, N is raised until white noise bounds the growth of the error up to it: for
     a filter without a state for the bias.
     """
-    variances = {}
-    for sensor, names in _sensors(axes):
+    densities: dict[str, float | None] = {}
+    for name, fit in axes.items():
         try:
-            x, y, z = (
-                white_std(inflation * _white(name, axes[name], horizon), rate) ** 2
-                for name in names
-            )
+            if horizon:
+                reduced = reduce_axis(name, fit, 'none', Horizons.up_to(horizon))
+                densities[name] = white_std(reduced.reduction.white, rate)
+            else:
+                densities[name] = white_std(axis_level(name, fit, 'N').value, rate)
         except AllanError:
-            continue
-        variances[sensor] = (x, y, z)
-    return variances
-
-
-def _white(axis: str, fit: AxisFit, horizon: float) -> float:
-    if not horizon:
-        return axis_level(axis, fit, 'N').value
-    return reduce_axis(axis, fit, 'none', Horizons.up_to(horizon)).reduction.white
+            densities[name] = None
+    return measured_variances(densities, inflation)
 
 
 def measured_variances(
@@ -376,18 +346,12 @@ def measured_variances(
 ) -> dict[str, Variances]:
     """Return the squares of the sample standard deviations of each sensor that has all three."""
     variances = {}
-    for sensor, names in _sensors(stds):
-        known = [std for name in names if (std := stds[name])]
-        if len(known) == len(names):
+    for sensor, rows in SENSORS.items():
+        known = [std for name in AXES[rows] if (std := stds.get(name))]
+        if len(known) == 3:
             x, y, z = ((inflation * std) ** 2 for std in known)
             variances[sensor] = (x, y, z)
     return variances
-
-
-def _sensors(axes: Mapping[str, object]) -> list[tuple[str, Sequence[str]]]:
-    """Return the sensors whose axes are all there, with the names of these."""
-    named = [(sensor, AXES[rows]) for sensor, rows in SENSORS.items()]
-    return [(sensor, names) for sensor, names in named if all(name in axes for name in names)]
 
 
 @dataclass(frozen=True)
@@ -440,10 +404,10 @@ def measure_inflation(
         raise AllanError('the two results have no axis in common: give two recordings of one IMU')
     inflation = {}
     for axis in common:
-        quiet, loud = (reduce_axis(axis, fits[axis], 'walk', horizons) for fits in (rest, running))
-        assert quiet.walk is not None and loud.walk is not None
+        quiet, loud = (
+            reduce_axis(axis, fits[axis], 'walk', horizons).levels for fits in (rest, running)
+        )
         inflation[axis] = AxisInflation(
-            TermInflation(quiet.white.value, loud.white.value),
-            TermInflation(quiet.walk.value, loud.walk.value),
+            *(TermInflation(quiet[term].value, loud[term].value) for term in 'NK')
         )
     return inflation

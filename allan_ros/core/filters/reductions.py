@@ -1,9 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of one axis in the few states that a given filter has.
+"""The noise of one axis in the states that a given filter has.
+
+`StateSpace` holds all processes as states, with the exact discrete matrices. The states are the
+integral of the samples (angle or velocity) and the parts of the bias:
+
+    angle' = walk + sum gauss_markov_i + white noise of density N
+    walk' = slope + white noise of density K        (slope: a constant, only where it is asked for)
+    gauss_markov_i' = -gauss_markov_i / tau_i + white noise of density sigma_i sqrt(2/tau_i)
+
+Bias instability has no finite number of states. Four Gauss-Markov processes whose correlation
+times are a constant factor apart follow its Allan variance from about 3 s to 3000 s within 5 %.
 
 A filter with N and K only knows white noise and a random walk. Given the bare coefficients of a
-sensor that also has bias instability, it underestimates its error. A reduction chooses the
+sensor that also has bias instability, it underestimates its error. A `Reduction` chooses the
 parameters of the filter's states so that the growth of the error that the filter predicts is
 nowhere below that of the complete model, over a stated range of horizons. The bias counts as known
 from the longest of these horizons (see `growth`).
@@ -21,11 +31,135 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..noise import NoiseTerms, ProcessModel
+from ..noise import FLICKER_FLOOR, NoiseTerms, ProcessModel, gauss_markov_avar
 from .growth import drift_model, has_drift, predicted_growth
-from .state_space import state_space
 
 Floats = NDArray[np.float64]
+Processes = tuple[tuple[float, float], ...]
+"""Gauss-Markov processes (sigma, tau): stationary standard deviation in the unit of the samples,
+correlation time in s."""
+
+FLICKER_PROCESSES = 4
+LONGEST_FLICKER_S = 1500.0
+SHORTEST_FLICKER_S = 1.5
+"""Correlation times of the first and last process that represent bias instability. The first is
+shorter where bias instability exceeds white noise already at short times."""
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """White noise, a random walk and first-order Gauss-Markov processes.
+
+    Attributes
+    ----------
+    white : float
+        N, per sqrt(Hz).
+    walk : float
+        K. The walk is a state even where K is 0: it then holds a constant bias.
+    gauss_markov : tuple of (sigma, tau)
+    slope : bool
+        Whether a constant slope of the walk is a state, the last one.
+    """
+
+    white: float
+    walk: float = 0.0
+    gauss_markov: Processes = ()
+    slope: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return 2 + len(self.gauss_markov) + self.slope
+
+    def model(self) -> ProcessModel:
+        """Return the same noise as a `ProcessModel`; a slope has no level and is left out."""
+        return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
+
+    def transition(self, dt: float) -> Floats:
+        """Return Phi, (size, size), over a step of ``dt`` s; states in the order of the module."""
+        _check_step(dt)
+        phi = np.eye(self.size)
+        phi[0, 1] = dt
+        for i, (_, tau) in enumerate(self.gauss_markov, 2):
+            phi[i, i] = math.exp(-dt / tau)
+            phi[0, i] = -tau * math.expm1(-dt / tau)
+        if self.slope:
+            phi[1, -1], phi[0, -1] = dt, dt * dt / 2.0
+        return phi
+
+    def noise(self, dt: float) -> Floats:
+        """Return Qd, (size, size): the covariance that a step of ``dt`` s adds to the states."""
+        _check_step(dt)
+        q = np.zeros((self.size, self.size))
+        k2 = self.walk**2
+        q[0, 0] = self.white**2 * dt + k2 * dt**3 / 3.0
+        q[1, 1] = k2 * dt
+        q[0, 1] = q[1, 0] = k2 * dt**2 / 2.0
+        for i, (sigma, tau) in enumerate(self.gauss_markov, 2):
+            x = dt / tau
+            q[0, 0] += sigma**2 * tau**2 * _integrated_variance(x)
+            q[i, i] = -(sigma**2) * math.expm1(-2.0 * x)
+            q[0, i] = q[i, 0] = sigma**2 * tau * math.expm1(-x) ** 2
+        return q
+
+    def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
+        """Return the covariance before any sample, from the std of walk and slope."""
+        variances = [0.0, walk**2, *(sigma**2 for sigma, _ in self.gauss_markov)]
+        return np.diag(variances + [slope**2] * self.slope)
+
+    def sample_variance(self, rate: float) -> float:
+        """Return R = N^2 f, the white variance of one sample at ``rate`` Hz."""
+        return self.white**2 * rate
+
+
+def state_space(model: ProcessModel) -> StateSpace:
+    """Return the states of a process model.
+
+    Bias instability becomes `flicker_processes`. Its part slower than three times their longest
+    correlation time T adds the random walk of these processes, K^2 = B^2/(3 pi T).
+
+    Sinusoids are not noise states, quantization is not a process and a ramp is not random: they
+    are left out. `reduce_model` covers the ramp by the walk.
+    """
+    terms = model.terms
+    flicker = flicker_processes(terms.B, terms.N) if terms.B else ()
+    slow = terms.B / math.sqrt(3.0 * math.pi * LONGEST_FLICKER_S)
+    return StateSpace(terms.N, math.hypot(terms.K, slow), (*flicker, *model.gauss_markov))
+
+
+def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
+    """Return Gauss-Markov processes whose sum has the Allan variance of flicker noise of level B.
+
+    White noise hides flicker at averaging times below N^2 / (0.441 B^2); the shortest correlation
+    time is a fifth of that, within 0.15 s and `SHORTEST_FLICKER_S`.
+    """
+    hidden_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
+    shortest = min(max(hidden_s / 5.0, 0.15), SHORTEST_FLICKER_S)
+    taus = np.geomspace(shortest, LONGEST_FLICKER_S, FLICKER_PROCESSES)
+    tau = np.geomspace(1.3 * taus[0], 2.0 * taus[-1], 40)
+    columns = np.stack([gauss_markov_avar(tau, one) / FLICKER_FLOOR for one in taus], axis=1)
+    from scipy.optimize import nnls  # slow to import, and most targets do without
+
+    weights, _ = nnls(columns, np.ones_like(tau))
+    return tuple(
+        (bias_instability * math.sqrt(weight), float(one)) for weight, one in zip(weights, taus)
+    )
+
+
+def _integrated_variance(x: float) -> float:
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x): variance of the integral over x correlation times."""
+    if x > 0.05:
+        return 2.0 * x + 4.0 * math.expm1(-x) - math.expm1(-2.0 * x)
+    return x**3 * (2.0 / 3.0 - x * (0.5 - x * (7.0 / 30.0 - x / 12.0)))
+
+
+def _check_step(dt: float) -> None:
+    if not 0.0 < dt < math.inf:
+        raise AllanError(f'the step is {dt:g} s: give a rate above 0 Hz')
+
+
+# --- reductions -----------------------------------------------------------------------------------
+
 States = Literal['none', 'walk', 'gauss_markov', 'processes']
 
 STATES: tuple[States, ...] = ('none', 'walk', 'gauss_markov', 'processes')
@@ -86,7 +220,7 @@ class Reduction:
     states: States
     white: float
     walk: float
-    gauss_markov: tuple[tuple[float, float], ...]
+    gauss_markov: Processes
     horizons: Horizons
     ratio: tuple[float, float]
 
@@ -144,71 +278,54 @@ def reduce_model(
 
 def _reduced(complete: ProcessModel, quick: int, states: States, horizons: Horizons) -> Reduction:
     """Return a reduction that counts the ``quick`` shortest processes as white noise."""
-    white, drift = _split(complete, quick)
-    times, terms = horizons.times(), drift.terms
-    needed = predicted_growth(drift, times, horizons.high) ** 2
+    by_time = sorted(complete.gauss_markov, key=lambda pair: pair[1])
+    added = sum(2.0 * sigma**2 * tau for sigma, tau in by_time[:quick])
+    white = math.sqrt(complete.terms.N**2 + added)
+    terms = replace(complete.terms, N=0.0)
+    drift = replace(complete, terms=terms, gauss_markov=tuple(by_time[quick:]))
+    with_white = replace(drift, terms=replace(terms, N=white))
     walk = 0.0
-    processes: tuple[tuple[float, float], ...] = ()
+    processes: Processes = ()
     if states == 'none':
-        unit = _unit_variance('N', 0.0, horizons)
-        white = math.sqrt(white**2 + float(np.max(needed / unit)))
+        needed = _variance(drift, horizons) / _unit_variance('N', 0.0, horizons)
+        white = math.sqrt(white**2 + float(np.max(needed)))
     elif states == 'gauss_markov':
-        processes = closest_process(replace(drift, terms=replace(terms, N=white)), horizons)
+        closest = closest_process(with_white, horizons)
+        processes = (closest,) if closest else ()
     else:
         if states == 'processes':  # only the ramp has no state of its own
-            space = state_space(replace(drift, terms=replace(terms, N=white)))
+            space = state_space(with_white)
             processes = space.gauss_markov
-            steady = ProcessModel(NoiseTerms(K=space.walk, R=terms.R))
-            needed = predicted_growth(steady, times, horizons.high) ** 2
-        unit = _unit_variance('K', 0.0, horizons)
-        walk = math.sqrt(float(np.max(needed / unit)))
+            drift = ProcessModel(NoiseTerms(K=space.walk, R=terms.R))
+        needed = _variance(drift, horizons) / _unit_variance('K', 0.0, horizons)
+        walk = math.sqrt(float(np.max(needed)))
     made = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
-    return replace(made, ratio=growth_ratio(made.model(), complete, horizons))
+    times = horizons.times()
+    top, bottom = (predicted_growth(m, times, horizons.high) for m in (made.model(), complete))
+    if np.any(bottom > 0.0):
+        ratio = top / bottom
+        return replace(made, ratio=(float(ratio.min()), float(ratio.max())))
+    return replace(made, ratio=(math.inf, math.inf)) if np.any(top > 0.0) else made
 
 
-def growth_ratio(
-    believed: ProcessModel, complete: ProcessModel, horizons: Horizons
-) -> tuple[float, float]:
-    """Return the least and the largest ratio of two models' growth over a range of horizons.
-
-    (1, 1) where neither grows, infinite where only ``believed`` does.
-    """
-    h = horizons.times()
-    top, bottom = (predicted_growth(one, h, horizons.high) for one in (believed, complete))
-    if not np.any(bottom > 0.0):
-        return (math.inf, math.inf) if np.any(top > 0.0) else (1.0, 1.0)
-    ratio = top / bottom
-    return float(ratio.min()), float(ratio.max())
-
-
-def _split(model: ProcessModel, quick: int) -> tuple[float, ProcessModel]:
-    """Return N with the ``quick`` shortest processes counted as white noise, and what remains."""
-    by_time = sorted(model.gauss_markov, key=lambda pair: pair[1])
-    added = sum(2.0 * sigma**2 * tau for sigma, tau in by_time[:quick])
-    rest = replace(model, terms=replace(model.terms, N=0.0), gauss_markov=tuple(by_time[quick:]))
-    return math.sqrt(model.terms.N**2 + added), rest
+def _variance(model: ProcessModel, horizons: Horizons) -> Floats:
+    """Return the variance of the error at the times of a range."""
+    return predicted_growth(model, horizons.times(), horizons.high) ** 2
 
 
 @lru_cache(maxsize=512)
 def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
     """Return the variance of the error for N = 1, K = 1, or a Gauss-Markov process of sigma 1."""
-    one = (
-        ProcessModel(NoiseTerms(**{term: 1.0}))
-        if term
-        else ProcessModel(gauss_markov=((1.0, tau),))
-    )
-    variance = predicted_growth(one, horizons.times(), horizons.high) ** 2
+    terms = NoiseTerms(**{term: 1.0}) if term else NoiseTerms()
+    variance = _variance(ProcessModel(terms, () if term else ((1.0, tau),)), horizons)
     variance.setflags(write=False)
     return variance
 
 
 def closest_process(
-    model: ProcessModel,
-    horizons: Horizons,
-    tau: float | None = None,
-    bound: bool = True,
-) -> tuple[tuple[float, float], ...]:
-    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model; () for none.
+    model: ProcessModel, horizons: Horizons, tau: float | None = None, bound: bool = True
+) -> tuple[float, float] | None:
+    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model; None for none.
 
     Parameters
     ----------
@@ -222,11 +339,10 @@ def closest_process(
         far above as below, as a simulation needs it.
     """
     complete = drift_model(model)
-    times = horizons.times()
-    white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
-    needed = predicted_growth(complete, times, horizons.high) ** 2 - white
     if not has_drift(complete):
-        return ()
+        return None
+    white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
+    needed = _variance(complete, horizons) - white
     grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
     own = [pair[1] for pair in complete.gauss_markov]
     best, least = (0.0, 1.0), math.inf
@@ -239,10 +355,10 @@ def closest_process(
             error = float(np.abs(off).max())
             if error < least - 1e-9:
                 best, least = (math.sqrt(variance), one), error
-    return (best,)
+    return best
 
 
-def common_correlation_time(models: Sequence[ProcessModel], horizons: Horizons) -> float | None:
-    """Return the correlation time in s that suits several axes; None where nothing drifts."""
-    taus = [process[1] for one in models for process in closest_process(one, horizons)]
-    return math.exp(sum(math.log(tau) for tau in taus) / len(taus)) if taus else None
+def common_correlation_time(models: Sequence[ProcessModel], horizons: Horizons) -> float:
+    """Return the correlation time in s that suits several axes, all of which drift."""
+    taus = [one[1] for model in models if (one := closest_process(model, horizons))]
+    return math.exp(sum(math.log(tau) for tau in taus) / len(taus))

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-The tables of targets are in `targets` and `state_space`; `model` gives their numbers and the header
-comment, `forms` and `yaml_form` the text. A new target is an entry of a table and a line in
-`TARGETS`.
+The tables of targets are in `targets` and `simulators`; `model` gives their numbers and the header
+comment, `forms` the text. A new target is an entry of a table and a line in `TARGETS`.
 """
 
 from __future__ import annotations
@@ -73,11 +72,9 @@ def target_of(name: str) -> Target:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
         meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
         raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
-    from . import targets
-    from .state_space import STATE_SPACES
+    from . import simulators, targets
 
-    target: Target = {**targets.TARGETS, **STATE_SPACES}[name]
-    return target
+    return {**targets.TARGETS, **simulators.SIMULATORS}[name]
 
 
 def make_export(

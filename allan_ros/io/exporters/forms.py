@@ -1,67 +1,75 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written as a whole, and JSON: parameter lines, programs, XML."""
+"""How entries become text: JSON, YAML, parameter lines and programs, XML.
+
+JSON and YAML are also merged into the user's own file. In YAML the text changes at the positions
+that the parser reports, so comments, order, quotes and foreign tags (``!!opencv-matrix``) stay. The
+result is parsed again and must hold the new values and all others unchanged, or nothing is written.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import yaml
+
 from ...core.errors import AllanError
-from .target import Entry, Value, nested
+from .target import Entry, Form, Value
 
 INDENT = 2
 
 HEADER_KEY = 'allan_ros'
+"""Key of the header in JSON, which has no comments."""
 
 
-class JsonForm:
-    """A JSON file. It has no comments, so the header is the value of a key at the end."""
+def put_entries(tree: dict[str, Value], entries: Sequence[Entry]) -> dict[str, Value]:
+    """Put the values of entries into nested mappings, and return these.
 
-    def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return a file of these entries and the header."""
-        return _written({}, entries, header)
-
-    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's document with these entries and the header in it.
-
-        Raises
-        ------
-        AllanError
-            When the text is not a JSON object, or a key holds a value where a mapping is needed.
-        """
-        try:
-            document = json.loads(existing, parse_constant=_refuse)
-        except (ValueError, RecursionError) as error:
-            raise AllanError(f'the file to merge into is not JSON ({error})') from None
-        if not isinstance(document, dict):
-            raise AllanError('the file to merge into is not a JSON object: give a calibration file')
-        return _written(document, entries, header)
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f'{constant} is not a JSON number')
-
-
-def _written(document: dict[str, Any], entries: Sequence[Entry], header: Sequence[str]) -> str:
+    Raises
+    ------
+    AllanError
+        When a key holds a value where a mapping is needed.
+    """
     for entry in entries:
-        here: Any = document
+        here: Any = tree
         for key in entry.path[:-1]:
             here = here.setdefault(key, {})
             if not isinstance(here, dict):
                 raise AllanError(f'{key} of the file to merge into is not a JSON object')
         if not (entry.keep and entry.key in here):
             here[entry.key] = entry.value
-    # last, because a reader may expect its own key first
-    document.pop(HEADER_KEY, None)
-    document[HEADER_KEY] = list(header)
-    return json.dumps(document, indent=4, ensure_ascii=False, allow_nan=False) + '\n'
+    return tree
+
+
+class JsonForm(Form):
+    """A JSON file; the header is the value of a key at the end."""
+
+    def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        return self.merge('{}', entries, header)
+
+    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        try:
+            document = json.loads(existing, parse_constant=_refuse)
+        except (ValueError, RecursionError) as error:
+            raise AllanError(f'the file to merge into is not JSON ({error})') from None
+        if not isinstance(document, dict):
+            raise AllanError('the file to merge into is not a JSON object: give a calibration file')
+        put_entries(document, entries)
+        document.pop(HEADER_KEY, None)  # last, because a reader may expect its own key first
+        document[HEADER_KEY] = list(header)
+        return json.dumps(document, indent=4, ensure_ascii=False, allow_nan=False) + '\n'
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f'{constant} is not a JSON number')
 
 
 @dataclass(frozen=True)
-class LineForm:
+class LineForm(Form):
     """One line per entry.
 
     Attributes
@@ -83,7 +91,6 @@ class LineForm:
     literal: Callable[[Value], str] = repr
 
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return a file with these entries and the header in comments."""
         comments = ''.join(f'{self.comment} {line}\n' for line in header)
         lines = ''.join(
             self.line.format(key=entry.key, value=self.literal(entry.value)) + '\n'
@@ -91,32 +98,22 @@ class LineForm:
         )
         return f'{comments}{self.before}{lines}{self.after}'
 
-    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Raise `AllanError`: the file is loaded in addition to those of the user."""
-        raise AllanError(
-            'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
-        )
-
 
 def matlab_literal(value: Value) -> str:
     """Return a number or a list of numbers as MATLAB writes it."""
     return f'[{" ".join(map(repr, value))}]' if isinstance(value, list) else repr(value)
 
 
-@dataclass(frozen=True)
-class XmlForm:
+class XmlForm(Form):
     """A fragment of XML; a key that starts with '@' is an attribute of its element."""
 
+    no_merge = 'copy the fragment into your SDF or model file: leave out --merge-into'
+
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return a fragment with these entries and the header in a comment."""
         # a comment must not contain two hyphens in a row
         lines = [line.replace('--', '- -') for line in header]
         comment = '<!--\n' + ''.join(f'  {line}\n' for line in lines) + '-->\n'
-        return comment + '\n'.join(_elements(nested(entries))) + '\n'
-
-    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Raise `AllanError`: it is not known which sensor in a world the numbers are for."""
-        raise AllanError('copy the fragment into your SDF or model file: leave out --merge-into')
+        return comment + '\n'.join(_elements(put_entries({}, entries))) + '\n'
 
 
 def _elements(tree: dict[str, Value], depth: int = 0) -> list[str]:
@@ -130,3 +127,251 @@ def _elements(tree: dict[str, Value], depth: int = 0) -> list[str]:
         attributes = ''.join(f' {k[1:]}="{v}"' for k, v in value.items() if k.startswith('@'))
         lines += [f'{margin}<{key}{attributes}>', *_elements(value, depth + 1), f'{margin}</{key}>']
     return lines
+
+
+# --- YAML -----------------------------------------------------------------------------------------
+
+BLOCK_BEGIN = '>>> allan_ros: this block is replaced by the next merge'
+BLOCK_END = '<<< allan_ros'
+
+_OPENCV_MARK = '%YAML:1.0'
+_START = re.compile(r'\A\ufeff?(?:%YAML[^\n]*\n)?(?:---[^\n]*\n)?')
+_OLD_BLOCK = re.compile(
+    rf'^# {re.escape(BLOCK_BEGIN)}\n(?:#.*\n)*?# {re.escape(BLOCK_END)}\n', re.MULTILINE
+)
+
+_BY_HAND = 'copy the numbers by hand from the file that is written without --merge-into'
+
+Path = tuple[str, ...]
+
+
+class _NotYamlError(AllanError):
+    """The text is not a YAML file of keys."""
+
+
+class _Row(list[float]):
+    """Numbers that are written in one line."""
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Writes lists of numbers in one line, and indents sequences as OpenCV needs it."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
+        return super().increase_indent(flow, False)
+
+
+_Dumper.add_representer(
+    _Row, lambda dumper, row: dumper.represent_sequence('tag:yaml.org,2002:seq', row, True)
+)
+
+
+@dataclass(frozen=True)
+class YamlForm(Form):
+    """A YAML file; ``opencv`` for cv::FileStorage, which needs the first line %YAML:1.0."""
+
+    opencv: bool = False
+
+    def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        first = f'{_OPENCV_MARK}\n' if self.opencv else ''
+        return first + ''.join(f'# {line}\n' for line in header) + _block(put_entries({}, entries))
+
+    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        """Return the user's text with these entries in it and all else unchanged.
+
+        A key is searched at its path, else anywhere if it occurs once. Missing keys are added to
+        the mapping of their siblings.
+
+        Raises
+        ------
+        AllanError
+            When the text is not YAML, a key occurs in several places, or the merge would change
+            other values.
+        """
+        text = _OLD_BLOCK.sub('', existing.replace('\r\n', '\n'))
+        start = _START.match(text)
+        head = start.group() if start else ''
+        body = text[len(head) :]
+        before = _flat(_composed(body))
+        wanted: dict[Path, Value] = {}
+        try:
+            for entry in entries:
+                body, place = _with_entry(body, entry, entries)
+                if place is not None:
+                    wanted[place] = entry.value
+            after = _flat(_composed(body))
+        except _NotYamlError:
+            raise AllanError(
+                f'the file is written in a way that takes no new keys: {_BY_HAND}'
+            ) from None
+        _prove(before, after, wanted)
+        block = [f'# {line}\n' for line in (BLOCK_BEGIN, *header, BLOCK_END)]
+        if self.opencv and not head.startswith('%YAML'):
+            head = f'{_OPENCV_MARK}\n{head}'
+        merged = head + ''.join(block) + body
+        return merged.replace('\n', '\r\n') if '\r\n' in existing else merged
+
+
+def _rows(value: Value) -> Any:
+    """Return the value with its lists of numbers marked to be written in one line."""
+    if isinstance(value, dict):
+        return {key: _rows(item) for key, item in value.items()}
+    if isinstance(value, list):
+        lists = any(isinstance(item, list) for item in value)
+        return [_rows(item) for item in value] if lists else _Row(value)
+    return value
+
+
+def _dump(value: Any, **style: Any) -> str:
+    text: str = yaml.dump(value, Dumper=_Dumper, width=10**6, allow_unicode=True, **style)
+    return text
+
+
+def _block(tree: dict[str, Value]) -> str:
+    """Return nested mappings as indented lines."""
+    return _dump(_rows(tree), sort_keys=False, indent=INDENT)
+
+
+def _inline(value: Value) -> str:
+    """Return the value as text after a key, in one line."""
+    return _dump(value, default_flow_style=True).removesuffix('\n').removesuffix('\n...')
+
+
+def _composed(body: str) -> yaml.Node | None:
+    """Return the nodes of a text; raise `_NotYamlError` if it has no keys."""
+    try:
+        node: yaml.Node | None = yaml.compose(body, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        raise _NotYamlError(
+            f'the file to merge into is not YAML ({" ".join(str(error).split())}): {_BY_HAND}'
+        ) from None
+    except RecursionError:
+        raise _NotYamlError(f'the file to merge into is nested too deep: {_BY_HAND}') from None
+    if node is not None and not isinstance(node, yaml.MappingNode):
+        raise _NotYamlError(f'the file to merge into has no keys at its top: {_BY_HAND}')
+    return node
+
+
+def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
+    """Return the text with one entry in it, and its path; None for an entry that was kept."""
+    places = dict(_mappings(_composed(body)))
+    path = _home(places, entry, siblings)
+    if path not in places:
+        return _added(body, places, entry), entry.path
+    home, place = places[path], (*path, entry.key)
+    found = _item(home, entry.key)
+    if found is None:
+        return _inserted(body, home, f'{entry.key}: {_inline(entry.value)}'), place
+    if entry.keep:
+        return body, None
+    key, value = found
+    if isinstance(value, yaml.MappingNode):
+        raise AllanError(f'{entry.key} of the file holds keys where a number belongs: {_BY_HAND}')
+    start, end = value.start_mark.index, _end(value)
+    if start == end or (isinstance(value, yaml.CollectionNode) and not value.flow_style):
+        # no value, or a block: the new value goes directly behind the colon
+        start = body.index(':', key.end_mark.index) + 1
+        return f'{body[:start]} {_inline(entry.value)}{body[max(start, end) :]}', place
+    return body[:start] + _inline(entry.value) + body[end:], place
+
+
+def _home(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequence[Entry]) -> Path:
+    """Return the path of the mapping that an entry belongs to, which may not exist yet."""
+    parent = entry.path[:-1]
+    if parent in places and (parent or _item(places[parent], entry.key)):
+        return parent
+    keys = {other.key for other in siblings if other.path[:-1] == parent and not other.keep}
+    found = [path for path, node in places.items() if any(_holds(node, key) for key in keys)]
+    if len(found) > 1:
+        where = ', '.join('/'.join(path) or 'the top' for path in found)
+        raise AllanError(f'{entry.key} could belong to {where} of the file: {_BY_HAND}')
+    return found[0] if found else parent
+
+
+def _mappings(node: yaml.Node | None, path: Path = ()) -> Iterator[tuple[Path, yaml.MappingNode]]:
+    if isinstance(node, yaml.MappingNode):
+        yield path, node
+        for key, value in node.value:
+            yield from _mappings(value, (*path, str(key.value)))
+
+
+def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:
+    """Return the key and the value of that name."""
+    return next(((name, value) for name, value in node.value if name.value == key), None)
+
+
+def _holds(node: yaml.MappingNode, key: str) -> bool:
+    """Return whether a mapping has a value, not a mapping, under that key."""
+    found = _item(node, key)
+    return found is not None and not isinstance(found[1], yaml.MappingNode)
+
+
+def _end(node: yaml.Node) -> int:
+    """Return the index where the text of a node ends; for a block, of its last item."""
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
+    index: int = node.end_mark.index
+    return index
+
+
+def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
+    """Return the text with a line added at the end of a mapping."""
+    if home.flow_style or not home.value:
+        at = home.end_mark.index - 1
+        return f'{body[:at]}{", " if home.value else ""}{line}{body[at:]}'
+    at = _end(home)
+    if body[at - 1] != '\n':  # past the comment behind the last value
+        rest = body.find('\n', at)
+        at = len(body) if rest < 0 else rest + 1
+    gap = '' if body[at - 1] == '\n' else '\n'
+    indent = ' ' * home.value[0][0].start_mark.column
+    lines = ''.join(f'{indent}{one}\n' for one in line.splitlines())
+    return f'{body[:at]}{gap}{lines}{body[at:]}'
+
+
+def _added(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str:
+    """Return the text with the entry and the mappings it needs, after the existing ones."""
+    path = entry.path
+    depth = next((n for n in range(len(path) - 1, -1, -1) if path[:n] in places), None)
+    below = put_entries({}, [Entry(path[depth or 0 :], entry.value)])
+    if depth is None:
+        return body + _block(below)
+    home = places[path[:depth]]
+    if _item(home, path[depth]):
+        raise AllanError(f'{path[depth]} of the file holds a value where keys belong: {_BY_HAND}')
+    if home.flow_style or not home.value:
+        return _inserted(body, home, _inline(_rows(below)).strip()[1:-1])
+    return _inserted(body, home, _block(below))
+
+
+def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
+    """Return path -> tag and text of every scalar."""
+    if isinstance(node, yaml.CollectionNode):
+        pairs = (
+            [(str(key.value), value) for key, value in node.value]
+            if isinstance(node, yaml.MappingNode)
+            else [(str(i), value) for i, value in enumerate(node.value)]
+        )
+        return {
+            place: text
+            for key, value in pairs
+            for place, text in _flat(value, (*path, key)).items()
+        }
+    return {} if node is None else {path: f'{node.tag} {node.value}'}
+
+
+def _prove(before: dict[Path, str], after: dict[Path, str], wanted: dict[Path, Value]) -> None:
+    """Check that the text holds the new values and all others unchanged."""
+    expected = {
+        place: text
+        for place, text in before.items()
+        if not any(place[: len(path)] == path for path in wanted)
+    }
+    for path, value in wanted.items():
+        expected.update(_flat(yaml.compose(_inline(value), Loader=yaml.SafeLoader), path))
+    if after != expected:
+        places = sorted({*expected, *after})
+        changed = next(place for place in places if expected.get(place) != after.get(place))
+        raise AllanError(
+            f'the file cannot be merged into without changing {"/".join(changed)}: {_BY_HAND}'
+        )

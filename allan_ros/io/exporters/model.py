@@ -60,10 +60,15 @@ DEFAULT_TOPIC = '/imu0'
 class SensorProcess(NamedTuple):
     """First-order Gauss-Markov bias: sigma in SI with the inflation, tau in s, for x, y, z."""
 
-    sigma: tuple[float, float, float]
-    tau: tuple[float, float, float]
+    sigma: tuple[float, ...]
+    tau: tuple[float, ...]
     words: str
     findings: tuple[Finding, ...]
+
+    @property
+    def driving(self) -> tuple[float, ...]:
+        """Density sigma sqrt(2/tau) of the noise that drives it."""
+        return tuple(sigma * math.sqrt(2.0 / tau) for sigma, tau in zip(self.sigma, self.tau))
 
 
 def rounded(value: float) -> float:
@@ -78,12 +83,11 @@ class FilterNoise:
     ----------
     results : Results
     options : ExportOptions
+    target : Target
     rule : str
         The axis rule in force.
-    rate : float
-        Rate in Hz at which the filter steps.
-    rate_words : str
-        Where that rate comes from.
+    rate, rate_words : float, str
+        Rate in Hz at which the filter steps, and where it comes from.
     horizons : Horizons
         Range over which a reduction holds.
 
@@ -124,6 +128,8 @@ class FilterNoise:
     def row_entry(self, row: Row) -> Entry:
         """Return the entry of one row of the table of a target."""
         path = (*self.target.parent, row.key)
+        if row.what in ('N', 'K'):
+            return self._term_entry(path, row)
         if row.what == 'rate':
             return Entry(path, self.rate)
         if row.what == 'topic':
@@ -139,8 +145,6 @@ class FilterNoise:
             known = [a.turn_on.std for a in self.axes_of(row.sensor).values() if a.turn_on]
             words = f'[{row.unit}]: worst scatter of the means of recordings' if known else ''
             return Entry(path, rounded(self.options.inflate * max(known, default=0.0)), words)
-        if row.what in ('N', 'K'):
-            return self._term_entry(path, row)
         return self._process_entry(path, row)
 
     def _term_entry(self, path: tuple[str, ...], row: Row) -> Entry:
@@ -149,7 +153,7 @@ class FilterNoise:
         halves = self.target.exact and row.what == 'N'
         if halves and self.options.exact:
             name = 'midpoint'
-        formula, unit, convert = QUANTITIES.get(name) or ('', name, _divided(UNITS[name].factor))
+        formula, unit, convert = QUANTITIES.get(name) or ('', name, divided(UNITS[name].factor))
         std = units['B' if row.what == 'N' else 'R']
         entry = self.entry(
             path,
@@ -170,24 +174,14 @@ class FilterNoise:
         if row.what != 'tau':
             equals = ' = sigma sqrt(2 / tau)' if row.what == 'driving' else ''
             words = f'[{row.unit}]{equals}: {bias.words}'
-            factor = UNITS[row.unit].factor
-            x, y, z = (
-                sigma / factor * (math.sqrt(2.0 / tau) if equals else 1.0)
-                for sigma, tau in zip(bias.sigma, bias.tau)
-            )
-            values = (x, y, z)
+            sigmas = bias.driving if equals else bias.sigma
+            values = tuple(sigma / UNITS[row.unit].factor for sigma in sigmas)
         written = [rounded(value) for value in values]
-        return Entry(
-            path, written if self.target.three else written[0], words, findings=bias.findings
-        )
+        three = self.target.three
+        return Entry(path, written if three else written[0], words, findings=bias.findings)
 
     def entry(
-        self,
-        path: tuple[str, ...],
-        level: SensorLevel,
-        formula: str,
-        unit: str,
-        convert: Convert,
+        self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
     ) -> Entry:
         """Return the entry of a level, with its formula, unit and axes in words."""
         values = [rounded(convert(value, self.rate)) for value in level.values]
@@ -233,9 +227,7 @@ class FilterNoise:
             return axis_level(axis, self.results.axes[axis].fit, term, self.options.strict)
         if axis not in self._used:
             self._used[axis] = self.reduction(axis)
-        white, walk = self._used[axis].white, self._used[axis].walk
-        assert walk is not None
-        return white if term == 'N' else walk
+        return self._used[axis].levels[term]
 
     def process(self, sensor: str) -> SensorProcess:
         """Return the Gauss-Markov bias of a sensor.
@@ -249,10 +241,8 @@ class FilterNoise:
         common = any(row.what == 'common_tau' for row in self.target.rows)
         tau = self.common_tau if common or self.rule != 'each' else None
         pairs = [self._closest(name, tau) for name in names]
-        sigmas, taus = zip(*pairs)
-        levels = [Level(name, 'sigma', sigma) for name, sigma in zip(names, sigmas)]
+        levels = [Level(name, 'sigma', sigma) for name, (sigma, _) in zip(names, pairs)]
         sigma = sensor_level(levels, self.rule, self.options.inflate).values
-        fitted = [name for name in names if self.results.axes[name].fit.selected.gauss_markov]
         unit = SI_UNITS[sensor]['B']
         described = '; '.join(
             f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s'
@@ -260,29 +250,30 @@ class FilterNoise:
         )
         bounds = 'bounds' if self.target.bound else 'follows'
         words = f'sigma and correlation time whose growth {bounds} that of the model: {described}'
-        others = tuple(name for name in names if name not in fitted)
+        axes = self.results.axes
+        others = tuple(name for name in names if not axes[name].fit.selected.gauss_markov)
         note = finding('export_no_gauss_markov', others, horizons=self.horizons)
-        return SensorProcess(sigma, (taus[0], taus[1], taus[2]), words, (note,) if others else ())
+        taus = tuple(tau for _, tau in pairs)
+        return SensorProcess(sigma, taus, words, (note,) if others else ())
 
     @cached_property
     def common_tau(self) -> float:
         """The correlation time in s that suits all axes."""
         models = [self._drifting(name) for name in self.results.axes]
-        tau = common_correlation_time(models, self.horizons)
-        assert tau is not None  # every model drifts
-        return tau
+        return common_correlation_time(models, self.horizons)
 
     def _drifting(self, axis: str) -> ProcessModel:
         return self.reduction(axis, 'processes').reduction.model()
 
     def _closest(self, axis: str, tau: float | None) -> tuple[float, float]:
-        fit = self.results.axes[axis].fit
-        model = fit.selected if fit.selected.gauss_markov else self._drifting(axis)
-        (pair,) = closest_process(model, self.horizons, tau, self.target.bound)
+        model = self.results.axes[axis].fit.selected
+        model = model if model.gauss_markov else self._drifting(axis)
+        pair = closest_process(model, self.horizons, tau, self.target.bound)
+        assert pair is not None  # both drift
         return pair
 
     def reduction_lines(self) -> list[str]:
-        """Return what the header says about the reduction of N and K."""
+        """Return the header lines about the reduction of N and K."""
         if self.options.fidelity == 'coefficients':
             return ['fidelity: bare coefficients; N and K alone underestimate flicker and drift']
         if not self._used:
@@ -334,7 +325,8 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
     return replace(entry, value=value, words=words, findings=(*entry.findings, note))
 
 
-def _divided(factor: float) -> Convert:
+def divided(factor: float) -> Convert:
+    """Return the conversion to a unit of so many SI units."""
     return lambda value, rate: value / factor
 
 

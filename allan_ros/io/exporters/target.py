@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...core.errors import AllanError
 from ...core.findings import Finding
 from ...core.settings import check, parameter
 
@@ -124,17 +125,6 @@ class Entry:
         return self.path[-1]
 
 
-def nested(entries: Iterable[Entry]) -> dict[str, Value]:
-    """Return the values of entries as nested mappings."""
-    tree: dict[str, Value] = {}
-    for entry in entries:
-        here = tree
-        for key in entry.path[:-1]:
-            here = here.setdefault(key, {})
-        here[entry.key] = entry.value
-    return tree
-
-
 class Row(NamedTuple):
     """One key of a file and the quantity that it holds.
 
@@ -175,14 +165,20 @@ def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
     return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
 
 
-class Form(Protocol):
+class Form:
     """How the entries of a target become text."""
 
+    no_merge = (
+        'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
+    )
+
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return a file with these entries and the header in comments."""
+        """Return a file with these entries and the header."""
+        raise NotImplementedError
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return the user's text with these entries in it, or raise `AllanError`."""
+        raise AllanError(self.no_merge)
 
 
 @dataclass(frozen=True)

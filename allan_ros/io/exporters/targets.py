@@ -1,11 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The table of filters, calibration tools and simulators: keys, convention and form of each file.
+"""The table of filters and calibration tools: keys, convention and form of each file.
 
 Each convention was read from the source file that it names. N and K in formulas are the continuous
-densities, f the rate in Hz. A simulated sensor should behave like the measured one: its bias is the
-process whose error growth follows that of the model, as far above as below it. `state_space` has
-the targets that take the complete model.
+densities, f the rate in Hz. `simulators` has the other targets.
 """
 
 from __future__ import annotations
@@ -14,16 +12,12 @@ import math
 from collections.abc import Iterator
 from functools import partial
 
-from ...core.filters.noise_parameters import (
-    madgwick_drift_gain,
-    madgwick_gain,
-    madgwick_ramp_gain,
-)
-from ...core.imu import SI_UNITS, UNITS
-from .forms import JsonForm, LineForm, XmlForm, matlab_literal
-from .model import FilterNoise, clamped, rounded
-from .target import INS_HORIZON_S, SIMULATOR_HORIZON_S, Entry, Row, Target, Value, four, rows
-from .yaml_form import YamlForm
+import numpy as np
+
+from ...core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
+from .forms import JsonForm, LineForm, YamlForm, matlab_literal
+from .model import FilterNoise, clamped, divided, rounded
+from .target import INS_HORIZON_S, Entry, Row, Target, Value, four, rows
 
 ANY_NODE = ('/**', 'ros__parameters')
 """Parameters of whatever node the file is loaded into by --params-file."""
@@ -40,18 +34,14 @@ update_rate                  -      rate
 """)
 
 
-def _identity(size: int) -> list[list[float]]:
-    return [[float(i == j) for j in range(size)] for i in range(size)]
-
-
 OPENVINS_NOT_MEASURED: dict[str, Value] = {
-    'T_i_b': _identity(4),
+    'T_i_b': np.eye(4).tolist(),
     'time_offset': 0.0,
     'model': 'kalibr',
-    'Tw': _identity(3),
-    'R_IMUtoGYRO': _identity(3),
-    'Ta': _identity(3),
-    'R_IMUtoACC': _identity(3),
+    'Tw': np.eye(3).tolist(),
+    'R_IMUtoGYRO': np.eye(3).tolist(),
+    'Ta': np.eye(3).tolist(),
+    'R_IMUtoACC': np.eye(3).tolist(),
     'Tg': [[0.0] * 3] * 3,
 }
 """Required keys: an IMU without errors of scale, axes and time."""
@@ -92,102 +82,40 @@ corrtime  -      common_tau  h
 
 
 def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the gain, and zeta from the ramp if every axis has one, else from the random walk."""
+    """Yield the gain, and zeta from the ramp if every axis has one, else from the random walk.
+
+    zeta is sqrt(3/4) times the drift: R, or K / sqrt(h) because a random walk moves by K sqrt(h).
+    """
     horizon, axes = noise.horizons.high, noise.axes_of('gyro')
     white = noise.level('gyro', 'N')
     gains = {axis: madgwick_gain(result.fit.selected, horizon) for axis, result in axes.items()}
     mean = math.sqrt(sum(gain**2 for gain in gains.values()) / 3.0)
     gain = mean if noise.rule == 'mean' else max(gains.values())
     if not gain:  # N itself is a limit
-        gain = math.sqrt(3.0 / 4.0 / horizon) * white.values[0] / noise.options.inflate
+        gain = MADGWICK_FACTOR / math.sqrt(horizon) * white.values[0] / noise.options.inflate
     words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s: '
     words += ', '.join(f'{axis} {value:.3g}' for axis, value in gains.items())
     entry = Entry((*ANY_NODE, 'gain'), rounded(gain * noise.options.inflate), words)
     yield clamped(entry, 0.0, 1.0)
-    if all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
-        term, formula = 'R', 'sqrt(3/4) |R|'
-        drift = madgwick_ramp_gain
-    else:
+    term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
+    if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
         term, formula = 'K', f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
-        drift = partial(madgwick_drift_gain, horizon=horizon)
-    level = noise.level('gyro', term)
-    path = (*ANY_NODE, 'zeta')
-    zeta = noise.entry(path, level, formula, 'rad/s^2', lambda value, _: drift(value))
+        scale = MADGWICK_FACTOR / math.sqrt(horizon)
+    path, level = (*ANY_NODE, 'zeta'), noise.level('gyro', term)
+    zeta = noise.entry(path, level, formula, 'rad/s^2', divided(1.0 / scale))
     yield clamped(zeta, -1.0, 1.0)
 
 
-SDF_SENSORS = {'angular_velocity': 'gyro', 'linear_acceleration': 'accel'}
-
-
-def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the noise elements of SDF's <imu>.
-
-    Gazebo steps the bias with the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)): its stationary
-    standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it rounds the sample to
-    multiples of the precision, which adds precision^2/12 to the variance.
-    """
-    for element, sensor in SDF_SENSORS.items():
-        unit = SI_UNITS[sensor]['B']
-        white = noise.row_entry(Row('stddev', sensor, 'N', 'std'))
-        bias = noise.process(sensor)
-        driving_words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
-        for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
-            path = ('imu', element, name[-1], 'noise')
-            first = i == 0  # the words are about all three axes
-            step, turn_on = axis.rounding, axis.turn_on
-            yield Entry((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
-            yield Entry((*path, 'mean'), 0.0)
-            # at least half of the variance, lest rounding stops the noise altogether
-            variance = white.value[i] ** 2
-            stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
-            words = f'of {sensor} {white.words}' if first else ''
-            yield Entry((*path, 'stddev'), rounded(stddev), words, white.is_limit)
-            if turn_on:
-                words = (
-                    f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
-                )
-                sigma = rounded(noise.options.inflate * turn_on.std)
-                yield Entry((*path, 'bias_stddev'), sigma, words)
-            driving = rounded(bias.sigma[i] * math.sqrt(2.0 / bias.tau[i]))
-            yield Entry(
-                (*path, 'dynamic_bias_stddev'),
-                driving,
-                driving_words if first else '',
-                findings=bias.findings,
-            )
-            yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
-            if step:
-                words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
-                yield Entry((*path, 'precision'), rounded(step), words)
-
-
-AIRSIM_ROWS = {
-    'gyro': ('AngularRandomWalk', 'deg/sqrt(h)', 'GyroBiasStability', 'deg/h', 500.0),
-    'accel': ('VelocityRandomWalk', 'mg/sqrt(Hz)', 'AccelBiasStability', 'ug', 800.0),
-}
-"""Keys and units of N and of the bias, and the default time constant tau of AirSim in s: only
-stability / sqrt(tau) matters."""
-
-
-def _airsim(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the Imu settings of AirSim, whose bias is a random walk of stability / sqrt(tau)."""
-    parent = noise.target.parent
-    yield Entry((*parent, 'SensorType'), 2)
-    yield Entry((*parent, 'Enabled'), True)
-    for sensor, (white, white_unit, stability, unit, tau) in AIRSIM_ROWS.items():
-        yield noise.row_entry(Row(white, sensor, 'N', white_unit))
-        scale = math.sqrt(tau) / UNITS[unit].factor
-        walk, path = noise.level(sensor, 'K'), (*parent, stability)
-        yield noise.entry(path, walk, f'K sqrt({tau:g} s)', unit, partial(_scaled, scale))
-        yield Entry((*parent, f'{stability}Tau'), tau)
-
-
-def _scaled(scale: float, value: float, rate: float) -> float:
-    return scale * value
-
-
 _ins = partial(Target, horizon_s=INS_HORIZON_S, walk=False)
-_simulator = partial(Target, horizon_s=SIMULATOR_HORIZON_S, walk=False, bound=False)
+
+
+def _imumodel(file_name: str, source: str) -> Target:
+    convention = (
+        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
+        f'2 sigma^2 / corrtime ({source})'
+    )
+    return _ins(file_name, convention, YamlForm(), GAUSS_MARKOV_INS, parent=('imumodel',))
+
 
 TARGETS = {
     'kalibr': Target(
@@ -356,22 +284,10 @@ TARGETS = {
         ),
         three=True,
     ),
-    'ob_gins': _ins(
-        'ob_gins_imu.yaml',
-        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-        '2 sigma^2 / corrtime (src/ob_gins.cc, src/preintegration/preintegration_normal.cc)',
-        YamlForm(),
-        GAUSS_MARKOV_INS,
-        parent=('imumodel',),
+    'ob_gins': _imumodel(
+        'ob_gins_imu.yaml', 'src/ob_gins.cc, src/preintegration/preintegration_normal.cc'
     ),
-    'ic_gvins': _ins(
-        'ic_gvins_imu.yaml',
-        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-        '2 sigma^2 / corrtime (config/gvins.yaml, the preintegration of OB_GINS)',
-        YamlForm(),
-        GAUSS_MARKOV_INS,
-        parent=('imumodel',),
-    ),
+    'ic_gvins': _imumodel('ic_gvins_imu.yaml', 'config/gvins.yaml, the preintegration of OB_GINS'),
     # ins_gnss.m takes gb_psd and ab_psd for the density of the noise that drives the bias.
     'navego': _ins(
         'navego_imu.m',
@@ -405,69 +321,6 @@ TARGETS = {
         ),
         horizon_s=10.0,
         walk=False,
-    ),
-    'gazebo': _simulator(
-        'gazebo_imu.sdf',
-        'standard deviation per sample, and a Gauss-Markov bias of the driving density '
-        'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
-        XmlForm(),
-        entries=_gazebo,
-        notes=(
-            'put it into <sensor type="imu">; f must be its update_rate',
-            'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
-            'where rounding makes more than a tenth of the white noise',
-        ),
-        three=True,
-    ),
-    'px4_sitl': _simulator(
-        'px4_sitl_imu.xml',
-        'continuous time; the bias is a Gauss-Markov process of this driving density '
-        '(PX4-SITL_gazebo-classic and RotorS, src/gazebo_imu_plugin.cpp)',
-        XmlForm(),
-        rows("""
-        gyroscopeNoiseDensity             gyro   N
-        gyroscopeRandomWalk               gyro   driving  rad/s^2/sqrt(Hz)
-        gyroscopeBiasCorrelationTime      gyro   tau      s
-        gyroscopeTurnOnBiasSigma          gyro   turn_on  rad/s
-        accelerometerNoiseDensity         accel  N
-        accelerometerRandomWalk           accel  driving  m/s^3/sqrt(Hz)
-        accelerometerBiasCorrelationTime  accel  tau      s
-        accelerometerTurnOnBiasSigma      accel  turn_on  m/s^2
-        """),
-        parent=('plugin',),
-        notes=('copy the elements into <plugin name="gazebo_imu_plugin" ...>',),
-    ),
-    'airsim': Target(
-        'airsim_settings.json',
-        'white noise in deg/sqrt(h) and mg/sqrt(Hz); bias as a random walk of '
-        'BiasStability / sqrt(BiasStabilityTau) (AirLib/include/sensors/imu/ImuSimple.hpp)',
-        JsonForm(),
-        entries=_airsim,
-        parent=('DefaultSensors', 'Imu'),
-        notes=('merge it into settings.json',),
-        walk=False,
-        bound=False,
-    ),
-    'gnss_ins_sim': _simulator(
-        'gnss_ins_sim_imu.py',
-        'deg/sqrt(h), m/s/sqrt(h), and a Gauss-Markov bias of the standard deviation '
-        'b_stability (gnss_ins_sim/pathgen/pathgen.py, bias_drift; sim/imu_model.py)',
-        LineForm(
-            "imu_err['{key}'] = np.array({value})",
-            before='\nimport numpy as np\n\nimu_err = {}\n',
-        ),
-        rows("""
-        gyro_arw           gyro   N      deg/sqrt(h)
-        accel_vrw          accel  N      m/s/sqrt(h)
-        gyro_b             gyro   zero
-        gyro_b_stability   gyro   sigma  deg/h
-        gyro_b_corr        gyro   tau    s
-        accel_b            accel  zero
-        accel_b_stability  accel  sigma  m/s^2
-        accel_b_corr       accel  tau    s
-        """),
-        notes=('imu = imu_model.IMU(accuracy=imu_err, axis=6)',),
-        three=True,
     ),
 }
 """Name -> target."""

@@ -11,7 +11,7 @@ import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.growth import growth_interval, predicted_growth
-from allan_ros.core.filters.state_space import StateSpace, flicker_processes
+from allan_ros.core.filters.reductions import StateSpace, flicker_processes
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis
 

@@ -20,9 +20,7 @@ from allan_ros.core.filters.noise_parameters import (
     Level,
     axis_level,
     expected_variance,
-    madgwick_drift_gain,
     madgwick_gain,
-    madgwick_ramp_gain,
     midpoint_white_std,
     reduce_axis,
     reduced_ends,
@@ -74,11 +72,6 @@ def test_madgwicks_gain_is_the_allan_deviation_at_the_horizon() -> None:
     avar = term_avar(np.array([m]), tau0, NoiseTerms(N=n, B=b)).sum()
     gain = madgwick_gain(ProcessModel(NoiseTerms(N=n, B=b)), m * tau0)
     assert gain == pytest.approx(math.sqrt(0.75 * avar), rel=1e-9)
-
-
-def test_madgwicks_drift_gain_by_hand() -> None:
-    assert madgwick_drift_gain(1e-5, 100.0) == pytest.approx(8.660254e-7)
-    assert madgwick_ramp_gain(-2e-6) == pytest.approx(1.7320508e-6)
 
 
 def three(*values: float) -> list[Level]:
@@ -145,7 +138,7 @@ def hidden(limit: float) -> Coefficient:
 def test_one_limit_of_k_stands_for_all_drift_that_is_not_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
-    assert reduced.walk == Level('gyro_x', 'K', 1e-5, is_limit=True)
+    assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
     assert reduced.reduction.walk == pytest.approx(1e-5)
     with pytest.raises(AllanError, match='K of gyro_x is not observable'):
         reduce_axis('gyro_x', fit, strict=True)
@@ -156,17 +149,17 @@ def test_limits_do_not_count_beside_what_is_resolved() -> None:
     beside = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-3), R=hidden(1e-3))
     one, other = (reduce_axis('gyro_x', fit) for fit in (alone, beside))
     assert one == other
-    assert one.walk is not None and one.walk.raised_from == 0.0
-    assert not one.walk.is_limit
+    assert one.levels['K'].raised_from == 0.0
+    assert not one.levels['K'].is_limit
 
 
 def test_drift_that_is_quick_counts_as_white_and_k_as_its_limit() -> None:
     process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
     fit = replace(fit_with(N=resolved(1e-3), K=hidden(1e-5)), processes=Processes((process,)))
     reduced = reduce_axis('gyro_x', fit)
-    assert reduced.white.value == pytest.approx(math.hypot(1e-3, 3e-3 * math.sqrt(0.04)))
-    assert reduced.white.raised_from == 1e-3
-    assert reduced.walk == Level('gyro_x', 'K', 1e-5, is_limit=True)
+    assert reduced.levels['N'].value == pytest.approx(math.hypot(1e-3, 3e-3 * math.sqrt(0.04)))
+    assert reduced.levels['N'].raised_from == 1e-3
+    assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
 
 
 def test_the_expected_variance_lies_between_estimate_and_limit() -> None:

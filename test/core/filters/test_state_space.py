@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.state_space import StateSpace, flicker_processes
+from allan_ros.core.filters.reductions import StateSpace, flicker_processes
 from allan_ros.core.noise import FLICKER_FLOOR, ProcessModel
 
 

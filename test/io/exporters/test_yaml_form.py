@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.io.exporters.forms import BLOCK_BEGIN, BLOCK_END, YamlForm
 from allan_ros.io.exporters.target import Entry
-from allan_ros.io.exporters.yaml_form import BLOCK_BEGIN, BLOCK_END, YamlForm
 from allan_ros.io.results import Results
 
 BARE = ExportOptions(fidelity='coefficients')
