@@ -1,0 +1,118 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Targets with a Gauss-Markov bias or all processes: INS filters, simulators, the state space."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from support.allan_table import allan_table
+from support.exports import near, numbers, run_python, with_process
+
+from allan_ros.core.filters.bias import TurnOnBias
+from allan_ros.core.filters.reductions import STATES
+from allan_ros.core.fit import Coefficient
+from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.io.results import Results
+
+
+def with_one_process(results: Results) -> Results:
+    """Return results whose only drift is one Gauss-Markov process per axis, of 180 s."""
+    for axis, result in results.axes.items():
+        noise = {**result.fit.noise, 'B': Coefficient(None, None, 1e-5, 'not_observable')}
+        noise['K'] = noise['B']
+        fit = replace(result.fit, noise=noise)
+        results = replace(results, axes={**results.axes, axis: replace(result, fit=fit)})
+        results = with_process(results, axis, 5e-4 if axis < 'b' else 1e-4, 0.05)
+    return results
+
+
+def test_a_fitted_process_is_the_bias_of_an_ins(known_results: Results) -> None:
+    known = with_one_process(known_results)
+    found = numbers(known, 'kf_gins')
+    assert found['gbstd'] == near([20.6265] * 3)  # 1e-4 rad/s is 20.6265 deg/h
+    assert found['abstd'] == near([50.0] * 3)
+    assert found['corrtime'] == near(0.05)
+    assert not make_export(known, 'kf_gins').findings
+    scalar = numbers(known, 'ob_gins')
+    assert (scalar['gbstd'], scalar['corrtime']) == (near(20.6265), near(0.05))
+    driven = numbers(known, 'navego')
+    assert driven['gb_corr'] == near([180.0] * 3)
+    assert driven['gb_psd'] == near([1.05409e-5] * 3)  # 1e-4 sqrt(2 / 180)
+
+
+def test_a_fitted_process_is_the_bias_of_a_simulator(known_results: Results) -> None:
+    known = with_one_process(known_results)
+    gazebo = numbers(known, 'gazebo')
+    assert gazebo['dynamic_bias_correlation_time'] == near(180.0)
+    assert gazebo['dynamic_bias_stddev'] == near(1.05409e-5)  # 1e-4 sqrt(2 / 180)
+    sitl = numbers(known, 'px4_sitl')
+    assert sitl['gyroscopeRandomWalk'] == near(1.05409e-5)
+    assert sitl['accelerometerBiasCorrelationTime'] == near(180.0)
+    assert numbers(known, 'gnss_ins_sim')['gyro_b_stability'] == near([20.6265] * 3)
+
+
+def with_rounding(results: Results) -> Results:
+    """Return results of samples in steps of 0.02, with a turn-on bias on gyro_x."""
+    turn_on = TurnOnBias(3, 0.0, 2e-3, (1e-3, 1e-2))
+    axes = {name: replace(axis, rounding=0.02) for name, axis in results.axes.items()}
+    return replace(results, axes={**axes, 'gyro_x': replace(axes['gyro_x'], turn_on=turn_on)})
+
+
+def test_gazebo_rounds_and_turns_on_like_the_sensor(known_results: Results) -> None:
+    known = with_rounding(with_one_process(known_results))
+    text = make_export(known, 'gazebo', ExportOptions(inflate=2.0)).text
+    imu = ElementTree.fromstring(text)
+    noise = imu.find('angular_velocity/x/noise')
+    assert noise is not None
+    read = {element.tag: float(element.text or '') for element in noise}
+    assert noise.get('type') == 'gaussian_quantized'
+    assert read['precision'] == 0.02
+    # N = 0.6e-3 at 200 Hz, twice: the variance 2.88e-4 less 0.02^2 / 12
+    assert read['stddev'] == near((2.88e-4 - 0.02**2 / 12.0) ** 0.5)
+    assert read['bias_stddev'] == 4e-3
+    assert imu.find('angular_velocity/y/noise/bias_stddev') is None
+    assert numbers(known, 'px4_sitl')['gyroscopeTurnOnBiasSigma'] == 2e-3
+    coarse = replace(known.axes['gyro_x'], rounding=1.0)
+    known = replace(known, axes={**known.axes, 'gyro_x': coarse})
+    stddev = ElementTree.fromstring(make_export(known, 'gazebo').text).find('.//x/noise/stddev')
+    assert stddev is not None
+    assert float(stddev.text or '') == near(0.6e-3 * 200**0.5 / 2**0.5)
+
+
+def test_a_bias_without_a_fitted_process_is_explained(known_results: Results) -> None:
+    made = make_export(known_results, 'kf_gins')
+    assert {said.id for said in made.findings} == {'export_no_gauss_markov'}
+    assert numbers(known_results, 'kf_gins')['gbstd'][2] > 20.6265  # more than B alone
+
+
+def test_the_module_has_the_matrices_of_the_document(known_results: Results) -> None:
+    document = json.loads(make_export(known_results, 'state_space').text)
+    module = run_python(make_export(known_results, 'state_space_python').text)
+    for axis, one in document['axes'].items():
+        phi, noise, sample = module['matrices'](axis, 1.0 / 200.0)
+        np.testing.assert_allclose(phi, one['discrete']['Phi'], rtol=1e-11)
+        np.testing.assert_allclose(noise, one['discrete']['Qd'], rtol=1e-9)
+        assert sample == near(one['discrete']['R'])
+        assert {reduction['states'] for reduction in one['reductions']} == set(STATES)
+
+
+def test_the_module_simulates_the_model(known_results: Results) -> None:
+    """40,000 samples at 1 Hz; the Allan variances at 1, 8 and 64 s are within 5, 10 and 25 %.
+
+    Their standard deviations are 1, 3 and 8 %: a false alarm has a probability below 0.3 %.
+    """
+    module = run_python(make_export(known_results, 'webots').text)
+    noise = module['ImuNoise'](np.random.default_rng(2))
+    samples = np.array([noise(1.0)['gyro_z'] for _ in range(40_000)])
+    m = np.array([1, 8, 64])
+    expected = known_results.axes['gyro_z'].fit.selected.avar(m.astype(float))
+    found = allan_table(samples[:, None], m).avar[:, 0]
+    for one, other, tolerance in zip(found, expected, (0.05, 0.1, 0.25)):
+        assert one == pytest.approx(other, rel=tolerance)
+    gyro, accel = noise.add([0.0, 0.0, 1.0], (0.0, 0.0, 9.8), 0.005)
+    assert gyro.shape == accel.shape == (3,)

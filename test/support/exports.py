@@ -1,0 +1,250 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Exported files as their readers find them, with the numbers computed by hand.
+
+The numbers by hand are those of the bare coefficients of the fixed results.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from allan_ros.core.fit import GaussMarkov, Processes
+from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.io.results import Results
+
+
+def near(value: Any) -> Any:
+    """Return what equals a number to the six digits that are written."""
+    return pytest.approx(value, rel=2e-6)
+
+
+def read_yaml(text: str) -> Any:
+    return yaml.safe_load(text.removeprefix('%YAML:1.0\n'))
+
+
+def read_lines(text: str) -> dict[str, float]:
+    """Return key -> number of a parameter file, of either autopilot."""
+    rows = [line.replace(',', '\t').split('\t') for line in text.splitlines() if line[0] != '#']
+    return {
+        row[-3] if len(row) > 2 else row[0]: float(row[-2 if len(row) > 2 else 1]) for row in rows
+    }
+
+
+def read_matlab(text: str) -> dict[str, Any]:
+    """Return field -> numbers of the assignments to the structure ``imu``."""
+    rows = re.findall(r'^imu\.(\w+) = \[(.*)\];$', text, re.MULTILINE)
+    return {key: [float(word) for word in values.split()] for key, values in rows}
+
+
+def run_python(text: str) -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    exec(text, names)
+    return names
+
+
+EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]] = {
+    # N, K as they are: 1e-3, 1e-5 (gyro) and 2e-3, limit 3e-5 (accelerometer).
+    'kalibr': (
+        read_yaml,
+        (),
+        {
+            'accelerometer_noise_density': 2e-3,
+            'accelerometer_random_walk': 3e-5,
+            'gyroscope_noise_density': 1e-3,
+            'gyroscope_random_walk': 1e-5,
+            'update_rate': 200.0,
+        },
+    ),
+    'openvins': (
+        read_yaml,
+        ('imu0',),
+        {
+            'accelerometer_noise_density': 2e-3,
+            'accelerometer_random_walk': 3e-5,
+            'gyroscope_noise_density': 1e-3,
+            'gyroscope_random_walk': 1e-5,
+            'update_rate': 200.0,
+        },
+    ),
+    # times sqrt(200) = 14.1421
+    'vins_fusion': (
+        read_yaml,
+        (),
+        {'acc_n': 0.0282843, 'gyr_n': 0.0141421, 'acc_w': 4.24264e-4, 'gyr_w': 1.41421e-4},
+    ),
+    'orb_slam3': (
+        read_yaml,
+        (),
+        {
+            'IMU.NoiseGyro': 1e-3,
+            'IMU.NoiseAcc': 2e-3,
+            'IMU.GyroWalk': 1e-5,
+            'IMU.AccWalk': 3e-5,
+            'IMU.Frequency': 200.0,
+        },
+    ),
+    'lio_sam': (
+        read_yaml,
+        ('/**', 'ros__parameters'),
+        {'imuAccNoise': 2e-3, 'imuGyrNoise': 1e-3, 'imuAccBiasN': 3e-5, 'imuGyrBiasN': 1e-5},
+    ),
+    # squares times 200
+    'fast_lio': (
+        read_yaml,
+        ('/**', 'ros__parameters', 'mapping'),
+        {'acc_cov': 8e-4, 'gyr_cov': 2e-4, 'b_acc_cov': 1.8e-7, 'b_gyr_cov': 2e-8},
+    ),
+    # squares of 0.6, 0.8 and 1 times the level
+    'gtsam': (
+        run_python,
+        (),
+        {
+            'accelerometerCovariance': [1.44e-6, 2.56e-6, 4e-6],
+            'gyroscopeCovariance': [3.6e-7, 6.4e-7, 1e-6],
+            'biasAccCovariance': [1.44e-10, 2.56e-10, 9e-10],
+            'biasOmegaCovariance': [3.6e-11, 6.4e-11, 1e-10],
+        },
+    ),
+    'basalt': (
+        json.loads,
+        ('value0',),
+        {
+            'imu_update_rate': 200.0,
+            'accel_noise_std': [1.2e-3, 1.6e-3, 2e-3],
+            'gyro_noise_std': [6e-4, 8e-4, 1e-3],
+            'accel_bias_std': [1.2e-5, 1.6e-5, 3e-5],
+            'gyro_bias_std': [6e-6, 8e-6, 1e-5],
+        },
+    ),
+    'msckf_vio': (
+        read_yaml,
+        ('noise',),
+        {'gyro': 1e-3, 'acc': 2e-3, 'gyro_bias': 1e-5, 'acc_bias': 3e-5},
+    ),
+    # times sqrt(200), and squares over 200
+    'fusioncore': (
+        read_yaml,
+        ('/**', 'ros__parameters'),
+        {
+            'imu.gyro_noise': 0.0141421,
+            'imu.accel_noise': 0.0282843,
+            'ukf.q_gyro_bias': 5e-13,
+            'ukf.q_accel_bias': 4.5e-12,
+        },
+    ),
+    # times sqrt(100), the step of EKF2
+    'px4': (
+        read_lines,
+        (),
+        {
+            'EKF2_GYR_NOISE': 0.01,
+            'EKF2_ACC_NOISE': 0.02,
+            'EKF2_GYR_B_NOISE': 1e-4,
+            'EKF2_ACC_B_NOISE': 3e-4,
+        },
+    ),
+    # times sqrt(1 / 0.012) = 9.12871, the step of EK3
+    'ardupilot': (
+        read_lines,
+        (),
+        {
+            'EK3_GYRO_P_NSE': 9.12871e-3,
+            'EK3_ACC_P_NSE': 0.0182574,
+            'EK3_GBIAS_P_NSE': 9.12871e-5,
+            'EK3_ABIAS_P_NSE': 2.73861e-4,
+        },
+    ),
+    # 1e-3 rad/sqrt(s) is 180/pi 60 times that in deg/sqrt(h), 3.43775; 2e-3 m/s/sqrt(s) is 0.12
+    # m/s/sqrt(h). The bias is tested below.
+    'kf_gins': (
+        read_yaml,
+        ('imunoise',),
+        {'arw': [2.06265, 2.75020, 3.43775], 'vrw': [0.072, 0.096, 0.12]},
+    ),
+    'ob_gins': (read_yaml, ('imumodel',), {'arw': 3.43775, 'vrw': 0.12}),
+    'ic_gvins': (read_yaml, ('imumodel',), {'arw': 3.43775, 'vrw': 0.12}),
+    'navego': (
+        read_matlab,
+        (),
+        {'arw': [6e-4, 8e-4, 1e-3], 'vrw': [1.2e-3, 1.6e-3, 2e-3]},
+    ),
+    # sqrt(3/4 (1e-6/10 + 0.441271 1e-8 + 1e-10 10/3)) and sqrt(3/4) 1e-5 / sqrt(10)
+    'imu_filter_madgwick': (
+        read_yaml,
+        ('/**', 'ros__parameters'),
+        {'gain': 2.80285e-4, 'zeta': 2.73861e-6},
+    ),
+    'state_space': (
+        lambda text: json.loads(text)['axes'],
+        ('accel_z',),
+        {'white': 2e-3},
+    ),
+    'state_space_python': (run_python, ('AXES', 'gyro_y'), {'white': 8e-4}),
+    'gazebo': (
+        lambda text: {
+            noise.tag: float(noise.text)
+            for noise in ElementTree.fromstring(text).find('angular_velocity/z/noise')
+        },
+        (),
+        {'stddev': 0.0141421, 'mean': 0.0},
+    ),
+    'px4_sitl': (
+        lambda text: {e.tag: float(e.text) for e in ElementTree.fromstring(text)},
+        (),
+        {'gyroscopeNoiseDensity': 1e-3, 'accelerometerNoiseDensity': 2e-3},
+    ),
+    # 2e-3 m/s^2 is 0.203943 mg; 1e-5 sqrt(500) rad/s is 46.1222 deg/h; 3e-5 sqrt(800) is 86.5261 ug
+    'airsim': (
+        json.loads,
+        ('DefaultSensors', 'Imu'),
+        {
+            'AngularRandomWalk': 3.43775,
+            'VelocityRandomWalk': 0.203943,
+            'GyroBiasStability': 46.1222,
+            'AccelBiasStability': 86.5257,
+        },
+    ),
+    'gnss_ins_sim': (
+        lambda text: {k: list(v) for k, v in run_python(text)['imu_err'].items()},
+        (),
+        {'gyro_arw': [2.06265, 2.75020, 3.43775], 'accel_vrw': [0.072, 0.096, 0.12]},
+    ),
+    'isaac_sim': (run_python, ('AXES', 'gyro_x'), {'white': 6e-4}),
+    'webots': (run_python, ('AXES', 'gyro_x'), {'white': 6e-4}),
+}
+
+FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency'}
+"""Entries that are no level."""
+
+NO_HEADER = {'mean', 'white'}
+"""Entries without words of their own."""
+
+
+def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
+    """Return the numbers of a file as its reader finds them, by default the bare coefficients."""
+    options = {'fidelity': 'coefficients', **options}
+    read, path, _ = EXPECTED[name]
+    found = read(make_export(results, name, ExportOptions(**options)).text)
+    for key in path:
+        found = found[key]
+    return found
+
+
+def with_process(results: Results, axis: str, sigma: float, hours: float) -> Results:
+    """Return results where an axis has a Gauss-Markov bias."""
+    seconds = 3600.0 * hours
+    process = GaussMarkov(
+        sigma, (0.9 * sigma, 1.1 * sigma), seconds, (0.8 * seconds, 1.3 * seconds)
+    )
+    had = results.axes[axis]
+    changed = replace(had, fit=replace(had.fit, processes=Processes((process,))))
+    return replace(results, axes={**results.axes, axis: changed})
