@@ -101,8 +101,8 @@ def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float)
         colour, dashes = TERM_STYLES.get(name, (GREY, '-'))
         shown = np.where(factor * part > lowest, factor * part, np.nan)
         panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.5, label=name)
-    fitted = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
-    panel.plot(curve.tau, factor * fitted, color='black', lw=1.0, label='fit', zorder=1.9)
+    fitted = factor * result.model_line().adev
+    panel.plot(curve.tau, fitted, color='black', lw=1.0, label='fit', zorder=1.9)
 
 
 def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Sequence[Axes]]:

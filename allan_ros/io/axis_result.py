@@ -19,7 +19,7 @@ from ..core.filters.noise_parameters import reduce_axis, sample_variance
 from ..core.filters.reductions import StateSpace
 from ..core.fit import AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
-from ..core.fit.regions import Region, read_curve
+from ..core.fit.regions import ModelLine, Region, model_line, read_curve
 from ..core.imu import SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from .format import ShownUnit, interval_text, value_text
@@ -253,6 +253,13 @@ class AxisResult:
         }
         parts = ProcessModel(NoiseTerms(**limits)).parts(m * self.tau0, self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
+
+    def model_line(self) -> ModelLine:
+        """Return the selected model at the points of the curve as it is drawn, SI."""
+        curve = self.curve
+        if curve is None:
+            return ModelLine(np.zeros(0), np.zeros(0))
+        return model_line(self.fit, self.tau0, curve.m, curve.adev, curve.ci_high)
 
     def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the deviation of the selected model at averaging factors m, (factors,), SI."""

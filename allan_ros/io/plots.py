@@ -119,8 +119,12 @@ PROCESS_STYLE = ('0.5', (0, (2, 1)))
 """Colour and dashes of a Gauss-Markov process or a sinusoid."""
 
 
-LIMIT_ALPHA = 0.06
-"""Opacity of the area below the 95 % upper limit of a term that is not resolved."""
+LIMIT_ALPHA = 0.1
+"""Opacity of the band that terms which are not resolved may fill, up to their upper limits."""
+
+
+LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
+"""Line of the 95 % upper limit of a term that is not resolved."""
 
 
 PNG_DPI = 200
@@ -200,8 +204,7 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datashe
         colour = points.get_color()
         low, high = (unit.factor * limit for limit in (curve.ci_low, curve.ci_high))
         panel.fill_between(curve.tau, low, high, color=colour, alpha=0.2, lw=0)
-        total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
-        panel.loglog(curve.tau, unit.factor * total, color=colour, lw=1.0)
+        panel.loglog(curve.tau, unit.factor * result.model_line().adev, color=colour, lw=1.0)
         panel.set_ylabel(f'Allan deviation  [{pretty_unit(unit.name)}]')
     panel.set_xlabel('averaging time τ [s]')
     if len(axes) > 1:
@@ -327,8 +330,9 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
         lines = [line for line in lines if isinstance(line, Line2D) and line.get_color()]
         for line in lines:
             line.set_label(str(line.get_label()).partition('\n')[0])
-    total = np.where(curve.m >= result.fit.m_min, result.total_adev(curve.m), np.nan)
-    panel.plot(curve.tau, unit.factor * total, color=ink, lw=0.9, zorder=1.9)
+    model, upper = (unit.factor * values for values in result.model_line())
+    panel.plot(curve.tau, model, color=ink, lw=0.9, zorder=1.9)
+    panel.fill_between(curve.tau, model, upper, color=ink, alpha=LIMIT_ALPHA, lw=0)
     beside = {'loc': 'upper left', 'bbox_to_anchor': (1.0, 1.03), 'ncol': 1}
     above = {'loc': 'lower left', 'bbox_to_anchor': (-0.02, 0.99), 'ncol': 2}
     panel.legend(
@@ -358,11 +362,10 @@ def _draw_parts(
         lines += panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.1, label=label)
     _mark_terms(panel, axis, result, units)
     for name, limit in result.limit_adev(curve.m).items():
-        shaded = np.where(unit.factor * limit > floor, unit.factor * limit, np.nan)
-        colour = TERM_STYLES[name][0]
-        panel.fill_between(curve.tau, floor, shaded, color=colour, alpha=LIMIT_ALPHA, lw=0)
+        shown = np.where(unit.factor * limit > floor, unit.factor * limit, np.nan)
         label = _legend_text(name, result.fit.noise[name], shown_unit(axis, name, units))
-        lines.append(Patch(color=colour, alpha=2 * LIMIT_ALPHA, lw=0, label=label))
+        colour = TERM_STYLES[name][0]
+        lines += panel.plot(curve.tau, shown, color=colour, label=label, **LIMIT_STYLE)
     known = {str(line.get_label())[:1] for line in lines}
     hidden = [t for t in TERMS if t not in known]
     return [*lines, *(Line2D([], [], ls='', label=f'{t} not resolved') for t in hidden)]

@@ -17,6 +17,7 @@ from ..core.compare import MARGIN, Comparison, DeviationCurve, Measured, Run, di
 from ..core.errors import AllanError
 from ..core.findings import Finding, duration_text
 from ..core.fit import TERMS, Coefficient
+from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
 from ..core.settings import AUTO, settings_from
@@ -321,8 +322,9 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     skip = recorded.provenance.settings.get('skip', AUTO)
     settle = isinstance(skip, (int, float)) and skip < 0.0
     fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
-    sums, fits = [s for s, _ in fitted], [fit for _, fit in fitted]
+    sums = [s for s, _ in fitted]
     curves = [allan_curve(s) for s in sums]
+    fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
     axes = dict(axis_results(zip(recorded.sums, curves, fits)))
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')

@@ -10,6 +10,7 @@ Intervals are therefore approximate, and the ramp, which needs signed sums, is n
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,6 @@ from .model import (
     TERMS,
     AxisFit,
     Coefficient,
-    Deviation,
     Floats,
     GaussMarkov,
     Processes,
@@ -29,6 +29,7 @@ from .model import (
     coefficient_to_si,
 )
 from .processes import Extra, GaussMarkovTerm, columns_of, tangents_of
+from .regions import largest_deviation, model_line
 from .search import Found, ProcessSearch
 from .solve import RIDGE, Whitening
 from .table import Table
@@ -111,7 +112,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
         if found.extras:
             model = model + columns_of(table, found.extras) @ found.power[len(RANDOM_TERMS) :]
         model = np.maximum(model, np.finfo(float).tiny)
-    return _axis_fit(table, found, whitening, z, model, relative, unit)
+    return _axis_fit(table, found, whitening, z, relative, unit)
 
 
 def _decimated(tau: Floats, avar: Floats) -> tuple[Floats, Floats]:
@@ -133,7 +134,6 @@ def _axis_fit(
     found: Found,
     whitening: Whitening,
     z: float,
-    model: Floats,
     relative: Floats,
     unit: float,
 ) -> AxisFit:
@@ -170,12 +170,13 @@ def _axis_fit(
         else:
             hertz = (low / unit, high / unit)
             sinusoid.append(Sinusoid(amplitude, ends, extra.shape / unit, hertz))
-    ratio = np.sqrt(table.avar / model)
-    beyond = np.abs(ratio - 1.0) - relative
-    at = int(np.argmax(beyond))
-    off = Deviation(float(ratio[at]) - 1.0, float(table.m[at]) * unit) if beyond[at] > 0.0 else None
     processes = Processes(tuple(gauss_markov), tuple(sinusoid))
-    return AxisFit({t: noise[t] for t in TERMS}, gof_z=z, processes=processes, deviation=off)
+    fit = AxisFit({t: noise[t] for t in TERMS}, gof_z=z, processes=processes)
+    adev, bar = np.sqrt(table.avar), np.exp(relative / 2.0)
+    line = model_line(fit, unit, table.m, adev, adev * bar)
+    tau = np.asarray(table.m * unit, float)
+    off = largest_deviation(line, tau, adev, adev / bar, adev * bar)
+    return replace(fit, deviation=off)
 
 
 def _coefficient(term: str, power: float, deviation: float, unit: float) -> Coefficient:

@@ -10,12 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..allan.curve import AllanCurve
 from ..findings import Finding, duration_text, finding
 from ..imu import SI_UNITS, sensor_of
 from .duration import recommended_duration
 from .goodness import few_averages
 from .intervals import Z_DETECT, RampInterval, Score
-from .model import AxisFit, Floats, Sinusoid
+from .model import AxisFit, Floats, NoiseModel, Sinusoid
+from .regions import largest_deviation, model_line
 from .select import Selection
 from .solve import K, N, Q
 from .table import PooledTable
@@ -149,6 +151,26 @@ def explain(
     return [*found, *_time_findings(pooled, axis, selected, fit, tau0)]
 
 
+def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
+    """Return the model with the largest deviation of each axis from the curve that was fitted.
+
+    It is reported where the selected model does not fit.
+    """
+    axes, found = {}, []
+    for i, name in enumerate(curve.axes):
+        fit = model.axes[name]
+        adev, low, high = (a[:, i] for a in (curve.adev, curve.ci_low, curve.ci_high))
+        line = model_line(fit, model.tau0, curve.m, adev, high)
+        deviation = largest_deviation(line, curve.tau, adev, low, high)
+        axes[name] = replace(fit, deviation=deviation)
+        if fit.misfit > 0.0 and deviation is not None:
+            relative, tau = deviation
+            misfit = finding('misfit', (name,), deviation=abs(relative), tau=duration_text(tau))
+            small = abs(relative) < SMALL_DEVIATION
+            found.append(replace(misfit, severity='info') if small else misfit)
+    return replace(model, axes=axes, findings=(*model.findings, *joined(found)))
+
+
 def _shape_findings(
     name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
@@ -170,11 +192,6 @@ def _shape_findings(
     for process in fit.processes.gauss_markov:
         time = duration_text(process.correlation_time)
         found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
-    if fit.misfit > 0.0 and fit.deviation is not None:
-        relative, tau = fit.deviation
-        misfit = finding('misfit', name, deviation=abs(relative), tau=duration_text(tau))
-        small = abs(relative) < SMALL_DEVIATION
-        found.append(replace(misfit, severity='info') if small else misfit)
     if selected.levels_off:
         found.append(
             finding('levels_off', name, tau=duration_text(_precise_until(selected) * tau0))

@@ -11,7 +11,6 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding
 from .findings import explain, explain_nothing, joined
-from .goodness import largest_deviation
 from .intervals import (
     CoefficientInterval,
     RampInterval,
@@ -99,7 +98,6 @@ def _fit_axis(
         options.m_min,
         selected.first.z,
         _processes(selected.fit, table, tau0),
-        largest_deviation(selected.fit, tau0),
     )
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import gammainc, ndtri
 
 from .intervals import coefficient_interval
-from .model import RANDOM_TERMS, Deviation, Floats
-from .solve import JITTER, NO_MISFIT, K, Misfit, PointFit, Whitening, solve, weights_at
+from .model import RANDOM_TERMS, Floats
+from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
 from .table import Table
 
 Z_FAIL = 3.0
@@ -179,23 +179,3 @@ def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misf
         eps = float(np.clip(eps * np.sqrt(ratio), low + MARGIN * (high - low), MISFIT_LIMIT))
         eps = min(eps, high - MARGIN * (high - low))
     return Misfit(eps, m_min)
-
-
-def largest_deviation(fit: PointFit, tau0: float) -> Deviation | None:
-    """Return where the measured Allan deviation departs most from the model, beyond its scatter.
-
-    Returns
-    -------
-    Deviation or None
-        None where no averaging time departs by more than two standard deviations.
-    """
-    table = fit.table
-    model = table.terms @ fit.power
-    covariance = weights_at(table, fit.power, NO_MISFIT)
-    ratio = np.sqrt(np.maximum(table.avar, 0.0) / np.maximum(model, np.finfo(float).tiny))
-    scatter = np.sqrt(np.diag(covariance)) / np.maximum(model, np.finfo(float).tiny)  # 2 sigma
-    beyond = np.abs(ratio - 1.0) - scatter
-    at = int(np.argmax(beyond))
-    if beyond[at] <= 0.0:
-        return None
-    return Deviation(float(ratio[at]) - 1.0, float(table.m[at]) * tau0)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -161,12 +161,13 @@ class Processes:
 
 
 class Deviation(NamedTuple):
-    """Largest deviation of the measured Allan deviation from the model, beyond its scatter.
+    """Largest deviation of the measured curve from the drawn line of the model.
 
     Attributes
     ----------
     relative : float
-        Measured over modelled Allan deviation, less 1.
+        Measured Allan deviation over that of the model, less 1. Above the line, the model includes
+        the terms that are not resolved, at their upper limits.
     tau : float
         Averaging time in s.
     """
@@ -230,6 +231,23 @@ class AxisFit:
             tuple((p.sigma, p.correlation_time) for p in self.processes.gauss_markov),
             tuple((p.amplitude, p.frequency) for p in self.processes.sinusoid),
         )
+
+    @property
+    def selected_at_limits(self) -> ProcessModel:
+        """The selected model with every term that is not resolved at its 95 % upper limit."""
+        model = self.selected
+        limits = {
+            term: max(c.upper95, abs(getattr(model.terms, term)))
+            for term, c in self.noise.items()
+            if c.status != 'estimated' and c.upper95 is not None and math.isfinite(c.upper95)
+        }
+        return replace(model, terms=replace(model.terms, **limits))
+
+    @property
+    def is_filtered(self) -> bool:
+        """Whether the fit describes the curve with a low-pass filter: Q cannot be measured then."""
+        q, n = self.noise['Q'], self.noise['N']
+        return self.m_min == 1 and q.value is q.upper95 is None and n.value is not None
 
 
 def _is_likely(term: str, c: Coefficient) -> bool:

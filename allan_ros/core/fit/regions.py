@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which part of the selected model dominates in which range of tau, as in Cong et al. 2019."""
+"""The measured curve against the selected model: the drawn line, the largest deviation from it, and
+which part dominates in which range of tau, as in Cong et al. 2019."""
 
 from __future__ import annotations
 
@@ -8,18 +9,98 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.curve import AllanCurve, local_slopes
-from .model import AxisFit
+from .model import AxisFit, Deviation
 
 Floats = NDArray[np.float64]
 
 
 MIN_WIDTH = 3.0
 """tau_high/tau_low from which a part dominates a range alone: half a decade."""
+
+
+SIGNIFICANT = 3.0
+"""A point departs from the line by chance if it is nearer than this many of its error bars."""
+
+
+FILTER_LOSS = 0.02
+"""Relative loss of deviation below which the effect of a low-pass filter is not visible."""
+
+
+class ModelLine(NamedTuple):
+    """The selected model as it is drawn: NaN at averaging times that it does not describe.
+
+    Attributes
+    ----------
+    adev : (factors,) float64 array
+        Deviation of the selected model.
+    upper : (factors,) float64 array
+        The same with every term that is not resolved at its 95 % upper limit.
+    """
+
+    adev: Floats
+    upper: Floats
+
+
+def model_line(
+    fit: AxisFit, tau0: float, m: NDArray[np.int64], adev: Floats, high: Floats
+) -> ModelLine:
+    """Return the line of the selected model at the points of a measured curve.
+
+    It begins at the shortest averaging time of the fit. Where Q cannot be measured because of a
+    low-pass filter, it begins where the filter no longer lowers the points.
+
+    Parameters
+    ----------
+    fit : AxisFit
+    tau0 : float
+        Sample period in s.
+    m : (factors,) int64 array
+        Averaging factors.
+    adev, high : (factors,) float64 arrays
+        Measured Allan deviation and its upper 68.3 % limit.
+    """
+    line, upper = (
+        np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.selected, fit.selected_at_limits)
+    )
+    drawn = (m >= fit.m_min) & (line > 0.0)
+    if fit.is_filtered:
+        with np.errstate(divide='ignore', invalid='ignore'):
+            low = (adev * (high / adev) ** SIGNIFICANT < line) & (adev < (1.0 - FILTER_LOSS) * line)
+        drawn &= np.cumsum(drawn & ~low) > 0
+    return ModelLine(np.where(drawn, line, np.nan), np.where(drawn, upper, np.nan))
+
+
+def largest_deviation(
+    line: ModelLine, tau: Floats, adev: Floats, low: Floats, high: Floats
+) -> Deviation | None:
+    """Return where the measured deviation departs most from the line of the model.
+
+    A point above the line departs from it only by what exceeds the unresolved terms at their upper
+    limits. Points within `SIGNIFICANT` error bars, on the logarithmic axis, do not count.
+
+    Parameters
+    ----------
+    line : ModelLine
+    tau : (factors,) float64 array
+        Averaging times in s.
+    adev, low, high : (factors,) float64 arrays
+        Measured Allan deviation and its 68.3 % limits.
+    """
+    with np.errstate(divide='ignore', invalid='ignore'):
+        edge = np.clip(adev, line.adev, line.upper)
+        off = np.log(adev / edge)
+        bar = np.where(off > 0.0, np.log(adev / low), np.log(high / adev))
+        counts = (adev > 0.0) & (np.abs(off) > SIGNIFICANT * bar)
+    if not counts.any():
+        return None
+    at = int(np.argmax(np.where(counts, np.abs(off), -1.0)))
+    return Deviation(math.expm1(off[at]), float(tau[at]))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ const AllanChart = (() => {
   const { colour, element, number } = Chart;
   const DASHES = { Q: [1, 3], N: [8, 3], B: [9, 3, 2, 3], K: [14, 4], R: [4, 3, 1, 3, 1, 3] };
   const PROCESS = [2, 4];
+  const LIMIT = [1, 5];
   const BESIDE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
   // The level part of the curve is 0.664 B: the label says so, as the table gives B.
@@ -35,7 +36,7 @@ const AllanChart = (() => {
     let taken = [];
     const unit = () => sensor.units[system].curve;
     const scaled = (values) => values.map((v) => (v === null ? null : v * unit()[1]));
-    const columns = () => [sensor.tau, ...axes.flatMap((a) => [scaled(a.low), scaled(a.high), scaled(a.fit), scaled(a.adev)])];
+    const columns = () => [sensor.tau, ...axes.flatMap((a) => [scaled(a.low), scaled(a.high), scaled(a.fit), scaled(a.adev), scaled(a.most)])];
     const visible = () => axes.filter((a) => shown.has(a.label));
 
     const series = axes.flatMap((a) => [
@@ -43,8 +44,12 @@ const AllanChart = (() => {
       { label: `${a.label} high`, width: 0, points: { show: false } },
       { label: `${a.label} fit`, stroke: () => colour(a.label), width: 1.6, points: { show: false } },
       { label: a.label, bare: true, paths: () => null, points: { show: false } },
+      { label: `${a.label} at limits`, width: 0, points: { show: false } },
     ]);
-    const bands = axes.map((a, i) => ({ series: [4 * i + 2, 4 * i + 1], fill: () => colour(`${a.label}-faint`) }));
+    const bands = axes.flatMap((a, i) => [
+      { series: [5 * i + 2, 5 * i + 1], fill: () => colour(`${a.label}-faint`) },
+      { series: [5 * i + 5, 5 * i + 3], fill: () => colour(`${a.label}-faint`) },
+    ]);
 
     // The whole picture: every visible curve, and the marks that lie not far below them.
     function rangeY() {
@@ -123,34 +128,7 @@ const AllanChart = (() => {
       label(u, caption(term), up, ink, 'center');
     }
 
-    // The upper limit of a term that is not resolved: shaded, and no part of the model.
-    function limit(u, term, values) {
-      const run = places(u, values);
-      if (run.length < 2) return;
-      const { ctx, bbox } = u;
-      ctx.save();
-      ctx.beginPath();
-      ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-      ctx.clip();
-      ctx.beginPath();
-      let last = null;
-      values.forEach((v, i) => {
-        if (!(v > 0)) return;
-        const [x, y] = at(u, sensor.tau[i], v);
-        if (last === null) ctx.moveTo(x, bbox.top + bbox.height);
-        ctx.lineTo(x, Math.max(y, bbox.top - 4));
-        last = x;
-      });
-      ctx.lineTo(last, bbox.top + bbox.height);
-      ctx.closePath();
-      ctx.globalAlpha = 0.07;
-      ctx.fillStyle = colour(near.label);
-      ctx.fill();
-      ctx.globalAlpha = 1;
-      ctx.restore();
-    }
-
-    // Its name stands inside the shade, away from the curves.
+    // The name of the limit of a term that is not resolved stands below its line, away from the curves.
     function nameLimit(u, term, values) {
       const curves = visible().flatMap((a) => places(u, a.adev));
       const spots = places(u, values).flatMap(([x, y]) => [14, 34, 60].map((down) => [x, y + down * devicePixelRatio])).map(([x, y]) => {
@@ -205,7 +183,7 @@ const AllanChart = (() => {
       const beside = sensor.references.filter((r) => r.axis === near.name && shown.has('beside'));
       const drawn = shown.has(near.label) ? Object.entries(near.parts).filter(([name]) => shown.has(isTerm(name) ? name : 'other')) : [];
       if (shown.has(near.label)) {
-        if (shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) limit(u, term, values);
+        if (shown.has('upper')) for (const values of Object.values(near.upper)) line(u, values, LIMIT, 1, colour(near.label));
         beside.forEach((other, i) => line(u, other.adev, BESIDE[i % BESIDE.length], 1.4, colour('ink-2')));
         for (const [term, values] of drawn) line(u, values, DASHES[term] || PROCESS, 1.2, colour(near.label));
       }
@@ -312,7 +290,8 @@ const AllanChart = (() => {
       axes.forEach((a, i) => {
         const there = shown.has(a.label);
         const limits = there && shown.has('limits');
-        [limits, limits, there && shown.has('fit'), there].forEach((state, j) => u.setSeries(4 * i + 1 + j, { show: state }));
+        const model = there && shown.has('fit');
+        [limits, limits, model, there, model && shown.has('upper')].forEach((state, j) => u.setSeries(5 * i + 1 + j, { show: state }));
       });
       if (!shown.has(near.label) && visible().length) [near] = visible();
       tell();
@@ -333,7 +312,7 @@ const AllanChart = (() => {
       Chart.toggles('also', others, change),
     );
     const said = ['The strips on top say which part of the model dominates where; the crosses mark where a coefficient is read off. '];
-    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: below the 95 % upper limit of a term that is not resolved; it is no part of the model. ');
+    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded above a model: what terms that are not resolved may add, up to their 95 % upper limits (dotted). ');
     host.append(element('p', { class: 'note' }, ...said, parts, 'Drag to zoom, double-click to go back.'));
     tell();
     return {

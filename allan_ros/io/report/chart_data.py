@@ -248,7 +248,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 
     positive = curve.adev[curve.adev > 0.0]
     floor = BELOW_CURVE * float(positive.min()) if len(positive) else math.inf
-    fitted = curve.m >= axis.fit.m_min
+    line, upper = axis.model_line()
 
     def above_floor(adev: Floats) -> list[float | None]:
         return column(np.where(adev > floor, adev, np.nan))
@@ -261,7 +261,8 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         'low': column(np.where(curve.ci_low > 0.0, curve.ci_low, np.nan)),
         'high': column(np.where(curve.ci_high > 0.0, curve.ci_high, np.nan)),
         'n': column(curve.n),
-        'fit': column(np.where(fitted & bool(parts), axis.total_adev(curve.m), np.nan)),
+        'fit': column(line),
+        'most': column(upper),
         'parts': {name: above_floor(adev) for name, adev in parts.items()},
         'upper': {name: above_floor(adev) for name, adev in axis.limit_adev(curve.m).items()},
         'read': {

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from allan_ros.core.allan.curve import allan_curve
 from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.fit.findings import with_deviations
 from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
@@ -21,7 +23,7 @@ def fit_of(y):
     engine = RunningAllan(axes=('gyro_x',))
     engine.update(np.reshape(y, (-1, 1)), 0, round((len(y) - 1) / RATE * 1e9))
     engine.end_segment()
-    fit = fit_gls(engine.sums)
+    fit = with_deviations(fit_gls(engine.sums), allan_curve(engine.sums))
     return fit.axes['gyro_x'], {f.id: f for f in fit.findings}
 
 

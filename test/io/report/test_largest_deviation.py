@@ -1,0 +1,104 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The largest deviation that is stated can be read off the chart, and is the largest one there."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import allan_ros as ar
+from allan_ros.core.fit.regions import SIGNIFICANT
+from allan_ros.io.format import deviation_text
+from allan_ros.io.report.chart_data import sensor_charts
+from allan_ros.io.report.tables import coefficient_table
+
+ADIS_LSB = np.repeat([0.05 * np.pi / 180.0, 0.00333 * 9.80665], 3)
+GYRO = {'N': 0.2, 'B': 5.0, 'K': 20.0}
+
+
+def read_off(chart: dict[str, Any], axis: dict[str, Any]) -> tuple[float, float] | None:
+    """Return the largest deviation and its tau, from the numbers of the chart alone."""
+    largest = (0.0, 0.0)
+    columns = (axis[name] for name in ('adev', 'low', 'high', 'fit', 'most'))
+    for tau, adev, low, high, line, most in zip(chart['tau'], *columns):
+        if None in (adev, low, high, line, most):
+            continue
+        edge = min(max(adev, line), most)
+        bar = adev / low if adev > edge else high / adev
+        off = math.log(adev / edge)
+        if abs(off) > SIGNIFICANT * math.log(bar) and abs(off) > abs(math.log1p(largest[0])):
+            largest = (adev / edge - 1.0, tau)
+    return largest if largest[1] else None
+
+
+def check(results: ar.Results) -> list[tuple[float, float] | None]:
+    """Compare every statement with the chart; return what was stated."""
+    stated = []
+    for sensor in sorted({name.split('_')[0] for name in results}):
+        chart = sensor_charts(results, sensor, [], None)
+        axes = {a['name']: a for a in chart['axes'] if 'adev' in a}
+        page = ''.join(coefficient_table(sensor, {name: results.axes[name] for name in axes}))
+        for name, axis in axes.items():
+            deviation = results.axes[name].fit.deviation
+            expected = read_off(chart, axis)
+            assert (deviation is None) == (expected is None), name
+            if deviation is not None and expected is not None:
+                assert deviation.relative == pytest.approx(expected[0], abs=2e-4), name
+                assert deviation.tau == pytest.approx(expected[1], rel=1e-4), name
+                assert f'<td>{deviation_text(deviation)}</td>' in page
+            stated.append(expected)
+    return stated
+
+
+@pytest.mark.parametrize(
+    ('hours', 'gyro'),
+    [(1 / 3, GYRO), (2.0, GYRO), (1 / 3, {**GYRO, 'R': 200.0})],
+    ids=['20min', '2h', 'ramp'],
+)
+def test_five_terms_do_not_deviate(hours: float, gyro: dict[str, float]) -> None:
+    """Terms that are not resolved are no deviation. Fixed seeds; three error bars of some twenty
+    independent points are exceeded by chance in up to a tenth of the axes, mostly by a per cent."""
+    samples = ar.simulate(hours=hours, rate=20, gyro=gyro, seed=3)
+    stated = [d for d in check(ar.analyze(samples)) if d is not None]
+    assert len(stated) <= 1
+    assert all(abs(relative) < 0.1 for relative, _ in stated)
+
+
+def test_a_filter_is_no_deviation() -> None:
+    """The line begins where the filter ends: below, Q would be negative."""
+    white = np.random.default_rng(1).normal(size=100_000)
+    results = ar.analyze(np.convolve(white, np.ones(4) / 4.0, 'valid'), rate=100.0, axes='gyro_z')
+    axis = results['gyro_z']
+    assert axis.fit.noise['Q'].upper95 is None
+    check(results)
+    line = axis.model_line().adev
+    first = int(np.flatnonzero(np.isfinite(line))[0])
+    assert 0.01 < axis.curve.tau[first] < 1.0
+    assert np.isfinite(line[first:]).all()
+
+
+def test_a_broad_hump_deviates() -> None:
+    t = np.arange(200_000) / 100.0
+    phase = 2.0 * np.pi * np.cumsum(0.5 + 0.4 * np.sin(2.0 * np.pi * t / 50.0)) / 100.0
+    white = np.random.default_rng(2).normal(size=len(t))
+    results = ar.analyze(white + 0.3 * np.sin(phase), rate=100.0, axes='gyro_z')
+    ((relative, _),) = check(results)  # type: ignore[misc]
+    assert abs(relative) > 0.05
+    (finding,) = [f for f in results.findings if f.id == 'misfit']
+    assert f'{abs(results["gyro_z"].fit.deviation.relative):.0%}' in finding.message
+
+
+@pytest.mark.parametrize('name', ['imu1', 'imu2', 'mpu6050'])
+def test_real_sensors(shared_data: Path, name: str) -> None:
+    if name == 'mpu6050':
+        check(ar.analyze(shared_data / 'mpu6050.npz'))
+        return
+    counts = np.load(shared_data / 'adis16405' / f'{name}_counts.npz')
+    samples = np.column_stack([counts['gyro'], counts['accel']]) * ADIS_LSB
+    results = ar.analyze(samples[:200_000, [1, 3]], rate=100.0, axes=('gyro_y', 'accel_x'))
+    assert all(d is None or abs(d[0]) < 0.25 for d in check(results))
