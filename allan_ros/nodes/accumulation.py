@@ -22,6 +22,7 @@ from ..core.findings import Finding, finding
 from ..core.imu import AXES, ImuBatch
 from ..core.settings import SegmenterSettings
 from ..core.stream.cleaning import PassSplitter
+from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
 from ..io.readers.recording import SourceInfo
@@ -100,6 +101,7 @@ class ImuWatch:
         self._axes: tuple[str, ...] = ()  # those that had a finite value so far
         self._published: tuple[AllanSums, ...] = ()
         self._published_imu: tuple[str, tuple[str, ...]] = '', ()
+        self._counted = 0  # messages received at the last status
         self._begin(self._checkpoint.last_stamp_ns)
 
         home = f'~/{imu.label}/' if imu.label else '~/'
@@ -138,10 +140,8 @@ class ImuWatch:
         """Return the status of the input."""
         self._update()
         self._checkpoint.tick()
-        known = self._stream.result()
-        sums = self._checkpoint.total(known.sums, Provenance())[0]
-        lost = replaced_share(self._published, sums) > REPLACED_SHARE
-        if lost or (self.frame_id, self._axes) != self._published_imu:
+        health, stream_findings = self._outlook()
+        if (self.frame_id, self._axes) != self._published_imu:
             self._publish(self._total())
         statistics, publishers = self._input.statistics(), self._input.publishers()
         silence = self._health.silence_s(now)
@@ -149,10 +149,10 @@ class ImuWatch:
         found = self._health.observe(
             now,
             statistics,
-            known.health,
+            health,
             publishers,
             stale_after,
-            known.findings,
+            stream_findings,
             self._input.graph_findings(),
         )
         live = {*LIVE_FINDINGS, *LIVE_COUNTERPARTS, *(f.id for f in found)}
@@ -161,11 +161,12 @@ class ImuWatch:
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9
         view = InputView(
             topic=self._input.topic,
-            health=known.health,
+            health=health,
             statistics=statistics,
             findings=(*found, *self._checkpoint.findings),
-            noted=(*(f for f in known.findings if f.id not in live), *self._noted),
-            sums=sums,
+            noted=(*(f for f in stream_findings if f.id not in live), *self._noted),
+            static_s=self._static_s(health),
+            segments=max((s.segment_count for s in self._sums), default=0),
             publishers=publishers,
             declared_rate=self._settings.segmenter.value.declared_rate,
             path='draining' if self._input.lean else 'a plain callback',
@@ -186,6 +187,29 @@ class ImuWatch:
         self._checkpoint.save(self._total())
         self._checkpoint.close()
 
+    def _outlook(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
+        """Return the health and the findings of the stream, and publish sums that were replaced.
+
+        The sums are expensive. They are computed if no message arrived since the last call, or if
+        anything but the addition of data at rest happened since they were computed.
+        """
+        quiet, self._counted = self._input.received == self._counted, self._input.received
+        if self._outdated:
+            health, findings = self._stream.outlook(self._known.sums)
+            if not quiet and _events(health) == _events(self._known.health):
+                return health, findings
+            total = self._total()
+            if replaced_share(self._published, total[0]) > REPLACED_SHARE:
+                self._publish(total)
+        return self._known.health, self._known.findings
+
+    def _static_s(self, health: StreamHealth) -> float:
+        """Return the time at rest in s: that of the sums, and of the samples added since then."""
+        known = max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0)
+        added = health.counts.used - self._known.health.counts.used
+        streams = max(1, len(self._known.current))
+        return known + max(0, added) / streams / health.rate_hz if health.rate_hz else known
+
     # --- samples in -------------------------------------------------------------------------------
 
     def _begin(self, latest_ns: int | None = None) -> None:
@@ -194,6 +218,9 @@ class ImuWatch:
         self._stream = ImuStream(segmenter, hardware_id, with_means=True)
         self._splitter = PassSplitter(latest_ns)
         self._latest_ns: int | None = None  # of these sums
+        self._known = self._stream.result()
+        self._sums: tuple[AllanSums, ...] = ()
+        self._outdated = True  # whether samples were taken since these were computed
 
     def _update(self) -> None:
         """Accumulate the drained messages."""
@@ -211,6 +238,7 @@ class ImuWatch:
 
     def _take(self, batch: ImuBatch) -> None:
         self._stream.update(batch)
+        self._outdated = True
         if len(self._axes) < len(AXES):
             finite = np.array(AXES)[np.isfinite(batch.samples).any(axis=0)].tolist()
             self._axes = tuple(axis for axis in AXES if axis in self._axes or axis in finite)
@@ -233,7 +261,9 @@ class ImuWatch:
 
     def _total(self) -> Total:
         """Return the sums as if the input ended now, with those of former runs of the node."""
-        known = self._stream.result()
+        if self._outdated:
+            self._known, self._outdated = self._stream.result(), False
+        known = self._known
         source = SourceInfo(
             self._node.get_fully_qualified_name(), self._input.topic, IMU_TYPE, 'live'
         )
@@ -246,7 +276,9 @@ class ImuWatch:
             settings,
             self._latest_ns,
         )
-        return self._checkpoint.total(known.sums, provenance)
+        total = self._checkpoint.total(known.sums, provenance)
+        self._sums = total[0]
+        return total
 
     def _publish(self, total: Total) -> None:
         """Hand the sums to the listener, and publish them while somebody subscribes."""
@@ -287,3 +319,9 @@ class ImuWatch:
             response.message += f'; those before are in {where}'
         response.message = '; '.join([response.message, *map(str, self._checkpoint.findings)])
         return response
+
+
+def _events(health: StreamHealth) -> tuple[object, ...]:
+    """Return what changes in the health of a stream when more than data at rest is added."""
+    cuts = sum(health.counts.cuts.values())
+    return health.state, health.discarded, health.frame_id, health.frame_changes, cuts

@@ -54,7 +54,8 @@ class InputView:
     statistics: TransportStatistics
     findings: tuple[Finding, ...]
     noted: tuple[Finding, ...]
-    sums: tuple[AllanSums, ...]
+    static_s: float
+    segments: int
     publishers: tuple[str, ...]
     declared_rate: float
     path: str
@@ -123,14 +124,13 @@ def status_of(
 def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStatus:
     """Return the status of one input."""
     h, c, r = view.health, view.health.counts, view.statistics
-    static_s = max((s.elapsed_ns * 1e-9 for s in view.sums), default=0.0)
     pairs: list[tuple[str, object]] = [
         ('topic', view.topic),
         ('state', h.state),
         ('rate [Hz]', h.rate_hz),
         ('declared rate [Hz]', view.declared_rate or None),
-        ('evidence [s]', static_s),
-        ('segments', max((s.segment_count for s in view.sums), default=0)),
+        ('evidence [s]', view.static_s),
+        ('segments', view.segments),
         ('share of still time', h.still_share),
         ('received [messages]', r.received),
         ('sent before the first came [messages]', r.sent_before),
@@ -157,13 +157,13 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('checkpoint', view.checkpoint or 'none'),
         ('checkpoint age [s]', view.checkpoint_age_s),
     ]
-    text = _state_text(view, static_s)
+    text = _state_text(view)
     return status_of(name, view.findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
-def _state_text(view: InputView, static_s: float) -> str:
+def _state_text(view: InputView) -> str:
     h = view.health
-    static = f'{duration_text(static_s, 3)} of static data'
+    static = f'{duration_text(view.static_s, 3)} of static data'
     if h.state == 'waiting':
         return 'waiting for the first message'
     if h.state == 'learning':

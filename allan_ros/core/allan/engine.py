@@ -512,6 +512,11 @@ class RunningAllan:
         return max(passed, closed.history.length)
 
     @property
+    def samples(self) -> int:
+        """Number of samples in the sums."""
+        return self._closed.samples + self.open_samples
+
+    @property
     def open_samples(self) -> int:
         """Number of samples in the open segment."""
         return 0 if self._open is None else self._open.samples

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 from bisect import insort
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from .health import (
     FilledGaps,
     Means,
     RunningMeans,
+    SampleCounter,
     Segment,
     State,
     StreamHealth,
@@ -106,17 +107,24 @@ class ImuStream:
         now.end()
         longest = now._longest()
         sums = tuple(each.sums for each in longest)
-        health = now._health(state, sums)
-        notes = [note for frame in now._frames.values() for note in frame.notes]
-        found = [*notes, *stream_findings(health, sums, now._options.settings)]
         return Accumulation(
             sums,
             tuple(s for each in now._present.sensors if (s := each.present.sums).samples),
-            health,
-            tuple(dict.fromkeys(found)),
+            *now._health(state, sums),
             longest[0].segments if longest else (),
             tuple(each.spectrum for each in longest if each.spectrum is not None),
         )
+
+    def outlook(self, sums: tuple[AllanSums, ...]) -> tuple[StreamHealth, tuple[Finding, ...]]:
+        """Return health and findings of `result`, from its earlier sums, at a tenth of the cost."""
+        light: dict[int, Any] = {}
+        for frame in self._frames.values():
+            for sensor in frame.sensors:
+                light |= sensor.without_sums()
+        now = copy.deepcopy(self, light)
+        state = now._present.state
+        now.end()
+        return now._health(state, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:
         """Add a frame; if there are too many, drop the one with the shortest data."""
@@ -141,14 +149,16 @@ class ImuStream:
                     best[axis] = each
         return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
 
-    def _health(self, state: State, longest: tuple[AllanSums, ...]) -> StreamHealth:
+    def _health(
+        self, state: State, longest: tuple[AllanSums, ...]
+    ) -> tuple[StreamHealth, tuple[Finding, ...]]:
         frame = self._present
         counts = Counts(received=self._received)
         for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
             counts.add(each)
         clock = frame.sensors[0].clock if frame.sensors else None
         streams = [s for each in self._frames.values() for s in each.sensors]
-        return StreamHealth(
+        health = StreamHealth(
             counts,
             state,
             1e9 / clock.period_ns if clock else None,
@@ -162,6 +172,9 @@ class ImuStream:
             sum(stream.relearned for stream in streams),
             {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
         )
+        notes = [note for frame in self._frames.values() for note in frame.notes]
+        found = [*notes, *stream_findings(health, longest, self._options.settings)]
+        return health, tuple(dict.fromkeys(found))
 
 
 class FrameStream:
@@ -341,6 +354,11 @@ class SensorStream:
         """The latest means of static samples over a second, if they are kept."""
         return None if self._means is None else self._means.means
 
+    def without_sums(self) -> dict[int, Any]:
+        """Return replacements of the sums by object id, for a copy that only counts samples."""
+        light = {id(self._engine): SampleCounter(self._engine), id(self._means): None}
+        return {**light, id(self._spectrum): None, id(self._former): [], id(self._segments): []}
+
     def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
         """Take samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
         own = self._order.feed(*self._own.pick(stamps, rows))
@@ -413,8 +431,8 @@ class SensorStream:
 
     def _accumulate(self, block: Block) -> None:
         if block.cut == RELEARNED:
-            self.counts.moving += self._engine.sums.samples
-            self.counts.used -= self._engine.sums.samples
+            self.counts.moving += self._engine.samples
+            self.counts.used -= self._engine.samples
             self.relearned += 1
             self._clear()
         elif block.cut:

@@ -31,6 +31,9 @@ wait in a queue arrive later, never earlier."""
 STARTUP_S = 5.0
 """Silence before the first message is no error for this long: discovery takes seconds."""
 
+NEVER_STILL_S = 10.0
+"""Motion from the start on is reported after this time."""
+
 LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'sensor_all_zero'),
     *('zero_filled', 'held', 'never_still', 'no_noise', 'gyro_unit', 'accel_unit', 'accel_scale'),
@@ -117,12 +120,14 @@ class TransportMonitor:
             names, count = ', '.join(publishers), len(publishers)
             found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
         found += self._lately(health)
-        louder = ('noise_louder',) if health.state == 'louder' else ()
+        present = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
+        if health.rate_hz and health.counts.moving < NEVER_STILL_S * health.rate_hz:
+            present.discard('never_still')
         # A robot that drives since it was started has no fault: a warning, no error.
         found += [
             replace(f, severity='warning') if f.id == 'never_still' else f
             for f in stream
-            if f.id in (*LIVE_FINDINGS, *louder)
+            if f.id in present
         ]
         order = ('error', 'warning', 'info')
         return tuple(sorted(found, key=lambda f: order.index(f.severity)))

@@ -143,6 +143,19 @@ def test_looking_at_the_result_disturbs_nothing():
     assert_same(accumulator.result(), accumulate(t, x))
 
 
+@pytest.mark.parametrize('fault', FAULTS)
+def test_the_outlook_is_the_health_and_the_findings_of_the_result(fault):
+    t, x = FAULTS[fault](*still(12_000), np.random.default_rng(0))
+    stream = ImuStream(with_means=True, with_spectra=True)
+    for at in range(0, len(t), 1500):
+        frame_id = 'a' if at < 6000 else 'b'
+        stream.update(ImuBatch(t[at : at + 1500], x[at : at + 1500], frame_id=frame_id))
+        known = stream.result()
+        assert stream.outlook(known.sums) == (known.health, known.findings)
+    stream.end()
+    assert stream.outlook(stream.result().sums)[0] == stream.result().health
+
+
 @pytest.mark.parametrize(
     'fault, expected',
     [

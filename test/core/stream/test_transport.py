@@ -210,3 +210,11 @@ def test_a_robot_that_drives_since_boot_is_a_warning():
         (finding('never_still', seconds=61.0),),
     )
     assert found.severity == 'warning'
+
+
+def test_motion_since_the_start_is_reported_after_ten_seconds():
+    source = Input()
+    moving = [
+        source.second(stream=[finding('never_still', seconds=s)], moving=200) for s in range(20)
+    ]
+    assert moving == [[]] * 9 + [['never_still']] * 11
