@@ -11,13 +11,15 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .api import adev, analyze, compare, fit, inflate, merge, simulate
+    from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
-    from .io.axis_result import AxisCurve, AxisResult, Quantity
+    from .io.axis_result import AxisResult, Quantity
     from .io.documents import load
     from .io.results import Results
 
@@ -41,10 +43,22 @@ __all__ = [
 
 _HOME = {
     'AllanError': 'core.errors',
+    'AxisCurve': 'core.allan.curve',
+    'AxisResult': 'io.axis_result',
+    'Quantity': 'io.axis_result',
     'load': 'io.documents',
-    **dict.fromkeys(('AxisCurve', 'AxisResult', 'Quantity'), 'io.axis_result'),
     'Results': 'io.results',
 }
+
+
+def keep_to_one_thread() -> None:
+    """Keep linear algebra to one thread: entry points call this before numpy is imported.
+
+    Matrices have a hundred rows: spread over threads, which wait for each other by spinning, a fit
+    takes three times the CPU and no less time. What the user has set stays.
+    """
+    for library in ('OPENBLAS', 'OMP', 'MKL'):
+        os.environ.setdefault(f'{library}_NUM_THREADS', '1')
 
 
 def __getattr__(name: str) -> Any:

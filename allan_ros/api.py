@@ -43,7 +43,7 @@ from .io.recorded import (
     read_recording,
 )
 from .io.results import Results, analyse_recorded
-from .io.truth import stated_noise
+from .io.user_files import stated_noise
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,8 @@ class ResultSettings:
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
     """Fit the sums and compare them with the datasheet and the earlier run of the settings.
 
-    Raises
-    ------
-    AllanError
-        When there is too little data, or the datasheet or the earlier run cannot be read.
+    Raises AllanError when there is too little data, or the datasheet or the earlier run cannot be
+    read.
     """
     results = analyse_recorded(recorded, settings.method)
     return results.compared(settings.sensor, settings.baseline, settings.margin)

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit all curves of the file, and show coefficients, processes and inconsistencies."""
     from ..core.fit.curve_fit import fit_curve
-    from ..io.curves import doubts, read_curves, read_published
+    from ..io.user_files import doubts, read_curves, read_published
 
     console = Console.of(args)
     if args.hours is not None and not 0.0 < args.hours < float('inf'):

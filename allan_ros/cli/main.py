@@ -14,9 +14,8 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from .. import __version__
+from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
-from ..one_thread import keep_to_one_thread
 from .options import words_with_config
 from .parser import (
     EXIT_ERROR,

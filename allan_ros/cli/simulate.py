@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, write the recording and then its truth."""
 
-    from ..io.truth import stated_noise, write_truth
+    from ..io.user_files import stated_noise, write_truth
     from ..io.writing import write_recording
 
     changes = {name: getattr(args, name) for name in NOISE_OPTIONS if getattr(args, name)}

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, fdtr, fdtrc, fdtri, ndtr
 
-from .allan.curve import CI_LEVEL
+from .allan.curve import CI_LEVEL, AxisCurve
 from .fit.model import TERMS, Coefficient
 
 MARGIN = 0.2
@@ -76,12 +76,10 @@ class Comparison:
     ----------
     reference : str
         Name of the datasheet or of the earlier run.
-    axis : str
     term : str
         A term, or 'adev' for the deviation at ``tau``.
     limit : float
         Limit of the datasheet, or what the earlier run had: its value, or its upper limit.
-    verdict : 'within', 'beyond' or 'open'
     at_least : float
         Lower end of the 95 % interval of measured / limit; 0 where it is not known.
     tau : float or None
@@ -104,18 +102,9 @@ def compare_with_limits(
     noise: Mapping[str, Coefficient],
     margin: float,
 ) -> tuple[Comparison, ...]:
-    """Return a comparison for each term of an axis that has a limit.
+    """Return a comparison for each term of an axis that has a limit (axis -> term -> SI value).
 
-    Parameters
-    ----------
-    reference : str
-        Name of the datasheet.
-    limits : mapping of axis to term to float
-        Upper limits in SI.
-    axis : str
-    noise : mapping of term to Coefficient
-    margin : float
-        Fraction by which the complete 95 % interval must lie above the limit to be beyond it.
+    A complete 95 % interval must lie above the limit by the fraction ``margin`` to be beyond it.
     """
     return tuple(
         Comparison(
@@ -148,7 +137,6 @@ class Difference:
 
     Attributes
     ----------
-    axis : str
     quantity : str
         A term, or 'adev' for the deviation at ``tau``.
     tau : float or None
@@ -161,7 +149,7 @@ class Difference:
         95 % interval of the ratio; a limit makes it open, with 0 or infinity at one end.
     p : float or None
         Probability of such a difference between runs of equal noise; None where it is not known.
-    verdict : 'higher', 'lower', 'alike' or 'open'
+    verdict : Change
         After correction for the number of comparisons.
     """
 
@@ -180,9 +168,7 @@ class Difference:
         return self.verdict in ('higher', 'lower')
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the difference is significant and its complete interval exceeds a
-        fraction.
-        """
+        """Return whether the difference and its complete interval exceed a fraction."""
         low, high = self.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 
@@ -202,21 +188,11 @@ class Difference:
         return Comparison(*args)
 
 
-@dataclass(frozen=True)
-class DeviationCurve:
-    """An Allan curve: averaging times in s, deviations, and their 68.3 % limits."""
-
-    tau: Floats
-    adev: Floats
-    ci_low: Floats
-    ci_high: Floats
-
-
 class Measured(NamedTuple):
     """What a run knows of one axis: its coefficients by term, its curve, or both."""
 
     noise: Mapping[str, Coefficient] | None
-    curve: DeviationCurve | None
+    curve: AxisCurve | None
 
 
 Run = Mapping[str, Measured]
@@ -228,20 +204,9 @@ def differences(
 ) -> list[tuple[Difference, ...]]:
     """Return how the second run of each pair differs from the first, in all that both have.
 
-    Parameters
-    ----------
-    pairs : iterable of (Run, Run)
-    repeats : float
-        How often such a comparison is made: 1 for one that stands alone. The k-th of an endless
-        series takes k (k + 1), so that the false detections of all of them stay below
-        ``family_error``.
-    family_error : float
-        Probability of any false detection.
-
-    Returns
-    -------
-    list of tuple of Difference
-        For each pair, by axis: the five terms, then the deviations at common averaging times.
+    By axis: the five terms, then the deviations at common averaging times. ``repeats`` is how often
+    such a comparison is made: 1 for one that stands alone; the k-th of an endless series takes
+    k (k + 1), so that the false detections of all of them stay below ``family_error``.
     """
     found = [
         [d for axis in first if axis in second for d in _of_axis(axis, first[axis], second[axis])]
@@ -259,7 +224,7 @@ def _of_axis(axis: str, first: Measured, second: Measured) -> Iterator[Differenc
         yield from _of_curves(axis, first.curve, second.curve)
 
 
-def _of_curves(axis: str, first: DeviationCurve, second: DeviationCurve) -> Iterator[Difference]:
+def _of_curves(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
     """Yield the difference of the deviations at common averaging times, verdicts still open.
 
     The times are a factor `TAU_RATIO` apart, from the shortest that both have to the longest at
@@ -381,7 +346,7 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
 class _Interpolated:
     """Deviation and degrees of freedom of a curve, interpolated linearly in logarithms."""
 
-    def __init__(self, curve: DeviationCurve) -> None:
+    def __init__(self, curve: AxisCurve) -> None:
         with np.errstate(invalid='ignore', divide='ignore'):
             edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
             known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)

@@ -1,14 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Fields`: read a JSON object strictly, with errors that name the field.
+"""Dataclasses to JSON values (`plain`), and JSON objects read strictly (`Fields`).
 
 Documents are not trusted: every value and every length has a bound.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import AllanError, one_line
+from .imu import to_si
 
 T = TypeVar('T')
 
@@ -32,6 +35,33 @@ MAX_ITEMS = 1_000_000
 """Longest list; the reader of a list of known length sets a lower bound."""
 
 _REQUIRED = object()
+
+
+def plain(value: Any) -> Any:
+    """Return dataclasses, named tuples, mappings, sequences and arrays as JSON values.
+
+    A number that is not finite is None.
+    """
+    if dataclasses.is_dataclass(value):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if hasattr(value, '_asdict'):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextmanager
+def located(where: str) -> Iterator[None]:
+    """Put the place in front of the message of an `AllanError`."""
+    try:
+        yield
+    except AllanError as error:
+        raise AllanError(f'{where}: {error}') from error
 
 
 class Fields:
@@ -57,6 +87,12 @@ class Fields:
                 f'{self.where}: schema is {_shown(found)}, this version reads {expected!r}: '
                 'give a file that it wrote'
             )
+
+    def only(self, *known: str) -> None:
+        """Reject an object with any other key."""
+        for key in self:
+            if key not in known:
+                raise AllanError(f'{self.where}: {key!r:.40} is unknown, use {", ".join(known)}')
 
     def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
         value = str(self._get(key, str, 'a text', default))
@@ -84,6 +120,11 @@ class Fields:
         if value < least:
             raise self._wrong(key, value, f'a number of at least {least:g}')
         return value
+
+    def quantity(self, unit: str) -> float:
+        """Return this ``{value, unit}`` in another unit."""
+        with located(self.where):
+            return to_si(self.number('value'), self.text('unit'), unit)
 
     def optional_number(self, key: str, least: float = -MAX_FLOAT) -> float | None:
         return None if self._document.get(key) is None else self.number(key, least)
@@ -132,19 +173,12 @@ class Fields:
             )
         return found
 
-    def mapping(self, key: str) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = self._get(key, dict, 'an object')
-        return found
-
     def value(self, key: str) -> object:
         """Return a value of any kind, which the caller checks."""
         return self._get(key, object, 'a value')
 
-    def holds_object(self, key: str) -> bool:
-        return isinstance(self._document.get(key), dict)
-
     def fields(self, key: str) -> Fields:
-        return Fields(self.mapping(key), f'{self.where}.{key}')
+        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}')
 
     def optional_fields(self, key: str) -> Fields | None:
         return None if self._document.get(key) is None else self.fields(key)
@@ -156,14 +190,8 @@ class Fields:
     def record(self, kind: type[T], signed: Collection[str] = (), **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are keys of this object.
 
-        Parameters
-        ----------
-        kind : type
-            Its fields are of type str, int, float, (low, high), a literal, or one of these or None.
-        signed : collection of str
-            Fields that may be negative.
-        **known
-            Fields that are not read.
+        They are of type str, int, float, (low, high), a literal, or one of these or None; those
+        ``signed`` may be negative, those ``known`` are not read.
         """
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for key, hint in _hints(kind).items():  # type: ignore[arg-type]

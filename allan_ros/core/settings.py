@@ -88,10 +88,8 @@ def _check_type(name: str, value: object, default: object) -> None:
 def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
     """Return settings from keyword arguments.
 
-    Raises
-    ------
-    AllanError
-        Naming the argument that is unknown and the nearest known one, or what `check` rejects.
+    Raises AllanError naming the argument that is unknown and the nearest known one, or what `check`
+    rejects.
     """
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     for name in given:

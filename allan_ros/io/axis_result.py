@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.allan.curve import AllanCurve
+from ..core.allan.curve import AllanCurve, AxisCurve
 from ..core.allan.sums import AllanSums
 from ..core.filters.bias import TurnOnBias, turn_on_bias
 from ..core.filters.growth import Growth, growth_table
@@ -63,57 +63,22 @@ class Quantity:
         AllanError
             When the unit is unknown, or of another quantity; it lists the units that fit.
         """
-        factor = to_si(1.0, self.unit, UNITS[self.unit].si) / to_si(1.0, unit, UNITS[self.unit].si)
-        low_high = self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor)
+        si = UNITS[self.unit].si
+        factor = to_si(1.0, self.unit, si) / to_si(1.0, unit, si)
         return replace(
             self,
             value=None if self.value is None else self.value * factor,
-            ci95=low_high,
+            ci95=self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor),
             upper95=None if self.upper95 is None else self.upper95 * factor,
             unit=unit,
         )
 
     def __repr__(self) -> str:
-        known = Coefficient(
-            self.value,
-            self.ci95,
-            self.upper95,
-            'not_observable' if self.value is None else 'estimated',
-            self.sign,
-        )
+        status = 'not_observable' if self.value is None else 'estimated'
+        known = Coefficient(self.value, self.ci95, self.upper95, status, self.sign)
         unit = ShownUnit(self.unit, 1.0)
         interval = interval_text(known, unit)
         return f'{value_text(known, unit)}{f" ({interval})" if interval else ""} {self.unit}'
-
-
-@dataclass(frozen=True)
-class AxisCurve:
-    """Overlapping Allan deviation with its 68.3 % confidence limits.
-
-    Attributes
-    ----------
-    m : (factors,) int64 array
-        Averaging factors in samples.
-    tau : (factors,) float64 array
-        Averaging times in s.
-    n : (factors,) int64 array
-        Number of second differences in each point.
-    adev, ci_low, ci_high : (factors,) float64 arrays
-        Deviation and its limits in the unit of the samples; (factors, columns) of several columns.
-
-    Examples
-    --------
-    >>> import allan_ros as ar
-    >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).tau
-    array([0.5, 1. ])
-    """
-
-    m: NDArray[np.int64]
-    tau: NDArray[np.float64]
-    n: NDArray[np.int64]
-    adev: NDArray[np.float64]
-    ci_low: NDArray[np.float64]
-    ci_high: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -271,28 +236,20 @@ def axis_results(
     fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
     """Yield name and result of each axis of sums, their curve and fit."""
-    for sums, curve, fit in fitted:
+    for sums, curve, model in fitted:
         means = np.array([one.mean for one in sums.history.recordings])
         for i, name in enumerate(curve.axes):
-            variance = sample_variance(curve.m, curve.adev[:, i], fit.tau0)
-            white = (fit.axes[name].noise['N'].value or 0.0) ** 2 / fit.tau0
-            yield (
+            fit = model.axes[name]
+            variance = sample_variance(curve.m, curve.adev[:, i], model.tau0)
+            white = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
+            axis = AxisResult(
+                model.tau0,
+                fit,
+                curve.axis(i),
+                tuple(read_curve(curve, name, fit)),
+                None if variance is None else math.sqrt(variance),
                 name,
-                AxisResult(
-                    fit.tau0,
-                    fit.axes[name],
-                    AxisCurve(
-                        curve.m,
-                        curve.tau,
-                        curve.n,
-                        curve.adev[:, i],
-                        curve.ci_low[:, i],
-                        curve.ci_high[:, i],
-                    ),
-                    tuple(read_curve(curve, name, fit.axes[name])),
-                    None if variance is None else math.sqrt(variance),
-                    name,
-                    rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,
-                    turn_on_bias(means[:, i]) if len(means) else None,
-                ),
+                rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,
+                turn_on_bias(means[:, i]) if len(means) else None,
             )
+            yield name, axis

@@ -86,10 +86,7 @@ class Checkpoint:
     def try_to_write(self) -> None:
         """Check now, not at the first period, whether the folder can be written.
 
-        Raises
-        ------
-        AllanError
-            When it cannot.
+        Raises AllanError when it cannot.
         """
         write_atomic(self._trial, '')
         self._trial.unlink(missing_ok=True)
@@ -102,10 +99,7 @@ class Checkpoint:
     def set_aside(self) -> Path:
         """Start again: rename the file, if any, to ``<name>.previous`` and return that path.
 
-        Raises
-        ------
-        AllanError
-            When it cannot be renamed.
+        Raises AllanError when it cannot be renamed.
         """
         previous = self.path.with_name(f'{self.path.name}.previous')
         if self.path.exists():

@@ -97,10 +97,7 @@ def compare_runs(
 ) -> RunComparison:
     """Compare each run with the first, and with each datasheet.
 
-    Raises
-    ------
-    AllanError
-        When there is nothing to compare, or two runs share no axis.
+    Raises AllanError when there is nothing to compare, or two runs share no axis.
     """
     if len(runs) + len(datasheets) < 2 or not runs:
         raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')

@@ -286,10 +286,8 @@ def write_comparison(
 ) -> list[Path]:
     """Write comparison.json, .md and .csv and a picture of each sensor, and return their paths.
 
-    Raises
-    ------
-    AllanError
-        When the folder cannot be made or written, or the style of the pictures is unknown.
+    Raises AllanError when the folder cannot be made or written, or the style of the pictures is
+    unknown.
     """
     # Heavy to import, and a table needs no pictures until here.
 

@@ -14,34 +14,50 @@ A product that carries a known sensor names it (``carries``) and has no figures 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 from ..core.compare import Comparison, Verdict, compare_with_limits
 from ..core.errors import AllanError
-from ..core.fields import Fields
+from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, finding
 from ..core.fit import TERMS, Coefficient
-from ..core.imu import AXES, SI_UNITS, sensor_of, to_si
+from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
-from .config_files import config_file, config_names, read_yaml
+from .files import config_file, config_names, read_yaml
 from .format import interval_text, shown_unit, significant, value_text
 
 SCHEMA = 'allan_ros/sensor/1'
-
 
 WALK_KEY = {'gyro': 'arw', 'accel': 'vrw'}
 """sensor -> the key of N as datasheets call it: angle or velocity random walk."""
 
 
-SIDED = ('one', 'two', 'unknown')
+FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
+"""B over the minimum of a curve, which is at least sqrt(2 ln2/pi) B = 0.664 B: white noise and
+random walk add to it."""
 
-STATED_AS = ('coefficient', 'minimum', 'unknown')
-
-
-SEEN = ('datasheet', 'secondary')
-"""Whether the document itself was read, or another one that quotes it."""
+MEANINGS = {
+    'sided': {
+        'one': (1.0 / math.sqrt(2.0), 'one-sided density, divided by sqrt(2)'),
+        'two': (1.0, ''),
+        'unknown': (
+            1.0,
+            'the source does not state one- or two-sided: N is this, or this / sqrt(2)',
+        ),
+    },
+    'stated_as': {
+        'coefficient': (1.0, ''),
+        'minimum': (FROM_MINIMUM, 'minimum of the curve, divided by 0.664'),
+        'unknown': (
+            FROM_MINIMUM,
+            'the source does not state B or minimum: treated as the minimum, divided by 0.664',
+        ),
+    },
+}
+"""Key of a noise density (a one-sided one is sqrt(2) N: IEEE Std 952-1997, C.1.1) or a bias
+instability -> what its value may be -> the factor that makes it N or B, and a note."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +68,7 @@ class Source:
     ----------
     title, revision, url : str
         The document, its number and revision, and the manufacturer's page; '' where not known.
-    seen : 'datasheet', 'secondary' or ''
+    seen : str
         Whether the document itself was read, or ``via``, which quotes it; '' where not known.
     via : str
         The document that was read instead, if not the original.
@@ -61,7 +77,7 @@ class Source:
     title: str
     revision: str = ''
     url: str = ''
-    seen: str = ''
+    seen: Literal['', 'datasheet', 'secondary'] = ''
     via: str = ''
 
     def __str__(self) -> str:
@@ -132,11 +148,7 @@ class Datasheet:
 VERDICTS: tuple[Verdict, ...] = ('beyond', 'open', 'within')
 """The worst first."""
 
-VERDICT_TEXT: dict[Verdict, str] = {
-    'within': 'within',
-    'open': 'not settled',
-    'beyond': 'beyond',
-}
+VERDICT_TEXT: dict[Verdict, str] = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
 """Verdict -> its text in tables; 'open' means that the interval contains the limit."""
 
 
@@ -225,7 +237,7 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
     sheet = comparison.datasheet
     axes: dict[str, dict[str, Any]] = {}
     for c in comparison.comparisons:
-        limit = asdict(comparison.limit(c))
+        limit = plain(comparison.limit(c))
         axes.setdefault(c.axis, {})[c.term] = {
             'limit': limit.pop('value'),
             'unit': SI_UNITS[sensor_of(c.axis)][c.term],
@@ -238,7 +250,7 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
         'remark': sheet.remark,
         'margin': comparison.margin,
         'verdict': comparison.verdict,
-        'sources': {key: asdict(source) for key, source in sheet.sources.items()},
+        'sources': plain(sheet.sources),
         'axes': axes,
     }
 
@@ -246,21 +258,14 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
 def comparison_from_document(
     fields: Fields, noise: Mapping[str, Mapping[str, Coefficient]]
 ) -> DatasheetComparison:
-    """Return the comparison of an object of `comparison_to_document` and the coefficients.
-
-    Raises
-    ------
-    AllanError
-        Naming the field that is missing or wrong.
-    """
+    """Return the comparison of an object of `comparison_to_document` and the coefficients."""
     sources = fields.fields('sources')
     limits: dict[str, dict[str, Limit]] = {}
     axes = fields.fields('axes')
     for axis in axes:
         terms = axes.fields(axis)
+        terms.only(*TERMS)
         for term in terms:
-            if term not in TERMS:
-                raise AllanError(f'{terms.where}: {term!r} is unknown, use {", ".join(TERMS)}')
             f = terms.fields(term)
             limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
     stated = {key: _source(sources.fields(key)) for key in sources}
@@ -275,13 +280,7 @@ def sensor_names() -> list[str]:
 
 
 def load_sensor(name: str) -> Datasheet:
-    """Return a datasheet by its name, or by the path of its file.
-
-    Raises
-    ------
-    AllanError
-        When there is none of that name, or the file is not as it must be.
-    """
+    """Return a datasheet by its name, or by the path of its file."""
     path = config_file('sensors', name, 'datasheet')
     fields = Fields(read_yaml(path), str(path))
     return _product(fields) if 'carries' in fields else _datasheet(fields)
@@ -290,12 +289,10 @@ def load_sensor(name: str) -> Datasheet:
 def _product(fields: Fields) -> Datasheet:
     """Return the figures of the sensor that a product carries, with the sources of both."""
     fields.schema(SCHEMA)
-    _refuse_others(fields, ('schema', 'name', 'maker', 'remark', 'sources', 'carries'))
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     name = fields.text('carries')
-    try:
+    with located(f'{fields.where}.carries'):
         path = config_file('sensors', name, 'datasheet')
-    except AllanError as error:
-        raise AllanError(f'{fields.where}.carries: {error}') from error
     carried = Fields(read_yaml(path), str(path))
     # This refuses a file that names itself, too.
     if 'carries' in carried:
@@ -320,7 +317,7 @@ def _product(fields: Fields) -> Datasheet:
 
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
-    _refuse_others(fields, ('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES))
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES)
     sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
     ranges: dict[str, float] = {}
@@ -330,10 +327,11 @@ def _datasheet(fields: Fields) -> Datasheet:
             part = fields.optional_fields(name)
             if part is None:
                 continue
-            limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), tuple(sources))
+            limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
+            unit = SI_UNITS[sensor_of(axis)]['B']
             for key, into in (('range', ranges), ('lsb', steps)):
                 if key in part:
-                    into[axis] = _plain(part.fields(key), SI_UNITS[sensor_of(axis)]['B'], sources)
+                    into[axis] = _quantity(part.fields(key), unit, sources).value
     return Datasheet(
         fields.text('name'),
         fields.text('maker', ''),
@@ -354,92 +352,40 @@ def _sources(fields: Fields) -> dict[str, Source]:
 
 
 def _source(fields: Fields) -> Source:
-    _refuse_others(fields, ('title', 'revision', 'url', 'seen', 'via'))
-    if 'seen' in fields:
-        fields.choice('seen', ('', *SEEN))
+    fields.only('title', 'revision', 'url', 'seen', 'via')
     return fields.record(Source)
 
 
-def _limits(fields: Fields, sensor: str, sources: tuple[str, ...]) -> dict[str, Limit]:
+def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
     """Return term -> limit of one sensor or axis."""
     walk, units = WALK_KEY[sensor], SI_UNITS[sensor]
-    _refuse_others(fields, (walk, 'noise_density', 'bias_instability', 'range', 'lsb'))
+    fields.only(walk, 'noise_density', 'bias_instability', 'range', 'lsb')
     limits = {}
-    if 'noise_density' in fields:
-        limits['N'] = _density(fields.fields('noise_density'), units['N'], sources)
     # Where both are stated, the random walk is N itself and needs no guess.
-    if walk in fields:
-        limits['N'] = _quantity(fields.fields(walk), units['N'], sources)
-    if 'bias_instability' in fields:
-        limits['B'] = _bias(fields.fields('bias_instability'), units['B'], sources)
+    for key, term, meaning in (
+        ('noise_density', 'N', 'sided'),
+        (walk, 'N', ''),
+        ('bias_instability', 'B', 'stated_as'),
+    ):
+        if key in fields:
+            limits[term] = _quantity(fields.fields(key), units[term], sources, meaning)
     return limits
 
 
-def _density(fields: Fields, unit: str, sources: tuple[str, ...]) -> Limit:
-    """Return N from a noise density: a one-sided one is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
-    sided = fields.choice('sided', SIDED)
-    factor, note = {
-        'one': (1.0 / math.sqrt(2.0), 'one-sided density, divided by sqrt(2)'),
-        'two': (1.0, ''),
-        'unknown': (
-            1.0,
-            'the source does not state one- or two-sided: N is this, or this / sqrt(2)',
-        ),
-    }[sided]
-    return _quantity(fields, unit, sources, 'sided', factor=factor, note=note)
-
-
-def _bias(fields: Fields, unit: str, sources: tuple[str, ...]) -> Limit:
-    """Return B from a bias instability, which may be the coefficient or the curve's minimum.
-
-    The minimum of a curve is at least sqrt(2 ln2/pi) B = 0.664 B: white noise and random walk
-    add to it.
-    """
-    stated_as = fields.choice('stated_as', STATED_AS)
-    from_minimum = 1.0 / math.sqrt(FLICKER_FLOOR)
-    factor, note = {
-        'coefficient': (1.0, ''),
-        'minimum': (from_minimum, 'minimum of the curve, divided by 0.664'),
-        'unknown': (
-            from_minimum,
-            'the source does not state B or minimum: treated as the minimum, divided by 0.664',
-        ),
-    }[stated_as]
-    return _quantity(fields, unit, sources, 'stated_as', factor=factor, note=note)
-
-
-def _plain(fields: Fields, unit: str, sources: Mapping[str, Source]) -> float:
-    return _quantity(fields, unit, tuple(sources)).value
-
-
-def _quantity(
-    fields: Fields,
-    unit: str,
-    sources: tuple[str, ...],
-    *others: str,
-    factor: float = 1.0,
-    note: str = '',
-) -> Limit:
-    """Return a ``{value, unit, condition, source}`` in SI times a factor, and as it is written.
+def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
+    """Return a ``{value, unit, condition, source}`` and its key of `MEANINGS` in SI.
 
     The source may be left out where there is only one.
     """
-    _refuse_others(fields, ('value', 'unit', 'condition', 'source', *others))
-    value, written = fields.number('value'), fields.text('unit')
+    fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
+    factor, note = 1.0, ''
+    if meaning:
+        factor, note = MEANINGS[meaning][fields.choice(meaning, tuple(MEANINGS[meaning]))]
+    value = fields.number('value')
     if not value > 0.0:
         raise AllanError(f'{fields.where}.value is {value:g}: a positive number is expected')
-    source = sources[0]
+    source = next(iter(sources))
     if 'source' in fields or len(sources) > 1:
-        source = fields.choice('source', sources)
-    try:
-        in_si = to_si(value, written, unit)
-    except AllanError as error:
-        raise AllanError(f'{fields.where}: {error}') from error
-    condition = fields.text('condition', '')
-    return Limit(in_si * factor, f'{value:g} {written}', note, condition, source)
-
-
-def _refuse_others(fields: Fields, known: tuple[str, ...]) -> None:
-    for key in fields:
-        if key not in known:
-            raise AllanError(f'{fields.where}: {key!r} is unknown, use {", ".join(known)}')
+        source = fields.choice('source', tuple(sources))
+    stated = f'{value:g} {fields.text("unit")}'
+    return Limit(fields.quantity(unit) * factor, stated, note, fields.text('condition', ''), source)

@@ -12,25 +12,25 @@ import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .. import __version__
-from ..core.allan.curve import CI_LEVEL
+from ..core.allan.curve import CI_LEVEL, AxisCurve
 from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
-from ..core.fields import Fields
+from ..core.fields import Fields, plain
 from ..core.filters.bias import TurnOnBias
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from ..core.fit.regions import Region
 from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.health import Counts, Segment
-from .axis_result import AxisCurve, AxisResult
+from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
 from .files import read_json
 from .readers.recording import SourceInfo
@@ -62,14 +62,14 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
         'frame_id': results.identity.frame_id,
         'hardware_id': results.identity.hardware_id,
         'method': results.method,
-        'rate_hz': _finite(results.rate_hz),
-        'tau0_s': _finite(results.tau0),
+        'rate_hz': plain(results.rate_hz),
+        'tau0_s': plain(results.tau0),
         'samples': results.samples,
-        'duration_s': _finite(results.duration_s),
+        'duration_s': plain(results.duration_s),
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
         **judged,
-        'findings': [asdict(f) for f in results.findings],
+        'findings': plain(results.findings),
         'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
         'axes': {
             name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
@@ -80,10 +80,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
 def results_from_document(document: object, where: str = 'results') -> Results:
     """Return the results of a document of `results_to_document`.
 
-    Raises
-    ------
-    AllanError
-        Naming the field that is missing or wrong, or the version that is not known.
+    Raises AllanError naming the field that is missing or wrong, or the version that is not known.
     """
     fields = Fields(document, where)
     fields.schema(RESULTS_SCHEMA)
@@ -113,7 +110,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
         'tool': _tool(),
         **_provenance_to_document(provenance),
         'last_stamp_ns': provenance.last_stamp_ns,
-        'findings': [asdict(f) for f in provenance.findings],
+        'findings': plain(provenance.findings),
         'sums': [sums_to_document(s) for s in sums],
     }
 
@@ -123,10 +120,7 @@ def sums_file_from_document(
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
     """Return the sums and provenance of a document of `sums_file_to_document`.
 
-    Raises
-    ------
-    AllanError
-        Naming the field that is missing or wrong, or the version that is not known.
+    Raises AllanError naming the field that is missing or wrong, or the version that is not known.
     """
     fields = Fields(document, where)
     fields.schema(SUMS_SCHEMA)
@@ -174,10 +168,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
     """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
 
-    Raises
-    ------
-    AllanError
-        When the file is missing or is no such document.
+    Raises AllanError when the file is missing or is no such document.
     """
     path = file_in(path, SUMS)
     sums, provenance = sums_file_from_document(read_json(path), path)
@@ -187,10 +178,7 @@ def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
 def file_in(path: str | os.PathLike[str], name: str) -> str:
     """Return the path itself, or if it is a folder the file of that name in it.
 
-    Raises
-    ------
-    AllanError
-        When the folder has no such file.
+    Raises AllanError when the folder has no such file.
     """
     if not Path(path).is_dir():
         return str(path)
@@ -216,16 +204,12 @@ def _tool() -> dict[str, str]:
     return {'name': 'allan_ros', 'version': __version__}
 
 
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
     longest = sorted(provenance.segments, key=lambda s: -s.samples)[:LISTED_SEGMENTS]
     return {
-        'source': [asdict(s) for s in provenance.sources],
-        'segments': [s._asdict() for s in longest],
-        'counts': {**vars(provenance.counts), 'cuts': dict(provenance.counts.cuts)},
+        'source': plain(provenance.sources),
+        'segments': plain(longest),
+        'counts': plain(provenance.counts),
         'settings': dict(provenance.settings),
     }
 
@@ -284,41 +268,42 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
     document: dict[str, Any] = {
         'unit': unit['B'],
         'tau0_s': axis.tau0,
-        'noise': {t: _coefficient_to_document(fit.noise[t], unit[t]) for t in TERMS},
-        'misfit': _finite(fit.misfit),
+        'noise': {t: {**plain(fit.noise[t]), 'unit': unit[t]} for t in TERMS},
+        'misfit': plain(fit.misfit),
         'm_min': fit.m_min,
-        'gof_z': _finite(fit.gof_z),
+        'gof_z': plain(fit.gof_z),
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
-        'sample_std': _finite(axis.sample_std),
-        'rounding': _finite(axis.rounding),
-        'turn_on': asdict(axis.turn_on) if axis.turn_on else None,
-        'growth': [asdict(growth) for growth in axis.growth],
-        'position_growth': [asdict(growth) for growth in axis.position_growth],
-        'gauss_markov': asdict(fit.gauss_markov) if fit.gauss_markov else None,
-        'sinusoid': asdict(fit.sinusoid) if fit.sinusoid else None,
+        'sample_std': plain(axis.sample_std),
+        'rounding': plain(axis.rounding),
+        'turn_on': plain(axis.turn_on),
+        'growth': plain(axis.growth),
+        'position_growth': plain(axis.position_growth),
+        'gauss_markov': plain(fit.gauss_markov),
+        'sinusoid': plain(fit.sinusoid),
         'processes': _processes_to_document(fit.processes),
-        'deviation': fit.deviation._asdict() if fit.deviation else None,
-        'reading': [asdict(region) for region in axis.regions],
+        'deviation': plain(fit.deviation),
+        'reading': plain(axis.regions),
     }
     if curves and axis.curve is not None:
-        document['curve'] = _curve_to_document(axis.curve)
+        document['curve'] = {**plain(axis.curve), 'ci_level': CI_LEVEL}
     return document
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
     noise = fields.fields('noise')
     misfit = fields.optional_number('misfit', least=0.0)
+    fit = AxisFit(
+        {t: noise.fields(t).record(Coefficient, signed=['sign']) for t in TERMS},
+        math.nan if misfit is None else misfit,
+        fields.integer('m_min', least=1),
+        fields.optional_number('gof_z'),
+        _processes_from_document(fields),
+        fields.optional_record('deviation', Deviation, signed=['relative']),
+    )
     return AxisResult(
         _period_from_document(fields),
-        AxisFit(
-            {t: noise.fields(t).record(Coefficient, signed=['sign']) for t in TERMS},
-            math.nan if misfit is None else misfit,
-            fields.integer('m_min', least=1),
-            fields.optional_number('gof_z'),
-            _processes_from_document(fields),
-            fields.optional_record('deviation', Deviation, signed=['relative']),
-        ),
+        fit,
         _curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         fields.records('reading', Region, signed=['slope']),
         fields.optional_number('sample_std', least=0.0),
@@ -339,7 +324,7 @@ def _processes_to_document(processes: Processes) -> dict[str, Any]:
             }
             for p in processes.gauss_markov
         ],
-        'sinusoid': [asdict(p) for p in processes.sinusoid],
+        'sinusoid': plain(processes.sinusoid),
     }
 
 
@@ -367,30 +352,8 @@ def _scaled(coefficient: Coefficient, factor: float) -> float | None:
     """Return the value per sample where there is an estimate, else None."""
     if coefficient.value is None or coefficient.status != 'estimated':
         return None
-    return _finite(coefficient.value * factor)
-
-
-def _coefficient_to_document(c: Coefficient, unit: str) -> dict[str, Any]:
-    return {
-        'value': _finite(c.value),
-        'ci95': None if c.ci95 is None else [_finite(limit) for limit in c.ci95],
-        'upper95': _finite(c.upper95),
-        'status': c.status,
-        'unit': unit,
-        'sign': c.sign,
-    }
-
-
-def _curve_to_document(curve: AxisCurve) -> dict[str, Any]:
-    return {
-        'm': [int(m) for m in curve.m],
-        'tau': [float(tau) for tau in curve.tau],
-        'n': [int(n) for n in curve.n],
-        'adev': [_finite(v) for v in curve.adev],
-        'ci_low': [_finite(v) for v in curve.ci_low],
-        'ci_high': [_finite(v) for v in curve.ci_high],
-        'ci_level': CI_LEVEL,
-    }
+    found: float | None = plain(coefficient.value * factor)
+    return found
 
 
 def _curve_from_document(fields: Fields) -> AxisCurve:

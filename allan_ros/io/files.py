@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read and write files safely: regular files only, bounded, never half written, and locked.
 
-JSON and YAML are strict in both directions and bounded when read.
+JSON and YAML are strict in both directions and bounded when read. A YAML file of a kind (a
+datasheet, a filter mapping) is found by its name in the user's folder
+(``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``), then among those of the package;
+or it is given by its path.
 """
 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import json
 import os
 import re
 import stat
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
@@ -27,16 +31,10 @@ ABANDONED_S = 3600.0
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file for reading.
+    """Open a regular file for reading; links are followed, and a FIFO does not block the call.
 
-    Links are followed. The call does not block on a FIFO.
-
-    Raises
-    ------
-    AllanError
-        When the path is a folder, FIFO, device or socket.
-    OSError
-        When it is missing or unreadable.
+    Raises AllanError when the path is a folder, FIFO, device or socket, and OSError when it is
+    missing or unreadable.
     """
     if not stat.S_ISREG(os.stat(path).st_mode):  # opening a device may already have an effect
         raise _not_regular(path)
@@ -51,12 +49,8 @@ def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
 def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return the content of a regular file of at most ``limit`` bytes.
 
-    Raises
-    ------
-    AllanError
-        When the path is no regular file, or the file is larger.
-    OSError
-        When it is missing or unreadable.
+    Raises AllanError when the path is no regular file, or the file is larger, and OSError when it
+    is missing or unreadable.
     """
     with open_regular(path) as file:
         data = file.read(limit + 1)
@@ -79,11 +73,8 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
 
     The content is written to a draft in the same folder, synced to the disk and renamed.
 
-    Raises
-    ------
-    AllanError
-        When the path is no regular file, the folder is missing or not writable, or the disk is
-        full.
+    Raises AllanError when the path is no regular file, the folder is missing or not writable, or
+    the disk is full.
     """
     write_together(Path(path).parent, {Path(path).name: content})
 
@@ -93,19 +84,11 @@ def write_together(
 ) -> None:
     """Write several files of one folder; none is replaced before all are on the disk.
 
-    Parameters
-    ----------
-    folder : Path
-    contents : mapping of file name to content
-        Replaced in this order: the last file is replaced when all others are.
-    remove : iterable of str
-        Files to remove before the first is replaced.
+    The files ``remove`` are removed before the first is replaced; ``contents`` (name -> content)
+    are replaced in their order.
 
-    Raises
-    ------
-    AllanError
-        When a path is no regular file, the folder is missing or not writable, or the disk is
-        full. Then no file has changed, unless a rename failed.
+    Raises AllanError when a path is no regular file, the folder is missing or not writable, or the
+    disk is full. Then no file has changed, unless a rename failed.
     """
     drafts: dict[Path, Path] = {}
     path = folder
@@ -138,10 +121,7 @@ def write_together(
 def check_replaceable(path: Path) -> None:
     """Do nothing if a file may be written or renamed to the path.
 
-    Raises
-    ------
-    AllanError
-        When a folder, FIFO, device or socket, or a link to one, is there.
+    Raises AllanError when a folder, FIFO, device or socket, or a link to one, is there.
     """
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
@@ -149,13 +129,9 @@ def check_replaceable(path: Path) -> None:
 
 
 def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
-    """Remove the drafts of this path that killed processes left behind.
+    """Remove the drafts of this path, older than so many s, that killed processes left behind.
 
-    Parameters
-    ----------
-    path : Path
-    older_s : float
-        How old a draft must be in s; 0 only where no other process writes this path.
+    0 s is allowed only where no other process writes this path.
     """
     of_this_path = re.compile(rf'\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.part')
     with contextlib.suppress(OSError):
@@ -189,7 +165,6 @@ def _sync_folder(folder: Path) -> None:
 MAX_BYTES = 16 * 2**20
 """Longest document that is read; real ones are far smaller."""
 
-
 MAX_DIGITS = 20
 """Most digits of an integer: one of a million digits takes minutes to read."""
 
@@ -202,11 +177,8 @@ def to_json(document: Mapping[str, Any]) -> str:
 def parse_json(text: str, where: str) -> object:
     """Return the value of a JSON text.
 
-    Raises
-    ------
-    AllanError
-        When it is too long, too deep or not JSON; NaN and infinity, half surrogates and numbers
-        beyond the bounds are rejected.
+    Raises AllanError when it is too long, too deep or not JSON; NaN and infinity, half surrogates
+    and numbers beyond the bounds are rejected.
     """
     if len(text) > MAX_BYTES:
         raise AllanError(
@@ -224,10 +196,7 @@ def parse_json(text: str, where: str) -> object:
 def read_json(path: str | os.PathLike[str]) -> object:
     """Return the value of a JSON file.
 
-    Raises
-    ------
-    AllanError
-        When it is missing, or `parse_json` rejects it.
+    Raises AllanError when it is missing, or `parse_json` rejects it.
     """
     path = Path(path)
     try:
@@ -253,7 +222,6 @@ def _integer(digits: str) -> int:
 
 MOST_BRACKETS = 50
 """Deepest nesting that is read: the time of the scanner grows with the square of the depth."""
-
 
 MERGE = 'tag:yaml.org,2002:merge'
 """Tag of the key ``<<``: nested merges are copied, so a short file of them can fill the memory."""
@@ -293,6 +261,79 @@ def parse_yaml(text: str) -> Any:
         loader.dispose()
 
 
+MAX_YAML_BYTES = 100_000
+"""Largest size of a YAML file in bytes."""
+
+NEAREST, LISTED = 3, 8
+"""Names offered that resemble an unknown one; names listed where none resembles it."""
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a small YAML (or JSON) file.
+
+    Raises AllanError when it cannot be read or parsed, or is over 100 kB.
+    """
+    try:
+        return parse_yaml(read_bounded(path, MAX_YAML_BYTES).decode('utf-8'))
+    except OSError as error:
+        raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        where = ' '.join(str(error).split())
+        raise AllanError(f'{path}: is not YAML ({where[:120]}): correct it there') from error
+
+
+def config_names(kind: str) -> list[str]:
+    """Return the names of the files of a kind: the package's and the user's own."""
+    return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
+
+
+def config_file(kind: str, name: str, called: str) -> Path:
+    """Return the file of that name, or the path that was given.
+
+    Raises AllanError when there is none of that name; ``called`` names the kind of file in the
+    message.
+    """
+    path = Path(name)
+    if path.suffix.lower() in ('.yaml', '.yml'):
+        return path.expanduser()
+    if path.name == name:
+        for folder in config_folders(kind):
+            found = folder / f'{name.lower()}.yaml'
+            if found.is_file():
+                return found
+    raise AllanError(
+        f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
+        'or give the path of a .yaml file'
+    )
+
+
+def config_folders(kind: str) -> list[Path]:
+    """Return the search path of a kind of files; the first match wins.
+
+    The user's own folder, then ``config/<kind>`` of the checkout or of the installed package.
+    """
+    here = Path(__file__).resolve()
+    checkout = here.parents[2] / 'config' / kind
+    installed = [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
+    return [folder for folder in (user_folder(kind), checkout, *installed) if folder.is_dir()]
+
+
+def user_folder(kind: str) -> Path:
+    """Return where the user's own files of a kind are looked for (XDG Base Directory, 0.8)."""
+    home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
+    return Path(home) / 'allan_ros' / kind
+
+
+def _suggestion(name: str, names: Sequence[str]) -> str:
+    """Return the names that resemble the unknown one, else some of the known names."""
+    near = difflib.get_close_matches(name, names, NEAREST)
+    near = near or [known for known in names if name in known][:NEAREST]
+    if near:
+        return f'did you mean {" or ".join(near)}'
+    more = f' (and {len(names) - LISTED} more)' if len(names) > LISTED else ''
+    return f'choose one of {", ".join(names[:LISTED])}{more}'
+
+
 OWNER_BYTES = 20
 """Longest process number that is read from a lock file."""
 
@@ -303,29 +344,20 @@ LOCKED_BYTE = 2**30
 class PathLock:
     """Marks a path as owned by one process, with a lock on a hidden file next to it.
 
-    The path itself cannot be locked, because it is replaced whenever it is written.
-
-    Parameters
-    ----------
-    path : Path
-        What one process owns; it need not exist.
+    The path itself cannot be locked, because it is replaced whenever it is written; it need not
+    exist.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._mark = path.with_name(f'.{path.name}.lock')
         self._handle: int | None = None
-
-    @property
-    def _mark(self) -> Path:
-        return self._path.with_name(f'.{self._path.name}.lock')
 
     def acquire(self) -> str:
         """Acquire the lock. Return '' on success, else the owner.
 
-        Raises
-        ------
-        AllanError
-            When the folder is missing or not writable, or the lock file is no regular file.
+        Raises AllanError when the folder is missing or not writable, or the lock file is no regular
+        file.
         """
         while self._handle is None:
             handle = self._open_mark()

@@ -18,9 +18,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from ..core.allan.curve import AxisCurve
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS
-from .axis_result import AxisCurve, AxisResult
+from .axis_result import AxisResult
 from .format import (
     NOTHING_KNOWN,
     READ_AT,

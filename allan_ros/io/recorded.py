@@ -101,11 +101,8 @@ class RecordingSums:
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the sums of both recordings.
 
-        Raises
-        ------
-        AllanError
-            When the other is of another IMU (the message names what differs), or contains
-            samples that this one contains too.
+        Raises AllanError when the other is of another IMU (the message names what differs), or
+        contains samples that this one contains too.
         """
         try:
             sums = add_sums(self.sums, other.sums)
@@ -154,10 +151,7 @@ class ReadJob:
     def open(self) -> Recording:
         """Open the recording without reading its samples.
 
-        Raises
-        ------
-        AllanError
-            When the recording is missing or cannot be read.
+        Raises AllanError when the recording is missing or cannot be read.
         """
         (recording,) = open_recordings([self.path], self.reading)
         return recording
@@ -178,10 +172,7 @@ def read_recording(
     advance : callable, optional
         Called with the number of samples of every batch.
 
-    Raises
-    ------
-    AllanError
-        When the recording cannot be read or contains no static data.
+    Raises AllanError when the recording cannot be read or contains no static data.
     """
     recording = job.open() if recording is None else recording
     stream = ImuStream(job.segmenter, job.hardware_id, job.with_context)
@@ -319,10 +310,7 @@ def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
     They are added from the earliest to the latest, so the sums do not depend on the order in which
     the recordings are given.
 
-    Raises
-    ------
-    AllanError
-        When one is of another IMU than the first, or was given twice.
+    Raises AllanError when one is of another IMU than the first, or was given twice.
     """
     return reduce(add, sorted(recordings, key=_start_ns))
 

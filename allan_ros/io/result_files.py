@@ -66,11 +66,8 @@ def write_result_files(
     paths : list of Path
         The files that were written.
 
-    Raises
-    ------
-    AllanError
-        When the results have no sums, the folder cannot be made or written, or the style of the
-        pictures is unknown.
+    Raises AllanError when the results have no sums, the folder cannot be made or written, or the
+    style of the pictures is unknown.
     """
     # takes 0.3 s to import, and merging sums on a robot needs no pictures before
     from .plots import sensor_figure, to_form
@@ -124,10 +121,7 @@ def write_result_files(
 def _folder_locked(folder: Path) -> Iterator[None]:
     """Own the folder, after another process has finished writing to it.
 
-    Raises
-    ------
-    AllanError
-        When the other process takes longer than a minute.
+    Raises AllanError when the other process takes longer than a minute.
     """
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
     while owner := lock.acquire():
@@ -175,10 +169,7 @@ def _repeat(command: str, sums: str) -> dict[str, str]:
 def made_folder(folder: Path) -> Path:
     """Return the folder, which is created if it is missing.
 
-    Raises
-    ------
-    AllanError
-        When it cannot be created.
+    Raises AllanError when it cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

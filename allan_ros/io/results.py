@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.allan.curve import allan_curve
 from ..core.allan.sums import AllanSums
-from ..core.compare import MARGIN, Comparison, DeviationCurve, Measured, Run, differences
+from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
 from ..core.findings import Finding, duration_text
 from ..core.fit import TERMS, Coefficient
@@ -52,6 +52,7 @@ class Results:
     axes : mapping of axis name to AxisResult
         In the order of `AXES`; only the axes that were measured.
     provenance : Provenance
+        Recordings, segments, counts and settings.
     findings : tuple of Finding
         Of the recording, of the fit, and of the comparison with a datasheet.
     datasheet : DatasheetComparison or None
@@ -113,15 +114,7 @@ class Results:
     @property
     def measured(self) -> Run:
         """The coefficients and the curve of each axis, as `core.compare.differences` takes them."""
-        return {
-            name: Measured(
-                axis.fit.noise,
-                None
-                if (c := axis.curve) is None
-                else DeviationCurve(c.tau, c.adev, c.ci_low, c.ci_high),
-            )
-            for name, axis in self.axes.items()
-        }
+        return {name: Measured(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property
     def comparisons(self) -> tuple[Comparison, ...]:
@@ -204,13 +197,10 @@ class Results:
         names = [name for name in self.axes if what in (name, sensor_of(name))]
         if not names:
             raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
+        axes = {name: self.axes[name] for name in names}
         if ax is None:
-            return sensor_figure(
-                replace(self, axes={n: self.axes[n] for n in names}),
-                sensor_of(names[0]),
-                units=units,
-            )
-        draw_axes(ax, {name: self.axes[name] for name in names}, units)
+            return sensor_figure(replace(self, axes=axes), sensor_of(names[0]), units=units)
+        draw_axes(ax, axes, units)
         return ax
 
     def export(
@@ -312,13 +302,7 @@ class Results:
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU and return the results.
-
-    Raises
-    ------
-    AllanError
-        When there is too little data to compute anything.
-    """
+    """Fit the sums of one IMU and return the results; AllanError if there is too little data."""
     skip = recorded.provenance.settings.get('skip', AUTO)
     settle = isinstance(skip, (int, float)) and skip < 0.0
     fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
@@ -348,22 +332,12 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
 
 
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU, as `analyse_recorded` does.
-
-    Parameters
-    ----------
-    sums : sequence of AllanSums
-        One with all axes, or one for each sensor when they have different rates.
-    provenance : Provenance
-    method : str
-        One of `core.fit.METHODS`.
-    """
+    """Fit sums (one with all axes, or one for each sensor), as `analyse_recorded` does."""
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
 IN_SUMMARY = ('N', 'B', 'K')
 """Terms of the text summary: those that filters take."""
-
 
 REPORTED_LEFT_OUT = 0.01
 """Least share of the samples received that is reported in the headline where it is left out."""
@@ -401,14 +375,14 @@ def _summary_lines(results: Results, units: str = 'datasheet') -> Iterator[str]:
 
 def _html(results: Results, units: str = 'datasheet') -> str:
     """Return the coefficients as an HTML table, with the verdict and the warnings."""
+    from .verdict import WORDS
+
     head = ''.join(f'<th>{term}</th>' for term in TERMS)
-    rows = ''.join(_html_row(results, name, units) for name in results.axes)
+    rows = ''.join(_html_row(name, axis, units) for name, axis in results.axes.items())
     notes = ''.join(
         f'<li><b>{escape(finding.severity)}</b> {escape(str(finding))}</li>'
         for finding in _pressing(results)
     )
-    from .verdict import WORDS
-
     verdict = results.verdict
     return (
         f'<div><p><b>{WORDS[verdict.level]}.</b> {escape(verdict.summary)}</p>'
@@ -418,12 +392,12 @@ def _html(results: Results, units: str = 'datasheet') -> str:
     )
 
 
-def _html_row(results: Results, name: str, units: str) -> str:
+def _html_row(name: str, axis: AxisResult, units: str) -> str:
     cells = ''
     for term in TERMS:
-        unit, coefficient = shown_unit(name, term, units), results.axes[name].fit.noise[term]
-        interval = interval_text(coefficient, unit)
-        value = f'{value_text(coefficient, unit)} {pretty_unit(unit.name)}'
+        unit = shown_unit(name, term, units)
+        interval = interval_text(axis.fit.noise[term], unit)
+        value = f'{value_text(axis.fit.noise[term], unit)} {pretty_unit(unit.name)}'
         small = f'<br><small>{escape(interval)}</small>' if interval else ''
         cells += f'<td>{escape(value)}{small}</td>'
     return f'<tr><th>{escape(name)}</th>{cells}</tr>'

@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ROS shells. This package is imported before numpy, so that fits keep to one thread."""
 
-from ..one_thread import keep_to_one_thread
+from .. import keep_to_one_thread
 
 keep_to_one_thread()

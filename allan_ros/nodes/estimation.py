@@ -17,10 +17,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ..core.allan.curve import AllanCurve
 from ..core.allan.parts import RecentNoise, recent_noise
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison, DeviationCurve, Difference, Measured, differences
+from ..core.compare import Comparison, Difference, Measured, differences
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
@@ -262,7 +261,7 @@ class ImuEstimate:
         window = self._settings.value.recent_window
         self._recent = {axis: one for s in sums for axis, one in recent_noise(s, window).items()}
         before, recent = (
-            {axis: _measured(getattr(one, side)) for axis, one in self._recent.items()}
+            {axis: Measured(None, getattr(one, side).axis(0)) for axis, one in self._recent.items()}
             for side in ('before', 'recent')
         )
         windows = 1.0 + max((s.elapsed_ns for s in sums), default=0) * 1e-9 / window
@@ -334,12 +333,6 @@ class SumsInput:
             self._node.fault('sums', error)
         else:
             self._problem = ''
-
-
-def _measured(curve: AllanCurve) -> Measured:
-    """Return the curve of one axis as a quantity to compare."""
-    columns = (curve.adev, curve.ci_low, curve.ci_high)
-    return Measured(None, DeviationCurve(curve.tau, *(column[:, 0] for column in columns)))
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:

@@ -22,8 +22,8 @@ from std_srvs.srv import Trigger
 
 from ..core.errors import AllanError
 from ..core.filters.mapping import FilterMapping, Proposal, narrow_enough, propose
-from ..io.config_files import load_filter
 from ..io.results import Results
+from ..io.user_files import load_filter
 from .diagnostics import key_values, status_name
 from .node import AllanNode
 from .settings import PushSettings

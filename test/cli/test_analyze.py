@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
-from allan_ros.io.truth import read_noise, truth_path
+from allan_ros.io.user_files import read_noise, truth_path
 
 FILES = {
     'allan_accel.png',

@@ -12,7 +12,7 @@ from allan_ros.core.imu import AXES, sensor_of, to_datasheet
 from allan_ros.core.simulate import PRESETS
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.readers.open import open_recordings
-from allan_ros.io.truth import read_noise, truth_path
+from allan_ros.io.user_files import read_noise, truth_path
 
 SHORT = ['--hours', '0.01', '--rate', '50']  # 1800 samples
 

@@ -11,7 +11,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit.curve_fit import fit_curve
 from allan_ros.core.noise import NoiseTerms, ProcessModel
-from allan_ros.io.curves import read_curves
+from allan_ros.io.user_files import read_curves
 
 TAU = np.geomspace(0.1, 1000.0, 200)
 

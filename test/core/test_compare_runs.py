@@ -9,15 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.curve import chi_squared_limits
-from allan_ros.core.compare import (
-    FAMILY_ERROR,
-    DeviationCurve,
-    Difference,
-    Measured,
-    _settled,
-    differences,
-)
+from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
+from allan_ros.core.compare import FAMILY_ERROR, Difference, Measured, _settled, differences
 from allan_ros.core.fit.model import TERMS, Coefficient
 
 UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
@@ -31,13 +24,14 @@ def compare(first: Coefficient, second: Coefficient) -> Difference:
     return next(d for d in found if d.quantity == 'N')
 
 
-def of_curves(*curves: DeviationCurve, repeats: float = 1.0) -> tuple[Difference, ...]:
+def of_curves(*curves: AxisCurve, repeats: float = 1.0) -> tuple[Difference, ...]:
     [found] = differences([tuple({'gyro_x': Measured(None, c)} for c in curves)], repeats)
     return found
 
 
-def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> DeviationCurve:
-    return DeviationCurve(tau, adev, *chi_squared_limits(adev**2, edf))
+def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> AxisCurve:
+    unused = np.zeros(len(tau), np.int64)
+    return AxisCurve(unused, tau, unused, adev, *chi_squared_limits(adev**2, edf))
 
 
 @pytest.mark.parametrize(

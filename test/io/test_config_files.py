@@ -13,7 +13,8 @@ from allan_ros.core.filters.mapping import propose
 from allan_ros.core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
-from allan_ros.io.config_files import config_names, load_filter
+from allan_ros.io.files import config_names
+from allan_ros.io.user_files import load_filter
 
 GOOD = """
 schema: allan_ros/filter/1

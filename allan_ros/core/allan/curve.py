@@ -222,6 +222,36 @@ def local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
+class AxisCurve:
+    """Overlapping Allan deviation with its 68.3 % confidence limits.
+
+    Attributes
+    ----------
+    m : (factors,) int64 array
+        Averaging factors in samples.
+    tau : (factors,) float64 array
+        Averaging times in s.
+    n : (factors,) int64 array
+        Number of second differences in each point.
+    adev, ci_low, ci_high : (factors,) float64 arrays
+        Deviation and its limits in the unit of the samples; (factors, columns) of several columns.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).tau
+    array([0.5, 1. ])
+    """
+
+    m: NDArray[np.int64]
+    tau: Floats
+    n: NDArray[np.int64]
+    adev: Floats
+    ci_low: Floats
+    ci_high: Floats
+
+
+@dataclass(frozen=True)
 class AllanCurve:
     """Overlapping Allan deviation of all axes, with limits.
 
@@ -229,14 +259,8 @@ class AllanCurve:
     ----------
     axes : tuple of str
         The last dimension.
-    m : (factors,) int64 array
-        Averaging factors in samples.
-    tau : (factors,) float64 array
-        Averaging times in s.
-    n : (factors,) int64 array
-        Second differences in each point.
-    adev, ci_low, ci_high : (factors, axes) float64 arrays
-        Deviation and its chi-squared limits of level `edf.CI_LEVEL`, in the unit of the samples.
+    m, tau, n, adev, ci_low, ci_high : arrays
+        As in `AxisCurve`; chi-squared limits of level `edf.CI_LEVEL`.
     edf : (factors, axes) float64 array
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
@@ -252,6 +276,11 @@ class AllanCurve:
     ci_high: Floats
     edf: Floats
     noise_type: NDArray[np.int64]
+
+    def axis(self, i: int) -> AxisCurve:
+        """Return the curve of one axis."""
+        columns = (column[:, i] for column in (self.adev, self.ci_low, self.ci_high))
+        return AxisCurve(self.m, self.tau, self.n, *columns)
 
 
 def sample_period(sums: AllanSums) -> float:

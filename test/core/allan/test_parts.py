@@ -10,7 +10,7 @@ from support.sums import TICK_NS
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.parts import recent_noise
-from allan_ros.core.compare import DeviationCurve, Measured, differences
+from allan_ros.core.compare import Measured, differences
 from allan_ros.core.errors import AllanError
 
 TAU0 = TICK_NS * 1e-9
@@ -36,14 +36,7 @@ class Stream:
 
 def difference(noise):
     """Return the difference of the deviations at the shortest averaging time."""
-    sides = [
-        {
-            'gyro_x': Measured(
-                None, DeviationCurve(c.tau, c.adev[:, 0], c.ci_low[:, 0], c.ci_high[:, 0])
-            )
-        }
-        for c in (noise.before, noise.recent)
-    ]
+    sides = [{'gyro_x': Measured(None, c.axis(0))} for c in (noise.before, noise.recent)]
     return differences([tuple(sides)])[0][0]
 
 

@@ -8,7 +8,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import Faults
-from allan_ros.io.truth import read_noise, truth_path, write_truth
+from allan_ros.io.user_files import read_noise, truth_path, write_truth
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_truth_comes_back_to_the_last_bit(tmp_path):
 @pytest.mark.parametrize(
     'text, said',
     [
-        ('gyros: {N: 1}', "'gyros' is unknown, use gyro, accel or gyro_x"),
+        ('gyros: {N: 1}', "'gyros' is unknown, use gyro, accel, gyro_x"),
         ('gyro: {n: 1}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
         ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number, not below 0'),
         ('gyro: {N: .inf}', r'gyro.N is a number beyond 1.8e308: a number within'),
