@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .core.allan.curve import allan_curve
+from .core.allan.curve import AxisCurve, allan_curve
 from .core.allan.engine import RunningAllan
 from .core.compare import MARGIN
 from .core.errors import AllanError
@@ -25,7 +25,7 @@ from .core.fit.curve_fit import fit_curve
 from .core.imu import AXES, SAMPLE_SI, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter, settings_from
 from .core.simulate import Faults, simulate_imu
-from .io.axis_result import AxisCurve, AxisResult
+from .io.axis_result import AxisResult
 from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
 from .io.datasheets import load_sensor

@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, TextIO
 
 from ..core.errors import one_line
-from ..core.findings import Finding, duration_text, grouped
+from ..core.findings import Finding, duration_text
 
 WIDTH = 100
 """Columns where there is no terminal and ``COLUMNS`` does not say."""
@@ -168,6 +168,8 @@ class Console:
 
     def findings(self, findings: Iterable[Finding]) -> None:
         """Print findings to stderr, for a result that does not show them itself."""
+        from ..io.format import grouped
+
         for finding in () if self.quiet else grouped(findings):
             print(*finding_lines(finding, width(), coloured(sys.stderr)), sep='\n', file=sys.stderr)
 

@@ -10,13 +10,13 @@ from collections.abc import Iterator, Sequence
 
 from ..core.compare import Comparison
 from ..core.compare import Verdict as LimitVerdict
-from ..core.findings import grouped
 from ..core.fit import TERMS
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
 from ..io.format import (
     deviation_text,
+    grouped,
     interval_text,
     region_text,
     shown_unit,

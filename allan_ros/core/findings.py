@@ -8,13 +8,11 @@ A message states the cause and the number, a remedy the next step; each is one s
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 from .errors import one_line
-
-__all__ = ['CATALOGUE', 'SEVERITIES', 'Finding', 'Severity', 'duration_text', 'finding', 'grouped']
 
 Severity = Literal['info', 'warning', 'error']
 
@@ -404,21 +402,9 @@ class Finding:
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding with that id, its numbers filled in.
+    """Return the finding with that id, its numbers filled in; ``when`` may be left out.
 
-    Parameters
-    ----------
-    id : str
-        Key of `CATALOGUE`.
-    axes : tuple of str
-        Axes that it concerns; empty for all.
-    **values : object
-        Numbers of its templates; ``when`` may be left out.
-
-    Raises
-    ------
-    KeyError
-        When the id is not in the catalogue, or a value of its templates is missing.
+    No axes means all of them.
     """
     wording = CATALOGUE[id]
     values = {'when': '', **values}
@@ -436,52 +422,3 @@ def duration_text(seconds: float, digits: int = 2) -> str:
         if seconds >= 2.0 * size:
             return f'{float(f"{seconds / size:.{digits}g}"):g} {unit}'
     return f'{float(f"{seconds:.{digits}g}"):g} s'
-
-
-NUMBER = re.compile(
-    r'(?<![\w^])(?<!\w\.)(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)'
-    r'(?:\.\.(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?))?(?!\w)'
-)
-"""A number in a message, or an interval ``low..high``; no part of a name or a unit."""
-
-
-def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return one finding for each cause, the most severe first.
-
-    Findings of several axes whose texts differ in numbers only become one for all of these axes,
-    with the range of each number: "Vibration at 0.573 to 0.579 Hz".
-    """
-    groups: dict[tuple[str, ...], list[Finding]] = {}
-    for each in findings:
-        key: tuple[str, ...] = (each.id, each.severity, each.message, each.remedy)
-        if each.axes:
-            key = (
-                each.id,
-                each.severity,
-                *(NUMBER.sub('#', t) for t in (each.message, each.remedy)),
-            )
-        groups.setdefault(key, []).append(each)
-    merged = [
-        replace(
-            alike[0],
-            message=_merged([each.message for each in alike]),
-            remedy=_merged([each.remedy for each in alike]),
-            axes=tuple(dict.fromkeys(axis for each in alike for axis in each.axes)),
-        )
-        for alike in groups.values()
-    ]
-    return tuple(sorted(merged, key=lambda each: SEVERITIES.index(each.severity)))
-
-
-def _merged(texts: Sequence[str]) -> str:
-    """Return texts that differ in numbers only as one, with ranges."""
-    columns = zip(*(NUMBER.findall(text) for text in texts))
-    ranges = []
-    for column in columns:
-        lows, highs = (sorted(set(ends), key=lambda end: float(end or 0)) for ends in zip(*column))
-        if highs[-1]:
-            ranges.append(f'{lows[0]}..{highs[-1]}')
-        else:
-            ranges.append(lows[0] if len(lows) == 1 else f'{lows[0]} to {lows[-1]}')
-    numbers = iter(ranges)
-    return NUMBER.sub(lambda _: next(numbers), texts[0])

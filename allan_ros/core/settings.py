@@ -45,13 +45,7 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 def check(settings: Any) -> None:
-    """Check the types and ranges of the settings; call it from ``__post_init__``.
-
-    Raises
-    ------
-    AllanError
-        Naming the setting, its value, its range and unit.
-    """
+    """Check the types and ranges of the settings."""
     defaults = {f.name: f.default for f in fields(settings)}
     for name, info in describe(settings).items():
         value = getattr(settings, name)
@@ -61,36 +55,29 @@ def check(settings: Any) -> None:
         if info.auto and value == 'auto':
             object.__setattr__(settings, name, AUTO)
             continue
-        _check_type(name, value, defaults[name])
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            continue
+        kind, expected = next(
+            (k for k in EXPECTED if isinstance(defaults[name], k[0])), (object, '')
+        )
+        if not isinstance(value, kind):
+            raise AllanError(f'{name} is {value!r:.100}: {expected} is expected')
         low = -math.inf if info.low is None else info.low
         high = math.inf if info.high is None else info.high
-        if not low <= value <= high:
+        if kind is Real and not low <= value <= high:
             unit = f' {info.unit}' if info.unit else ''
             raise AllanError(f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}')
 
 
-EXPECTED = ((bool, bool, 'True or False'), (Real, Real, 'a number'), (str, str, 'a text'))
-"""Type of a default, type of its values, and what it is called."""
-
-
-def _check_type(name: str, value: object, default: object) -> None:
-    if isinstance(default, tuple) and not isinstance(value, (tuple, list)):
-        raise AllanError(f'{name} is {value!r}: a list is expected')
-    for of_default, of_value, expected in EXPECTED:
-        if isinstance(default, of_default):
-            if not isinstance(value, of_value):
-                raise AllanError(f'{name} is {value!r}: {expected} is expected')
-            return
+EXPECTED = (
+    (bool, 'True or False'),
+    (Real, 'a number'),
+    (str, 'a text'),
+    ((tuple, list), 'a list'),
+)
+"""Type of a default and of its values, and what it is called."""
 
 
 def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Return settings from keyword arguments.
-
-    Raises AllanError naming the argument that is unknown and the nearest known one, or what `check`
-    rejects.
-    """
+    """Return settings from keyword arguments; an unknown one is an error with the nearest name."""
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     for name in given:
         if name not in known:

@@ -19,6 +19,7 @@ from ..core.filters.noise_parameters import reduce_axis, sample_variance
 from ..core.filters.reductions import StateSpace
 from ..core.fit import AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
+from ..core.fit.model import Status
 from ..core.fit.regions import ModelLine, Region, model_line, read_curve
 from ..core.imu import SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
@@ -74,7 +75,7 @@ class Quantity:
         )
 
     def __repr__(self) -> str:
-        status = 'not_observable' if self.value is None else 'estimated'
+        status: Status = 'not_observable' if self.value is None else 'estimated'
         known = Coefficient(self.value, self.ci95, self.upper95, status, self.sign)
         unit = ShownUnit(self.unit, 1.0)
         interval = interval_text(known, unit)

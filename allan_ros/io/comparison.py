@@ -11,6 +11,7 @@ from typing import Any
 
 from ..core.compare import FAMILY_ERROR, Difference, differences
 from ..core.errors import AllanError, one_line
+from ..core.fields import plain
 from ..core.filters.noise_parameters import AxisInflation, measure_inflation
 from ..core.filters.reductions import Horizons
 from ..core.imu import SI_UNITS, sensor_of
@@ -35,15 +36,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Pair:
-    """How one run differs from the first.
-
-    Attributes
-    ----------
-    first, second : str
-        Labels of the two.
-    differences : tuple of Difference
-        By axis: the five terms, then the deviations at common averaging times.
-    """
+    """How one run differs from the first (their labels)."""
 
     first: str
     second: str
@@ -95,10 +88,7 @@ class RunComparison:
 def compare_runs(
     runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
 ) -> RunComparison:
-    """Compare each run with the first, and with each datasheet.
-
-    Raises AllanError when there is nothing to compare, or two runs share no axis.
-    """
+    """Compare each run with the first, and with each datasheet."""
     if len(runs) + len(datasheets) < 2 or not runs:
         raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
     first, *others = runs
@@ -134,7 +124,18 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             {
                 'first': pair.first,
                 'second': pair.second,
-                'differences': [_difference_document(d) for d in pair.differences],
+                'differences': [
+                    {
+                        'axis': d.axis,
+                        'quantity': d.quantity,
+                        'tau_s': d.tau,
+                        'ratio': d.ratio,
+                        'ci95': plain(d.ci95),
+                        'p': d.p,
+                        'verdict': d.verdict,
+                    }
+                    for d in pair.differences
+                ],
             }
             for pair in comparison.pairs
         ],
@@ -143,28 +144,6 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             for label, of_run in comparison.datasheets
         ],
     }
-
-
-def _difference_document(difference: Difference) -> dict[str, Any]:
-    ci95 = difference.ci95
-    return {
-        'axis': difference.axis,
-        'quantity': difference.quantity,
-        'tau_s': difference.tau,
-        'ratio': difference.ratio,
-        'ci95': ci95 and [end if math.isfinite(end) else None for end in ci95],
-        'p': difference.p,
-        'verdict': difference.verdict,
-    }
-
-
-VERDICT_TEXT = {
-    'higher': 'higher',
-    'lower': 'lower',
-    'alike': 'alike',
-    'open': 'not comparable',
-}
-"""Verdict on the second run -> its text in tables."""
 
 
 RATIO_DIGITS = 3
@@ -194,7 +173,7 @@ def ratio_text(difference: Difference) -> str:
 
 def verdict_text(difference: Difference) -> str:
     """Return the text of the verdict for tables."""
-    return VERDICT_TEXT[difference.verdict]
+    return 'not comparable' if difference.verdict == 'open' else difference.verdict
 
 
 def quantity_text(difference: Difference) -> str:
@@ -309,20 +288,7 @@ class Inflation:
 
 
 def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation:
-    """Return what running motors add to the noise of a robot at rest.
-
-    Parameters
-    ----------
-    rest, running : Results
-        Of the robot at rest, motors off and motors on.
-    horizon : float
-        Longest time in s that the filter integrates without correction.
-
-    Raises
-    ------
-    AllanError
-        When the two have no axis in common, or N or K of an axis is not known.
-    """
+    """Return what running motors add to the noise of a robot at rest (see `api.inflate`)."""
     horizons = Horizons.up_to(horizon)
     fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (rest, running)]
     axes = measure_inflation(fits[0], fits[1], horizons)
@@ -355,12 +321,10 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
 def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
     """Yield the factor on N and K of each axis, and the values to use, as lines of a report."""
     for name, axis in inflation.axes.items():
-        units = SI_UNITS[sensor_of(name)]
-        cells = [
-            f'{key} {significant(term.use, 4)} {units[key]} (x{term.factor:.2f})'
-            for key, term in (('N', axis.white), ('K', axis.walk))
-        ]
-        yield f'{name}, motors on', f'{"; ".join(cells)} over {inflation.horizons}'
+        (n, n_unit), (k, k_unit) = _to_use(name, axis)
+        factors = axis.white.factor, axis.walk.factor
+        text = f'N {n} {n_unit} (x{factors[0]:.2f}); K {k} {k_unit} (x{factors[1]:.2f})'
+        yield f'{name}, motors on', f'{text} over {inflation.horizons}'
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
@@ -368,15 +332,9 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
     yield f'N and K for a filter, over {inflation.horizons}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
-        units = SI_UNITS[sensor_of(name)]
-        cells = [
-            f'{significant(term.use, 4)} {units[key]:16}'
-            for key, term in (('N', axis.white), ('K', axis.walk))
-        ]
-        yield (
-            f'{name:9}{cells[0]:>34}  {axis.white.factor:6.2f}'
-            f'{cells[1]:>36}  {axis.walk.factor:6.2f}'
-        ).rstrip()
+        n, k = (f'{value} {unit:16}' for value, unit in _to_use(name, axis))
+        factors = axis.white.factor, axis.walk.factor
+        yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
     yield ''
     yield 'Allan deviation with motors on over motors off, 95 % interval'
     for name in inflation.axes:
@@ -384,6 +342,12 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         nearest = {d.tau: d for tau in SHOWN_TAU_S if (d := _nearest(ratios, tau)) is not None}
         cells = [f'{tau:g} s: {_ratio(d)}' for tau, d in nearest.items()]
         yield f'{name:9}{"  ".join(cells)}'
+
+
+def _to_use(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
+    """Return N and K for a filter, each with its unit."""
+    units = SI_UNITS[sensor_of(name)]
+    return [(significant(t.use, 4), units[k]) for k, t in (('N', axis.white), ('K', axis.walk))]
 
 
 def _nearest(ratios: list[Difference], tau: float) -> Difference | None:

@@ -24,11 +24,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from ..core.allan.curve import AxisCurve
 from ..core.compare import MARGIN, Difference
 from ..core.errors import one_line
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS, SI_UNITS, sensor_of
-from .axis_result import AxisCurve
 from .comparison import (
     Pair,
     RunComparison,
@@ -67,22 +67,17 @@ RUN_STYLES = (
 """Colour ('' for that of the text), marker and dashes of each run; they repeat from the seventh run
 on."""
 
-
 HEAD_IN, LEGEND_ROW_IN, BETWEEN_IN = 0.45, 0.17, 0.52
 """Inches above the panels, of each row of the legend there, and between the panels of an axis."""
-
 
 LEGEND_COLUMNS = {True: 4, False: 2}
 """Runs in a row of the legend, by whether the picture is wide."""
 
-
 MARK_EVERY = 6
 """Points between two marks of a curve; those of the next run are shifted by one."""
 
-
 BAND_OPACITY = 0.18
 """Of the 68.3 % limits about a curve."""
-
 
 RATIO_TICKS = (
     (1.1, 1.2),
@@ -92,7 +87,6 @@ RATIO_TICKS = (
     (10.0, 100.0, 1000.0),
 )
 """Labelled ratios above 1, and below it as one over them, by how far the axis reaches."""
-
 
 OFFSET = 1.05
 """Runs are drawn this factor apart in averaging time where their ratios would hide each other."""
@@ -107,12 +101,8 @@ def comparison_figure(
     """Return the figure of one sensor, a row for each axis; None where no run has its curves.
 
     On the left the deviations with their 68.3 % limits; on the right, where the picture is wide,
-    their ratio to the first run with 95 % intervals, filled where it is significant.
-
-    Parameters
-    ----------
-    style : mapping
-        Settings of matplotlib; its ``figure.figsize`` is that of a picture of three axes.
+    their ratio to the first run with 95 % intervals, filled where it is significant. The
+    ``figure.figsize`` of the style is that of a picture of three axes.
     """
     runs = comparison.runs
     axes = [a for a in AXES[SENSORS[sensor]] if any(_has_curve(run, a) for run in runs)]
@@ -166,18 +156,9 @@ def _figure_head(
         text.set_parse_math(False)
     handles = []
     for i, run in enumerate(comparison.runs):
-        colour, marker, dashes = _look(i)
-        handles.append(
-            Line2D(
-                *([], []),
-                color=colour,
-                marker=marker,
-                linestyle=dashes,
-                markersize=4.0,
-                linewidth=1.1,
-                label=run.label,
-            )
-        )
+        colour, marker, line = _look(i)
+        drawn = {'color': colour, 'marker': marker, 'linestyle': line}
+        handles.append(Line2D([], [], **drawn, markersize=4.0, linewidth=1.1, label=run.label))
     legend = figure.legend(
         handles=handles,
         loc='upper left',
@@ -284,13 +265,7 @@ def write_comparison(
     units: str = 'datasheet',
     pictures: PictureSettings = PictureSettings(),
 ) -> list[Path]:
-    """Write comparison.json, .md and .csv and a picture of each sensor, and return their paths.
-
-    Raises AllanError when the folder cannot be made or written, or the style of the pictures is
-    unknown.
-    """
-    # Heavy to import, and a table needs no pictures until here.
-
+    """Write comparison.json, .md and .csv and a picture of each sensor, and return their paths."""
     from .plots import to_form
 
     style = load_style(pictures.plot_style)
@@ -366,13 +341,11 @@ def csv_table(comparison: RunComparison) -> str:
         for d in pair.differences:
             term = 'B' if d.tau is not None else d.quantity
             numbers: list[float | None] = []
-            if d.tau is None:
-                for c in _coefficients(comparison, pair, d):
-                    known = c.status == 'estimated'
-                    low, high = c.ci95 or (None, None)
-                    numbers += [c.value if known else None, low, high, None if known else c.upper95]
-            else:
-                numbers = [None] * 8
+            for c in _coefficients(comparison, pair, d) if d.tau is None else ():
+                known = c.status == 'estimated'
+                low, high = c.ci95 or (None, None)
+                numbers += [c.value if known else None, low, high, None if known else c.upper95]
+            numbers = numbers or [None] * 8
             low, high = d.ci95 or (None, None)
             unit = SI_UNITS[sensor_of(d.axis)][term]
             writer.writerow(
@@ -404,19 +377,7 @@ def write_overlay(
 ) -> Path:
     """Write report.html of the first run, with the curves of the others drawn over it.
 
-    Parameters
-    ----------
-    folder : path
-    runs : sequence of Subject
-    margin : float
-        As of `compare_runs`.
-    units : 'datasheet' or 'si'
-    facts : mapping, optional
-        Further lines about the comparison.
-
-    Returns
-    -------
-    Path
+    The facts are further lines about the comparison.
     """
     from .report import ReportContext, render_report
 

@@ -1,13 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Format numbers for people: in the selected units, with significant digits only."""
+"""Format numbers for people, in the selected units with significant digits only, and findings."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
+from ..core.findings import SEVERITIES, Finding
 from ..core.fit import Coefficient, Deviation
 from ..core.fit.regions import Region
 from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
@@ -15,21 +18,17 @@ from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
 """Sensor -> its name in a heading."""
 
-
 SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
 """Units of the raw signal where the coefficients are shown as in datasheets."""
 
-
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 """Significant digits of a value and of the ends of its interval."""
-
 
 DENSITY_UNITS = {
     'datasheet': {'gyro': 'deg/s/sqrt(Hz)', 'accel': 'ug/sqrt(Hz)'},
     'si': {'gyro': 'rad/s/sqrt(Hz)', 'accel': 'm/s^2/sqrt(Hz)'},
 }
 """Units of the root of the power spectral density, which datasheets call noise density."""
-
 
 PRETTY = (
     ('sqrt(Hz)', '√Hz'),
@@ -44,14 +43,11 @@ PRETTY = (
 )
 """Spelling of units in tables, files and terminals, and on pages and plots."""
 
-
 NOTHING_KNOWN = '-'
 """Text where there is neither a value nor a limit."""
 
-
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
-
 
 SHARP = 0.02
 """An interval narrower than this share of its upper end is shown with the digits of a value."""
@@ -156,7 +152,14 @@ def text_in_units(text: str, units: str) -> str:
 
 _NUMBER = r'-?\d+(?:\.\d+)?(?:e[-+]?\d+)?'
 
-_SYSTEMS = {'datasheet': DATASHEET_UNITS, 'si': SI_UNITS}
+_OTHER_UNIT = {
+    units: {unit: new[sensor][term] for sensor in old for term, unit in old[sensor].items()}
+    for units, old, new in (
+        ('si', DATASHEET_UNITS, SI_UNITS),
+        ('datasheet', SI_UNITS, DATASHEET_UNITS),
+    )
+}
+"""Units asked for -> unit of the other system -> the unit to show."""
 
 _QUANTITY = re.compile(
     rf'({_NUMBER})(?: to ({_NUMBER}))? '
@@ -167,18 +170,57 @@ _QUANTITY = re.compile(
 
 def _converted(match: re.Match[str], units: str) -> str:
     """Return a quantity of a message in the units asked for, unchanged if it is in them."""
-    unit = match[3]
-    others = _SYSTEMS['datasheet' if units == 'si' else 'si']
-    for sensor, terms in others.items():
-        for term, name in terms.items():
-            if name == unit:
-                new = shown_unit(sensor, term, units)
-                factor = UNITS[unit].factor * new.factor
-                shown = [
-                    significant(float(number) * factor, VALUE_DIGITS) if number else ''
-                    for number in match.group(1, 2, 4, 5)
-                ]
-                second = f' to {shown[1]}' if shown[1] else ''
-                interval = f' ({shown[2]}..{shown[3]})' if shown[2] else ''
-                return f'{shown[0]}{second} {new.name}{interval}'
-    return match[0]
+    new = _OTHER_UNIT[units].get(match[3])
+    if new is None:
+        return match[0]
+    factor = UNITS[match[3]].factor / UNITS[new].factor
+    value, second, low, high = (
+        significant(float(number) * factor, VALUE_DIGITS) if number else ''
+        for number in match.group(1, 2, 4, 5)
+    )
+    to = f' to {second}' if second else ''
+    return f'{value}{to} {new}{f" ({low}..{high})" if low else ""}'
+
+
+NUMBER = re.compile(
+    r'(?<![\w^])(?<!\w\.)(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)'
+    r'(?:\.\.(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?))?(?!\w)'
+)
+"""A number in a message, or an interval ``low..high``; no part of a name or a unit."""
+
+
+def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return one finding for each cause, the most severe first.
+
+    Findings of several axes whose texts differ in numbers only become one for all of these axes,
+    with the range of each number: "Vibration at 0.573 to 0.579 Hz".
+    """
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for each in findings:
+        texts = each.message, each.remedy
+        alike = (NUMBER.sub('#', text) for text in texts) if each.axes else texts
+        groups.setdefault((each.id, each.severity, *alike), []).append(each)
+    merged = [
+        replace(
+            alike[0],
+            message=_merged([each.message for each in alike]),
+            remedy=_merged([each.remedy for each in alike]),
+            axes=tuple(dict.fromkeys(axis for each in alike for axis in each.axes)),
+        )
+        for alike in groups.values()
+    ]
+    return tuple(sorted(merged, key=lambda each: SEVERITIES.index(each.severity)))
+
+
+def _merged(texts: Sequence[str]) -> str:
+    """Return texts that differ in numbers only as one, with ranges."""
+    columns = zip(*(NUMBER.findall(text) for text in texts))
+    ranges = []
+    for column in columns:
+        lows, highs = (sorted(set(ends), key=lambda end: float(end or 0)) for ends in zip(*column))
+        if highs[-1]:
+            ranges.append(f'{lows[0]}..{highs[-1]}')
+        else:
+            ranges.append(lows[0] if len(lows) == 1 else f'{lows[0]} to {lows[-1]}')
+    numbers = iter(ranges)
+    return NUMBER.sub(lambda _: next(numbers), texts[0])

@@ -35,19 +35,9 @@ from .signal import SignalEnvelope, TemperatureTrace
 class Provenance:
     """Where sums come from: stored next to them in `sums.json` and `results.json`.
 
-    Attributes
-    ----------
-    sources : tuple of SourceInfo
-    segments : tuple of Segment
-        The segments, in the order in which they were recorded.
-    findings : tuple of Finding
-        Findings of the reader and of the stream.
-    counts : Counts
-        What happened to the samples.
-    settings : mapping
-        The settings of the analysis, as plain values.
-    last_stamp_ns : int or None
-        Latest stamp of the samples; with simulated time, older samples are a repeated pass.
+    The segments are in the order in which they were recorded, the findings are those of the reader
+    and of the stream, the settings are plain values. With simulated time, samples older than
+    ``last_stamp_ns`` are a repeated pass.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -132,14 +122,7 @@ class RecordingSums:
 class ReadJob:
     """One recording to read, in a form that can be sent to another process or machine.
 
-    Attributes
-    ----------
-    path : str
-    reading : ReadOptions
-    segmenter : SegmenterSettings
-    hardware_id : str
-    with_context : bool
-        Whether to keep what a report shows: the signal, the spectrum and the temperature.
+    With context, what a report shows is kept: the signal, the spectrum and the temperature.
     """
 
     path: str
@@ -149,10 +132,7 @@ class ReadJob:
     with_context: bool = False
 
     def open(self) -> Recording:
-        """Open the recording without reading its samples.
-
-        Raises AllanError when the recording is missing or cannot be read.
-        """
+        """Open the recording without reading its samples."""
         (recording,) = open_recordings([self.path], self.reading)
         return recording
 
@@ -164,15 +144,8 @@ def read_recording(
 ) -> RecordingSums:
     """Return the sums of one recording, which is read once from start to end.
 
-    Parameters
-    ----------
-    job : ReadJob
-    recording : Recording, optional
-        What ``job.open()`` returned, or samples that come from elsewhere.
-    advance : callable, optional
-        Called with the number of samples of every batch.
-
-    Raises AllanError when the recording cannot be read or contains no static data.
+    By default it is what ``job.open()`` returns. ``advance`` is called with the number of samples
+    of every batch. Raises AllanError when there is no static data.
     """
     recording = job.open() if recording is None else recording
     stream = ImuStream(job.segmenter, job.hardware_id, job.with_context)
@@ -257,13 +230,7 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
 def read_in_processes(
     jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
 ) -> Iterator[RecordingSums]:
-    """Read the recordings in several processes at a time; the result is the same, bit for bit.
-
-    Raises
-    ------
-    AllanError
-        What a job raised, or that a process died.
-    """
+    """Read the recordings in several processes at a time; the result is the same, bit for bit."""
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import active_children, get_context

@@ -44,30 +44,10 @@ def write_result_files(
     targets: Sequence[str] = (),
     pictures: PictureSettings = PictureSettings(),
 ) -> tuple[Results, list[Path]]:
-    """Write results.json, sums.json, imu.yaml, the pictures and the report.
+    """Write results.json, sums.json, imu.yaml, the pictures, the report, and files of the targets.
 
-    Parameters
-    ----------
-    folder : path
-    results : Results
-        With the sums they were fitted to.
-    command : str
-        The command that repeats the analysis.
-    units : 'datasheet' or 'si'
-    targets : sequence of str
-        Names of `exporters.TARGETS` to write files for, in addition to Kalibr.
-    pictures : PictureSettings
-
-    Returns
-    -------
-    results : Results
-        As written: with a finding where a file cannot be made from them (imu.yaml without an
-        accelerometer, for example).
-    paths : list of Path
-        The files that were written.
-
-    Raises AllanError when the results have no sums, the folder cannot be made or written, or the
-    style of the pictures is unknown.
+    ``command`` is what repeats the analysis. Returns the results as written, with a finding where
+    a file cannot be made from them (imu.yaml without an accelerometer), and the paths.
     """
     # takes 0.3 s to import, and merging sums on a robot needs no pictures before
     from .plots import sensor_figure, to_form
@@ -119,10 +99,7 @@ def write_result_files(
 
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
-    """Own the folder, after another process has finished writing to it.
-
-    Raises AllanError when the other process takes longer than a minute.
-    """
+    """Own the folder, after another process has finished writing to it; AllanError in a minute."""
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:
@@ -167,10 +144,7 @@ def _repeat(command: str, sums: str) -> dict[str, str]:
 
 
 def made_folder(folder: Path) -> Path:
-    """Return the folder, which is created if it is missing.
-
-    Raises AllanError when it cannot be created.
-    """
+    """Return the folder, which is created if it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from ..core.compare import Comparison
-from ..core.findings import Finding, duration_text, grouped
+from ..core.findings import Finding, duration_text
 from ..core.fit.duration import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
-from .format import pretty_unit, shown_unit, significant
+from .format import grouped, pretty_unit, shown_unit, significant
 from .results import Results
 
 Level = Literal['healthy', 'attention', 'unknown', 'failed']

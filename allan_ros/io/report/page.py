@@ -23,10 +23,10 @@ import scipy
 
 from ... import __version__
 from ...core.allan.spectrum import Spectrum
-from ...core.findings import Finding, duration_text, grouped
+from ...core.findings import Finding, duration_text
 from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
-from ..format import SENSOR_NAMES, significant, text_in_units
+from ..format import SENSOR_NAMES, grouped, significant, text_in_units
 from ..results import Results, used_samples
 from ..signal_summary import SignalSummary
 from ..verdict import WORDS, Verdict, finding_text, verdict_of
