@@ -62,7 +62,7 @@ def check(settings: Any) -> None:
             raise AllanError(f'{name} is {value!r:.100}: {expected} is expected')
         low = -math.inf if info.low is None else info.low
         high = math.inf if info.high is None else info.high
-        if kind is Real and not low <= value <= high:
+        if isinstance(value, (int, float)) and not low <= value <= high:
             unit = f' {info.unit}' if info.unit else ''
             raise AllanError(f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}')
 
