@@ -14,15 +14,16 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit.duration import ADVISED_TERMS
-from ..core.imu import sensor_of
+from ..core.imu import SENSORS, sensor_of
 from ..io.files import write_atomic
-from ..io.format import shown_unit, value_text
+from ..io.format import known_numbers, markdown_rows, shown_unit, value_text
 from ..io.readers.open import topics_of
 from ..io.recorded import ReadJob, RecordingSums, read_recording
 from ..io.results import Results
@@ -202,51 +203,38 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
         for axis, result in outcome.results.axes.items():
             for term, c in result.fit.noise.items():
                 unit = shown_unit(axis, term, units)
-                low, high = c.ci95 or (None, None)
-                known = (c.value, low, high) if c.status == 'estimated' else (None,) * 3
-                upper = None if c.status == 'estimated' else c.upper95
-                numbers = ('' if v is None else f'{v * unit.factor:.6g}' for v in (*known, upper))
-                writer.writerow(
-                    [name, outcome.verdict.level, hours, axis, term, *numbers, unit.name]
-                )
+                numbers = ('' if n is None else f'{n:g}' for n in known_numbers(c, unit))
+                level = outcome.verdict.level
+                writer.writerow([name, level, hours, axis, term, *numbers, unit.name])
     return file.getvalue()
 
 
 def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
-    """Yield the rows of the summary: N, B and K of each sensor, the range over its axes."""
+    """Yield the rows of the summary: N, B and K of each sensor, of all its axes."""
     for outcome in outcomes:
-        name = one_line(outcome.name)
-        if outcome.results is None or outcome.verdict is None:
-            yield [name, 'error', one_line(outcome.error)]
+        results, cells = outcome.results, [one_line(outcome.name)]
+        if results is None or outcome.verdict is None:
+            cells += ['error', one_line(outcome.error)]
+            yield cells + [''] * (len(_head(units)) - len(cells))
             continue
-        results = outcome.results
-        cells = [name, WORDS[outcome.verdict.level].lower(), f'{results.duration_s / 3600.0:.3g}']
-        for sensor in ('gyro', 'accel'):
-            axes = [axis for axis in results.axes if sensor_of(axis) == sensor]
-            for term in ADVISED_TERMS:
-                cells.append(' / '.join(_cell(results, axis, term, units) for axis in axes) or '-')
+        cells += [WORDS[outcome.verdict.level].lower(), f'{results.duration_s / 3600.0:.3g}']
+        for sensor, term in product(SENSORS, ADVISED_TERMS):
+            unit = shown_unit(sensor, term, units)
+            noise = [a.fit.noise for name, a in results.axes.items() if sensor_of(name) == sensor]
+            cells.append(' / '.join(value_text(n[term], unit) for n in noise) or '-')
         yield cells
-
-
-def _cell(results: Results, axis: str, term: str, units: str) -> str:
-    return value_text(results.axes[axis].fit.noise[term], shown_unit(axis, term, units))
 
 
 def _head(units: str) -> list[str]:
     terms = [
         f'{sensor} {term} x / y / z [{shown_unit(sensor, term, units).name}]'
-        for sensor in ('gyro', 'accel')
-        for term in ADVISED_TERMS
+        for sensor, term in product(SENSORS, ADVISED_TERMS)
     ]
     return ['recording', 'verdict', 'hours', *terms]
 
 
 def _markdown(outcomes: Sequence[Outcome], units: str) -> str:
-    head = _head(units)
-    lines = [head, ['---'] * len(head)]
-    for row in _rows(outcomes, units):
-        lines.append([cell.replace('|', r'\|') for cell in row] + [''] * (len(head) - len(row)))
-    return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
+    return markdown_rows([_head(units), *_rows(outcomes, units)])
 
 
 def _html(outcomes: Sequence[Outcome], units: str) -> str:
@@ -255,9 +243,8 @@ def _html(outcomes: Sequence[Outcome], units: str) -> str:
     for outcome, row in zip(outcomes, _rows(outcomes, units)):
         name, *cells = row
         link = f'<a href="{escape(outcome.folder)}/report.html">{escape(name)}</a>'
-        filled = [*cells, *[''] * (len(_head(units)) - len(row))]
         first = link if outcome.results is not None else escape(name)
-        body += f'<tr><th>{first}</th>{"".join(f"<td>{escape(c)}</td>" for c in filled)}</tr>\n'
+        body += f'<tr><th>{first}</th>{"".join(f"<td>{escape(c)}</td>" for c in cells)}</tr>\n'
     head = ''.join(f'<th>{escape(text)}</th>' for text in _head(units))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Summary</title>'

@@ -14,26 +14,21 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, TextIO
 
 from ..core.errors import one_line
-from ..core.findings import Finding, duration_text
+from ..core.findings import Finding
 
 WIDTH = 100
 """Columns where there is no terminal and ``COLUMNS`` does not say."""
 
 
-REDRAW_S = 0.1
-"""Seconds between two updates of the bar."""
-
-
-BAR = 24
-"""Characters of the bar."""
+LABEL = 30
+"""Most characters of the label of a progress bar; a longer one loses its beginning."""
 
 
 class Progress:
-    """A progress bar with the time left, drawn on a terminal only; elsewhere it is silent.
+    """A progress bar on stderr with the time left; silent where stderr is no terminal.
 
     Parameters
     ----------
@@ -41,70 +36,44 @@ class Progress:
         What is being done.
     total : int or None
         How many units the work has; None when it is not known in advance.
-    stream : file, optional
-        Where to draw (default: stderr).
     shown : bool
         Whether to draw at all.
     """
 
-    def __init__(
-        self, label: str, total: int | None, stream: TextIO | None = None, shown: bool = True
-    ) -> None:
-        self._label = label
-        self._total = total
-        self._stream = sys.stderr if stream is None else stream
-        self._draws = shown and self._stream.isatty()
-        self._start = self._drawn = time.monotonic()
-        self._done = 0
+    def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
+        self._bar = _bar(total) if shown and sys.stderr.isatty() else None
+        if self._bar is not None:
+            short = label if len(label) <= LABEL else f'...{label[3 - LABEL :]}'
+            self._task = self._bar.add_task(short, total=total or 0)
 
     def __enter__(self) -> Progress:
+        if self._bar is not None:
+            self._bar.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._draws:
-            self._stream.write('\r\x1b[K')  # erase the bar before the result is printed
-            self._stream.flush()
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
 
     def advance(self, units: int) -> None:
         """Count further completed units."""
-        self._done += units
-        now = time.monotonic()
-        if self._draws and now - self._drawn >= REDRAW_S:
-            self._drawn = now
-            width = shutil.get_terminal_size().columns
-            line = progress_line(self._label, self._done, self._total, now - self._start, width - 1)
-            self._stream.write(f'\r\x1b[K{line}')
-            self._stream.flush()
+        if self._bar is not None:
+            self._bar.advance(self._task, units)
 
 
-def progress_line(
-    label: str, done: int, total: int | None, elapsed_s: float, columns: int = WIDTH
-) -> str:
-    """Return the line of the progress bar, at most ``columns`` wide.
-
-    In a narrow terminal the speed is omitted first, then the beginning of the label.
-    """
-    speed = done / elapsed_s if elapsed_s > 0 else 0.0
-    counted = f'{done:,} samples, {speed:,.0f}/s'
-    if not total:
-        return _fitted(label, f'  {counted}', columns)
-    share = min(done / total, 1.0)
-    filled = round(share * BAR)
-    left = f', {duration_text((total - done) / speed)} left' if speed > 0 and done < total else ''
-    bar = f'  [{"#" * filled}{"." * (BAR - filled)}] {share:4.0%}'
-    rest = f'{bar}  {counted}{left}'
-    return _fitted(label, rest if len(label) + len(rest) <= columns else f'{bar}{left}', columns)
-
-
-def _fitted(label: str, rest: str, columns: int) -> str:
-    """Return both in one line; a label that is too long loses its beginning."""
-    room = max(columns - len(rest), 8)
-    return (label if len(label) <= room else f'...{label[3 - room :]}') + rest
+def _bar(total: int | None) -> Any:
+    """Return the bar of rich, which erases itself; None where rich is not installed."""
+    try:
+        from rich.console import Console as Terminal
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+    except ImportError:
+        return None
+    columns: list[Any] = [TextColumn('{task.description}', markup=False)]
+    if total:
+        columns += [BarColumn(), TextColumn('{task.percentage:3.0f} %'), TimeRemainingColumn()]
+    columns.append(TextColumn('{task.completed:,.0f}'))
+    return Bar(*columns, console=Terminal(stderr=True), transient=True)
 
 
 NARROWEST = 40

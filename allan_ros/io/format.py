@@ -122,6 +122,32 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
     return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
 
 
+NUMBER_DIGITS = 6
+"""Significant digits of a number for other programs: more than any interval is known to."""
+
+
+def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
+    """Return value, both ends of the interval and the limit in a unit; None for what is not known.
+
+    Of a term that is not resolved only the limit is given: its estimate means nothing.
+    """
+    resolved = c.status == 'estimated'
+    low, high = c.ci95 if resolved and c.ci95 is not None else (None, None)
+    sign = -1.0 if c.sign < 0 else 1.0
+    value = c.value * sign if resolved and c.value is not None else None
+    numbers = (value, low, high, None if resolved else c.upper95)
+    return tuple(
+        None if n is None else float(f'{n * unit.factor:.{NUMBER_DIGITS}g}') for n in numbers
+    )
+
+
+def markdown_rows(rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown, the first row as its head."""
+    lines = [[cell.replace('|', r'\|') for cell in row] for row in rows]
+    lines.insert(1, ['---'] * len(lines[0]))
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
+
+
 def region_text(region: Region) -> str:
     """Return which noise dominates in which range, and the slope of the curve there."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)

@@ -46,7 +46,7 @@ from .plot_style import (
     log_axes,
 )
 from .results import Results
-from .signal_summary import SignalSummary
+from .signal import SignalSummary
 
 HATCHES = {True: '///', False: 3 * '\\'}
 """Hatching of excluded data, by whether the IMU moved."""

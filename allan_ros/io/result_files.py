@@ -22,7 +22,7 @@ from .files import PathLock, read_json, to_json, write_together
 from .plot_style import FORMATS, PictureSettings, load_style
 from .report import ReportContext, render_report
 from .results import Results
-from .signal_summary import summarize_signal
+from .signal import summarize_signal
 from .verdict import verdict_of
 
 SIGNAL_BINS = 1000

@@ -1,20 +1,24 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw signal for plots: its lowest and highest value in each of up to 2048 bins.
+"""The raw signal for plots: its lowest and highest value in each of up to 2048 bins, and all
+recordings on one axis of time, with the samples that are not used, and why.
 
 A day at 1 kHz drawn this way shows every knock and needs the memory of a few thousand numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.imu import AXES, LARGEST, ImuBatch
+from ..core.stream.health import Segment
+
+Floats = NDArray[np.float64]
 
 MAX_BINS = 2048
 """More bins than a plot has pixels across; when all are full, neighbours are joined."""
@@ -105,17 +109,8 @@ class SignalEnvelope:
 
 Item = TypeVar('Item')
 
-
-MOST_READINGS = 2048
-"""More than a plot has pixels across; when reached, every second item is removed."""
-
-
-ABSOLUTE_ZERO = -273.15
-"""0 K in degC."""
-
-
-HOTTEST = 1000.0
-"""degC; readings above it, or below 0 K, are ignored."""
+ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
+"""degC; readings beyond are ignored."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +155,7 @@ class Decimated(Generic[Item]):
     [0, 4, 8]
     """
 
-    def __init__(self, most: int = MOST_READINGS) -> None:
+    def __init__(self, most: int = MAX_BINS) -> None:
         self._most = most
         self._step = 1
         self._added = 0
@@ -178,3 +173,250 @@ class Decimated(Generic[Item]):
 
     def __iter__(self) -> Iterator[Item]:
         return iter(self._items)
+
+
+GAP = 3.0
+"""A bin that lasts this many times the usual duration contains a gap."""
+
+LEAST_SHARE = 1e-3
+"""Shorter gaps, and parts left out for no single reason, are narrower than a line: not marked."""
+
+REASONS = ('motion', 'stuck')
+"""Cuts that leave samples out; other cuts only separate two segments."""
+
+
+class LeftOut(NamedTuple):
+    """Samples that are not used, from ``start`` to ``end`` in s.
+
+    ``why`` is 'motion', 'stuck', or '' (warm-up, another rate, or several reasons).
+    """
+
+    start: float
+    end: float
+    why: str = ''
+
+
+@dataclass(frozen=True)
+class SignalTemperature:
+    """Temperature over time.
+
+    Attributes
+    ----------
+    source : str
+        Topic or column; several, where recordings differ.
+    time_s, celsius : (n,) float64 arrays
+        Times as in the summary; NaN separates recordings.
+    """
+
+    source: str
+    time_s: Floats
+    celsius: Floats
+
+
+@dataclass(frozen=True)
+class SignalSummary:
+    """Signals one after the other.
+
+    Attributes
+    ----------
+    time_s : (bins,) float64 array
+        Start of each bin since the first sample of the first recording, recordings joined.
+    low, high : (bins, 6) float64 arrays
+        Lowest and highest sample, SI; NaN where a recording begins, and where a sensor is absent.
+    used : (bins,) bool array
+        Whether all samples of the bin are used.
+    middle : (6,) float64 array
+        Median of the signal.
+    left_out : tuple of LeftOut
+    gaps : tuple of (start, end)
+        In s: times without samples.
+    starts : tuple of float
+        Where each recording begins, in s.
+    temperature : SignalTemperature or None
+        None where no recording contains it.
+    first_ns : tuple of int
+        Stamp of the first sample of each recording.
+    """
+
+    time_s: Floats
+    low: Floats
+    high: Floats
+    used: NDArray[np.bool_]
+    middle: Floats
+    left_out: tuple[LeftOut, ...]
+    gaps: tuple[tuple[float, float], ...]
+    starts: tuple[float, ...]
+    temperature: SignalTemperature | None = None
+    first_ns: tuple[int, ...] = ()
+
+    @property
+    def reach(self) -> Floats:
+        """Largest distance of used samples from their middle, (6,), SI; 1 where there are none.
+
+        A knock that was left out does not count: it may exceed the plot.
+        """
+        sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
+        for rows in (sizes[self.used], sizes):
+            largest = np.fmax.reduce(rows, axis=0, initial=0.0)
+            if largest.any():
+                return np.where(largest > 0.0, largest, 1.0)
+        return np.ones(len(AXES))
+
+
+def summarize_signal(
+    signals: Sequence[SignalEnvelope],
+    segments: Sequence[Segment],
+    bins: int,
+    cuts: Mapping[str, int] | None = None,
+    temperatures: Sequence[TemperatureTrace | None] = (),
+) -> SignalSummary | None:
+    """Return the summary of the signals, or None if none has two bins.
+
+    Parameters
+    ----------
+    signals : sequence of SignalEnvelope
+        One a recording.
+    segments : sequence of Segment
+        The segments of static data.
+    bins : int
+        Approximate number of bins in the summary.
+    cuts : mapping of str to int
+        How often a segment ended for which reason: it tells what ended the last one.
+    temperatures : sequence of TemperatureTrace or None
+        One a signal; empty for none.
+    """
+    temperatures = temperatures or [None] * len(signals)
+    known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
+    if not known:
+        return None
+    step = max(1, round(sum(signal.bins for signal, _ in known) / bins))
+    parts: list[SignalSummary] = []
+    offset = 0.0
+    for signal, trace in known:
+        part, length = _recording(signal, trace, segments, step, cuts or {}, offset)
+        parts.append(part)
+        offset += length
+    low, high = (np.concatenate([getattr(p, side) for p in parts]) for side in ('low', 'high'))
+    middle = np.full(len(AXES), np.nan)
+    there = ~np.all(np.isnan(low), axis=0)
+    middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
+    return SignalSummary(
+        np.concatenate([part.time_s for part in parts]),
+        low,
+        high,
+        np.concatenate([part.used for part in parts]),
+        middle,
+        tuple(out for part in parts for out in part.left_out),
+        tuple(gap for part in parts for gap in part.gaps),
+        tuple(start for part in parts for start in part.starts),
+        _joined([part.temperature for part in parts if part.temperature]),
+        tuple(first for part in parts for first in part.first_ns),
+    )
+
+
+def _recording(
+    signal: SignalEnvelope,
+    trace: TemperatureTrace | None,
+    segments: Sequence[Segment],
+    step: int,
+    cuts: Mapping[str, int],
+    offset: float,
+) -> tuple[SignalSummary, float]:
+    """Return the summary of one recording that begins at ``offset``, and its length in s."""
+    starts = np.arange(0, signal.bins, step)  # of groups of bins
+    time = signal.time_s[starts]
+    low, high = np.fmin.reduceat(signal.low, starts), np.fmax.reduceat(signal.high, starts)
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    length = float(time[-1] + usual)
+    # bins of equal sample count that last far longer than the others
+    at = np.flatnonzero(steps > GAP * usual)
+    holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
+    first_ns = int(signal.start_ns[0])
+    outside = list(_left_out(_counted(segments, first_ns, length), holes, length, cuts))
+    used = np.ones(len(time), bool)
+    for out in outside:
+        used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
+    if offset:
+        low[0] = high[0] = np.nan  # no line from the recording before
+    least = LEAST_SHARE * length
+    summary = SignalSummary(
+        time + offset,
+        low,
+        high,
+        used,
+        np.empty(0),
+        tuple(
+            LeftOut(out.start + offset, out.end + offset, out.why)
+            for out in outside
+            if out.why or out.end - out.start > least
+        ),
+        tuple((start + offset, end + offset) for start, end in holes if end - start > least),
+        (offset,),
+        None if trace is None else _temperature(trace, first_ns, length, offset),
+        (first_ns,),
+    )
+    return summary, length
+
+
+def _counted(
+    segments: Sequence[Segment], first_ns: int, length: float
+) -> list[tuple[float, float, str]]:
+    """Return start, end and cut of the segments of one recording, in s since its first sample."""
+    seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
+    return [(at, at + of, cut) for at, of, cut in seconds if at < length and at + of > 0.0]
+
+
+def _left_out(
+    counted: Sequence[tuple[float, float, str]],
+    holes: Sequence[tuple[float, float]],
+    length: float,
+    cuts: Mapping[str, int],
+) -> Iterator[LeftOut]:
+    """Yield the parts between the segments of one recording that are not gaps, with the reason."""
+    if not counted:
+        return
+    ends = {reason for reason in REASONS if cuts.get(reason)}
+    last = ends.pop() if len(ends) == 1 else ''
+    before = 0.0
+    for start, end, cut in [*sorted(counted), (length, length, last)]:
+        for part in _without((before, start), holes) if start > before else ():
+            yield LeftOut(*part, cut if cut in REASONS else '')
+        before = max(before, end)
+
+
+def _without(
+    interval: tuple[float, float], others: Sequence[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    """Return the parts of an interval that the others do not cover."""
+    left = [interval]
+    for low, high in others:
+        parts = [
+            p for start, end in left for p in ((start, min(end, low)), (max(start, high), end))
+        ]
+        left = [part for part in parts if part[1] > part[0]]
+    return left
+
+
+def _temperature(
+    trace: TemperatureTrace, first_ns: int, length: float, offset: float
+) -> SignalTemperature | None:
+    """Return the readings taken during one recording, by the first of its clocks that fits."""
+    for stamps in (trace.header_ns, trace.record_ns):
+        time = np.asarray((stamps - first_ns) * 1e-9, float)
+        inside = (time >= 0.0) & (time <= length)
+        if inside.sum() > 1:
+            order = np.argsort(time[inside], kind='stable')
+            celsius = trace.celsius[inside][order]
+            return SignalTemperature(trace.source, time[inside][order] + offset, celsius)
+    return None
+
+
+def _joined(parts: Sequence[SignalTemperature]) -> SignalTemperature | None:
+    """Return the temperatures of all recordings as one, with a NaN between two."""
+    if not parts:
+        return None
+    times = [np.insert(p.time_s, 0, p.time_s[:1] if i else []) for i, p in enumerate(parts)]
+    values = [np.insert(p.celsius, 0, [np.nan] if i else []) for i, p in enumerate(parts)]
+    source = ', '.join(dict.fromkeys(part.source for part in parts))
+    return SignalTemperature(source, np.concatenate(times), np.concatenate(values))

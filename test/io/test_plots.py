@@ -17,8 +17,7 @@ from allan_ros.core.stream.health import Segment
 from allan_ros.io.plot_style import PictureSettings, load_style
 from allan_ros.io.plots import sensor_figure, to_form, to_png
 from allan_ros.io.results import Results
-from allan_ros.io.signal import SignalEnvelope
-from allan_ros.io.signal_summary import SignalSummary, summarize_signal
+from allan_ros.io.signal import SignalEnvelope, SignalSummary, summarize_signal
 
 DEG_PER_HOUR = math.pi / 180.0 / 3600.0
 

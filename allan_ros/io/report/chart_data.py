@@ -6,15 +6,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.allan.history import Recording
 from ...core.allan.spectrum import Spectrum
-from ...core.fit import TERMS, Coefficient
+from ...core.allan.sums import AllanSums
+from ...core.fit import TERMS
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
 from ..axis_result import AxisResult
@@ -23,154 +24,32 @@ from ..format import (
     READ_AT,
     SENSOR_NAMES,
     ShownUnit,
-    interval_text,
     pretty_unit,
     shown_density_unit,
     shown_signal_unit,
     shown_unit,
-    value_text,
 )
 from ..plot_style import BELOW_CURVE
 from ..results import Results
-from ..signal_summary import SignalSummary
-from .courses import courses, rounded
-
-TERM_NAMES = {
-    'gyro': {
-        'Q': 'quantization',
-        'N': 'angle random walk',
-        'B': 'bias instability',
-        'K': 'rate random walk',
-        'R': 'rate ramp',
-    },
-    'accel': {
-        'Q': 'quantization',
-        'N': 'velocity random walk',
-        'B': 'bias instability',
-        'K': 'acceleration random walk',
-        'R': 'acceleration ramp',
-    },
-}
-"""sensor -> term -> its name in IEEE Std 952 and 1293."""
-
-
-def in_units(html_of: Callable[[str], str]) -> str:
-    """Return the HTML of both systems of units, of which the page shows the chosen one."""
-    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
-
+from ..signal import SignalSummary
+from .tables import SYSTEMS, copies
 
 Floats = NDArray[np.float64]
 
+CHART_DIGITS = 5
+"""Significant digits of a point of a chart: a tenth of a pixel on any screen."""
 
-def model_density(axis: AxisResult, frequency: Floats) -> Floats:
-    """Return the one-sided power spectral density of the selected model, SI unit^2/Hz.
+MEANS = 129
+"""The means of a recording are fewer than this."""
 
-    Twice the two-sided densities of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C for
-    samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
-    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
-    ramp has none (the mean of a block is subtracted), and a sinusoid is a line without width.
+LONGEST_NOISE_S = 1.0
+"""The noise over time is shown at the longest averaging time below this."""
 
-    Parameters
-    ----------
-    axis : AxisResult
-    frequency : (frequencies,) array
-        In Hz, above 0.
+LEAST_COUNT, LEAST_POINTS = 16, 4
+"""Fewest differences of a period, and fewest points of a chart."""
 
-    Returns
-    -------
-    (frequencies,) array
-    """
-    terms = axis.fit.selected.terms
-    omega = 2.0 * np.pi * frequency
-    step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
-    density: Floats = (
-        (terms.Q * step) ** 2 / axis.tau0
-        + terms.N**2
-        + terms.B**2 / omega
-        + (terms.K * axis.tau0 / step) ** 2
-    )
-    for sigma, time in axis.fit.selected.gauss_markov:
-        density = density + 2.0 * sigma**2 * time / (1.0 + (omega * time) ** 2)
-    return 2.0 * density
-
-
-COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
-"""Of the table for spreadsheets."""
-
-
-DIGITS = 6
-"""Significant digits of a copied number: more than any interval is known to."""
-
-
-def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
-    """Return the coefficients of some axes as tab-separated values, Markdown and YAML.
-
-    Units are in ASCII here, so that they survive wherever the text is pasted.
-    """
-    return {
-        'TSV': _tsv(results, axes, units),
-        'Markdown': _markdown(results, axes, units),
-        'YAML': _yaml(results, axes, units),
-    }
-
-
-def _tsv(results: Results, axes: Sequence[str], units: str) -> str:
-    lines = ['\t'.join(COLUMNS)]
-    for axis in axes:
-        for term in TERMS:
-            unit = shown_unit(axis, term, units)
-            numbers = _numbers(results.axes[axis].fit.noise[term], unit)
-            shown = ('' if number is None else f'{number:g}' for number in numbers)
-            lines.append('\t'.join([axis, term, *shown, unit.name]))
-    return '\n'.join(lines) + '\n'
-
-
-def _markdown(results: Results, axes: Sequence[str], units: str) -> str:
-    rows = [['term', 'unit', *axes], ['---'] * (len(axes) + 2)]
-    for term in TERMS:
-        cells = []
-        for axis in axes:
-            coefficient, unit = results.axes[axis].fit.noise[term], shown_unit(axis, term, units)
-            interval = interval_text(coefficient, unit)
-            cells.append(value_text(coefficient, unit) + (f' ({interval})' if interval else ''))
-        rows.append([term, shown_unit(axes[0], term, units).name, *cells])
-    return '\n'.join(f'| {" | ".join(row)} |' for row in rows) + '\n'
-
-
-def _yaml(results: Results, axes: Sequence[str], units: str) -> str:
-    tree: dict[str, dict[str, dict[str, object]]] = {}
-    for axis in axes:
-        tree[axis] = {}
-        for term in TERMS:
-            unit = shown_unit(axis, term, units)
-            value, low, high, upper = _numbers(results.axes[axis].fit.noise[term], unit)
-            known: dict[str, object] = {'unit': unit.name}
-            if value is not None:
-                known['value'] = value
-            if low is not None:
-                known['ci95'] = [low, high]
-            if upper is not None:
-                known['upper95'] = upper
-            tree[axis][term] = known
-    text: str = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
-    return text
-
-
-def _numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return value, interval and limit in a unit; what is not known is None.
-
-    Of a term that is not observable only the limit is given: its estimate means nothing.
-    """
-    seen = c.status == 'estimated'
-    low, high = c.ci95 if seen and c.ci95 is not None else (None, None)
-    sign = -1.0 if c.sign < 0 else 1.0
-    value = c.value * sign if seen and c.value is not None else None
-    numbers = (value, low, high, None if seen else c.upper95)
-    return tuple(None if n is None else float(f'{n * unit.factor:.{DIGITS}g}') for n in numbers)
-
-
-SYSTEMS = ('datasheet', 'si')
-"""The systems of units that the page offers."""
+LEAST_RANGE_C = 0.5
+"""A bias is shown against a temperature that changes by more."""
 
 
 def sensor_charts(
@@ -359,3 +238,154 @@ def _short(values: ArrayLike) -> list[float | None]:
     return [
         float(f'{v:.3g}') if math.isfinite(v) else None for v in np.asarray(values, float).tolist()
     ]
+
+
+def model_density(axis: AxisResult, frequency: Floats) -> Floats:
+    """Return the one-sided power spectral density of the selected model, SI unit^2/Hz.
+
+    Twice the two-sided densities of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C for
+    samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
+    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
+    ramp has none (the mean of a block is subtracted), and a sinusoid is a line without width.
+
+    Parameters
+    ----------
+    axis : AxisResult
+    frequency : (frequencies,) array
+        In Hz, above 0.
+
+    Returns
+    -------
+    (frequencies,) array
+    """
+    terms = axis.fit.selected.terms
+    omega = 2.0 * np.pi * frequency
+    step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
+    density: Floats = (
+        (terms.Q * step) ** 2 / axis.tau0
+        + terms.N**2
+        + terms.B**2 / omega
+        + (terms.K * axis.tau0 / step) ** 2
+    )
+    for sigma, time in axis.fit.selected.gauss_markov:
+        density = density + 2.0 * sigma**2 * time / (1.0 + (omega * time) ** 2)
+    return 2.0 * density
+
+
+class Course(NamedTuple):
+    """Times in s, values (times, axes), and the averaging time in s that the values have."""
+
+    time: Floats
+    values: Floats
+    span: float
+
+
+def rounded(values: ArrayLike) -> list[float | None]:
+    """Return numbers to `CHART_DIGITS` digits, None for what is not finite."""
+    return [
+        float(f'{v:.{CHART_DIGITS}g}') if math.isfinite(v) else None
+        for v in np.asarray(values, float).tolist()
+    ]
+
+
+def courses(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
+    """Return the charts of bias and noise over time, and of the bias against temperature.
+
+    Parameters
+    ----------
+    results : Results
+    sensor : 'gyro' or 'accel'
+    summary : SignalSummary or None
+        Gives the time axis of the page; without it the recordings follow one another.
+    """
+    where = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
+    known_sums = () if results.recorded is None else results.recorded.sums
+    sums = next((s for s in known_sums if set(where) & set(s.axes)), None)
+    if sums is None or sums.tau0 is None:
+        return []
+    columns = [i for i, name in enumerate(sums.axes) if name in where]
+    names = [sums.axes[i] for i in columns]
+    placed = _placed(sums, summary)
+    bias = _joined([_bias(recording, start, sums.tau0) for recording, start in placed], columns)
+    levels = [_noise(recording, start, sums.tau0) for recording, start in placed]
+    noise = _joined([level for level in levels if level.span == levels[0].span], columns)
+    charts = []
+    if np.isfinite(bias.values).any(axis=1).sum() >= LEAST_POINTS:
+        bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
+        terms = [results.axes[name].fit.noise['N'] for name in names]
+        known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
+        white = rounded([1.96 * density / math.sqrt(bias.span) for density in known])
+        charts.append({**_document('bias', bias, names), 'white': white})
+        against = _against_temperature(bias, summary)
+        if against is not None:
+            slopes = rounded(np.polyfit(against.time, against.values, 1)[0])
+            charts.append({**_document('temperature', against, names), 'slopes': slopes})
+    if np.isfinite(noise.values).any(axis=1).sum() >= LEAST_POINTS:
+        charts.append(_document('noise', noise, names))
+    return charts
+
+
+def _placed(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
+    """Return each recording with its start on the time axis in s, the earliest first."""
+    placed, end = [], 0.0
+    for recording in sorted(sums.history.recordings, key=lambda r: r.start_ns):
+        start = end
+        for at, first_ns in zip(*((summary.starts, summary.first_ns) if summary else ((), ()))):
+            if first_ns <= recording.start_ns:
+                start = at + (recording.start_ns - first_ns) * 1e-9
+        placed.append((recording, start))
+        end += recording.length * (sums.tau0 or 0.0)
+    return placed
+
+
+def _bias(recording: Recording, start: float, tau0: float) -> Course:
+    """Return the means of cells of which more than half the samples are used."""
+    cells = recording.coarser(MEANS, recording.period_begin)
+    span = cells.step * tau0
+    known = cells.cell_samples[:, None] > cells.step / 2
+    values = np.where(known, cells.cell_means + cells.reference, np.nan)
+    middles = np.asarray((np.arange(len(values)) + 0.5) * span + start, float)
+    return Course(middles, values, span)
+
+
+def _noise(recording: Recording, start: float, tau0: float) -> Course:
+    """Return the Allan deviation of every period at `LONGEST_NOISE_S` or less."""
+    level = int(np.searchsorted(recording.level_m * tau0, LONGEST_NOISE_S, side='right')) - 1
+    begins = recording.period_begin
+    if level < 0 or not len(begins):
+        return Course(np.zeros(0), np.zeros((0, len(recording.reference))), 0.0)
+    m, count = recording.level_m[level], recording.level_count[:, level]
+    square = recording.level_sum_sq[:, level] / (2.0 * np.maximum(count, 1)[:, None])
+    adev = np.where(count[:, None] >= LEAST_COUNT, np.sqrt(square) / m, np.nan)
+    middles = np.asarray((begins + np.append(begins[1:], recording.length)) / 2.0, float)
+    return Course(middles * tau0 + start, adev, float(m * tau0))
+
+
+def _joined(parts: Sequence[Course], columns: Sequence[int]) -> Course:
+    """Return some columns of all recordings one after the other, with a NaN between two."""
+    times, values = [np.zeros(0)], [np.zeros((0, len(columns)))]
+    for part in parts:
+        if len(part.time):
+            times += [part.time, part.time[-1:] + 1e-3]
+            values += [part.values[:, columns], np.full((1, len(columns)), np.nan)]
+    span = max((part.span for part in parts), default=0.0)
+    return Course(np.concatenate(times)[:-1], np.concatenate(values)[:-1], span)
+
+
+def _against_temperature(bias: Course, summary: SignalSummary | None) -> Course | None:
+    """Return the bias by temperature in degC; None where it was not recorded or hardly changes."""
+    if summary is None or summary.temperature is None:
+        return None
+    trace = summary.temperature
+    some = np.isfinite(trace.celsius)
+    celsius = np.interp(bias.time, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
+    known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
+    if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= LEAST_RANGE_C:
+        return None
+    order = np.argsort(celsius[known], kind='stable')
+    return Course(celsius[known][order], bias.values[known][order], bias.span)
+
+
+def _document(kind: str, course: Course, names: Sequence[str]) -> dict[str, Any]:
+    lines = [{'name': n, 'values': rounded(v)} for n, v in zip(names, course.values.T)]
+    return {'kind': kind, 'x': rounded(course.time), 'lines': lines, 'span': course.span}

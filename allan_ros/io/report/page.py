@@ -28,10 +28,17 @@ from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, grouped, significant, text_in_units
 from ..results import Results, used_samples
-from ..signal_summary import SignalSummary
+from ..signal import SignalSummary
 from ..verdict import WORDS, Verdict, finding_text, verdict_of
-from .chart_data import in_units, sensor_charts, temperature_chart, to_script
-from .tables import baseline_table, coefficient_table, datasheet_table, growth_table, headline_table
+from .chart_data import sensor_charts, temperature_chart, to_script
+from .tables import (
+    baseline_table,
+    coefficient_table,
+    datasheet_table,
+    growth_table,
+    headline_table,
+    in_units,
+)
 
 EARLIEST_S = 978_307_200
 """2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""

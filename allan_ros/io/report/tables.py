@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 
 import numpy as np
+import yaml
 
 from ...core.compare import Comparison, Verdict
 from ...core.fit import TERMS, Coefficient
@@ -22,6 +23,8 @@ from ..format import (
     ShownUnit,
     deviation_text,
     interval_text,
+    known_numbers,
+    markdown_rows,
     pretty_unit,
     region_text,
     shown_unit,
@@ -29,7 +32,29 @@ from ..format import (
     value_text,
 )
 from ..results import Results
-from .chart_data import TERM_NAMES, in_units
+
+SYSTEMS = ('datasheet', 'si')
+"""The systems of units that the page offers."""
+
+
+TERM_NAMES = {
+    'gyro': {
+        'Q': 'quantization',
+        'N': 'angle random walk',
+        'B': 'bias instability',
+        'K': 'rate random walk',
+        'R': 'rate ramp',
+    },
+    'accel': {
+        'Q': 'quantization',
+        'N': 'velocity random walk',
+        'B': 'bias instability',
+        'K': 'acceleration random walk',
+        'R': 'acceleration ramp',
+    },
+}
+"""sensor -> term -> its name in IEEE Std 952 and 1293."""
+
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict -> its symbol, which repeats the meaning of word and colour."""
@@ -263,3 +288,46 @@ def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) ->
 
 def _letter(axis: str) -> str:
     return axis.rsplit('_', 1)[1]
+
+
+def in_units(html_of: Callable[[str], str]) -> str:
+    """Return the HTML of both systems of units, of which the page shows the chosen one."""
+    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
+
+
+COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
+"""Of the table for spreadsheets."""
+
+
+def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
+    """Return the coefficients of some axes as tab-separated values, Markdown and YAML.
+
+    Units are in ASCII here, so that they survive wherever the text is pasted.
+    """
+    lines, table = ['\t'.join(COLUMNS)], []
+    tree: dict[str, dict[str, dict[str, object]]] = {}
+    for axis in axes:
+        tree[axis] = {}
+        for term, c in results.axes[axis].fit.noise.items():
+            unit = shown_unit(axis, term, units)
+            value, low, high, upper = numbers = known_numbers(c, unit)
+            shown = ('' if number is None else f'{number:g}' for number in numbers)
+            lines.append('\t'.join([axis, term, *shown, unit.name]))
+            known = {
+                'value': value,
+                'ci95': None if low is None else [low, high],
+                'upper95': upper,
+            }
+            given = {key: number for key, number in known.items() if number is not None}
+            tree[axis][term] = {'unit': unit.name, **given}
+    for term in TERMS:
+        unit = shown_unit(axes[0], term, units)
+        noise = [results.axes[axis].fit.noise[term] for axis in axes]
+        intervals = [f' ({i})' if (i := interval_text(c, unit)) else '' for c in noise]
+        cells = [value_text(c, unit) + interval for c, interval in zip(noise, intervals)]
+        table.append([term, unit.name, *cells])
+    return {
+        'TSV': '\n'.join(lines) + '\n',
+        'Markdown': markdown_rows([['term', 'unit', *axes], *table]),
+        'YAML': yaml.safe_dump(tree, sort_keys=False, default_flow_style=None),
+    }

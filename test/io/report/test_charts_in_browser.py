@@ -16,7 +16,7 @@ from allan_ros.core.allan.spectrum import spectrum_of
 from allan_ros.io.recorded import ReadJob, read_recording
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.results import analyse_recorded
-from allan_ros.io.signal_summary import summarize_signal
+from allan_ros.io.signal import summarize_signal
 
 ADIS_LSB = np.repeat([0.05 * np.pi / 180.0, 0.00333 * 9.80665], 3)
 

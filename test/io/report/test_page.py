@@ -22,10 +22,10 @@ from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.report import ReportContext, render_report
-from allan_ros.io.report.chart_data import copies, sensor_charts, to_script
+from allan_ros.io.report.chart_data import sensor_charts, to_script
+from allan_ros.io.report.tables import copies
 from allan_ros.io.results import Results
-from allan_ros.io.signal import SignalEnvelope, TemperatureTrace
-from allan_ros.io.signal_summary import summarize_signal
+from allan_ros.io.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 
 VOID = ('meta', 'br', 'wbr', 'input')
 HOSTILE = '</script><script>alert(1)</script><img src=x onerror=alert(2)>&"\'\u2028'

@@ -17,8 +17,7 @@ from allan_ros.core.stream.health import Segment
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.results import Results
-from allan_ros.io.signal import SignalEnvelope, TemperatureTrace
-from allan_ros.io.signal_summary import summarize_signal
+from allan_ros.io.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 
 MAX_BYTES = 2_000_000
 """Of a page: light enough for a mail and a phone."""

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.io.report.courses import courses
+from allan_ros.io.report.chart_data import courses
 from allan_ros.io.results import Results
-from allan_ros.io.signal_summary import SignalTemperature, summarize_signal
+from allan_ros.io.signal import SignalTemperature, summarize_signal
 
 RATE, SECONDS, DRIFT, DENSITY = 50.0, 600.0, 2e-5, 1e-4
 
