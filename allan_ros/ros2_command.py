@@ -36,7 +36,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
     def add_arguments(self, parser: argparse.ArgumentParser, cli_name: str) -> None:
         """Declare the verb; its own options are parsed by the verb."""
-        from .cli.parser import VERBS
+        from .cli.main import VERBS
 
         width = max(map(len, (*VERBS, *NODE_VERBS)))
         lines = ['recordings and results:']
@@ -69,7 +69,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
 def _is_for_files(verb: str, words: list[str]) -> bool:
     """Return whether a verb that exists for files and for nodes is given files, or ``--help``."""
-    from .cli.parser import VERBS
+    from .cli.main import VERBS
 
     files = [w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE]
     return verb in VERBS and bool(files or {'-h', '--help'} & {*words})

@@ -20,7 +20,7 @@ from typing import Any
 
 import allan_ros
 from allan_ros.cli.console import add_console_options
-from allan_ros.cli.parser import EXITS, VERBS, command_of
+from allan_ros.cli.main import EXITS, VERBS, command_of
 from allan_ros.core.findings import CATALOGUE
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from allan_ros.cli.parser import VERBS, build_parser
+from allan_ros.cli.main import VERBS, build_parser
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]

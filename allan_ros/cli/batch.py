@@ -30,7 +30,7 @@ from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
 from .analyze import fitted
 from .console import Console
-from .parser import RECORDINGS
+from .main import RECORDINGS
 
 METADATA = 'metadata.yaml'
 

@@ -13,27 +13,35 @@ a datasheet. The first run is what the others are compared with.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
+from .. import api
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
-from ..core.fit import METHODS
-from ..io.plot_style import PictureSettings
-from .console import Console, width, wrapped
-from .options import Command, add_settings, settings_of
-
-if TYPE_CHECKING:
-    from ..io.comparison import RunComparison
+from ..core.fit import METHODS, AxisFit
+from ..core.fit.curve_fit import fit_curve
+from ..core.imu import SENSORS, SI_UNITS, sensor_of
+from ..io.comparison import (
+    Subject,
+    compare_runs,
+    comparison_document,
+    inflation_document,
+    inflation_facts,
+)
+from ..io.datasheets import load_sensor
+from ..io.documents import labels_of
+from ..io.plot_style import PictureSettings, load_style
+from .console import Console, width
+from .options import Command, add_settings, add_units, settings_of
+from .tables import axis_cells, comparison_lines, table_lines, term_labels
 
 SENSOR_PREFIX = 'sensor:'
 
 EXIT_DIFFERENT = 3
 
 EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or a limit exceeded'}
-
-NOT_THERE = ''
-"""Text of a cell where a run does not have the axis."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,22 +93,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default='gls',
         help='how sums and recordings are fitted (default gls); results are not fitted again',
     )
-    result.add_argument(
-        '--units',
-        choices=('datasheet', 'si'),
-        default='datasheet',
-        help='units shown (default datasheet)',
-    )
+    add_units(result)
     add_settings(parser, 'pictures', PictureSettings)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
-    from ..api import results_of
-    from ..io.comparison import Subject, compare_runs, comparison_document
-    from ..io.datasheets import load_sensor
-    from ..io.documents import labels_of
-    from ..io.plot_style import load_style
 
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
@@ -123,7 +121,8 @@ def run(args: argparse.Namespace) -> int:
     if len(paths) + len(datasheets) < 2 or not paths:
         raise AllanError('give two runs, or a run and sensor:NAME: there is nothing to compare')
     runs = [
-        Subject(label, results_of(path, args.method, console)) for label, path in zip(labels, paths)
+        Subject(label, api.results_of(path, args.method, console))
+        for label, path in zip(labels, paths)
     ]
     comparison = compare_runs(runs, datasheets, args.margin)
     if console.json:
@@ -138,74 +137,6 @@ def run(args: argparse.Namespace) -> int:
             written.append(write_overlay(args.output, runs, args.margin, args.units))
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
-
-
-def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield the lines of the verdict, of a table per sensor, and of the datasheet comparisons."""
-    from ..core.imu import AXES, SENSORS
-    from ..io.comparison import comparison_headline
-    from .tables import datasheet_lines, table_lines
-
-    for sentence in comparison_headline(comparison):
-        yield from wrapped(sentence, columns, '  ')
-    for sensor, where in SENSORS.items():
-        axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
-        if axes:
-            cells = [_column(comparison, axis, units) for axis in axes]
-            yield from table_lines(_labels(comparison, sensor, units), cells, columns)
-    yield ''
-    if comparison.pairs:
-        yield from wrapped(
-            f'ratios are to {comparison.runs[0].label}, with 95 % intervals; "higher" and "lower" '
-            f'are more than chance: in runs of equal noise any of all that is compared is called '
-            f'so in at most {comparison.family_error:.0%} of comparisons',
-            columns,
-        )
-    for label, checked in comparison.datasheets:
-        yield ''
-        yield f'{label}'
-        yield from datasheet_lines(checked, units, columns)
-
-
-def _labels(comparison: RunComparison, sensor: str, units: str) -> list[str]:
-    from ..core.fit import TERMS
-    from ..io.format import shown_unit
-
-    labels = [sensor]
-    for term in TERMS:
-        unit = shown_unit(sensor, term, units).name
-        for i, subject in enumerate(comparison.runs):
-            labels.append(f'{f"{term} {unit}" if i == 0 else "":16}{subject.label}')
-        labels += [f'{"":16}{pair.second} ratio' for pair in comparison.pairs]
-    labels += [f'deviation {pair.second}' for pair in comparison.pairs]
-    return labels
-
-
-def _column(comparison: RunComparison, axis: str, units: str) -> list[str]:
-    """Return the cells of one axis: each term of each run and its ratio, then the deviations."""
-    from ..core.fit import TERMS
-    from ..io.comparison import ratio_text, verdict_text
-    from ..io.format import interval_text, shown_unit, value_text
-
-    cells = [axis.rsplit('_', 1)[1]]
-    for term in TERMS:
-        unit = shown_unit(axis, term, units)
-        for subject in comparison.runs:
-            result = subject.results.axes.get(axis)
-            if result is None:
-                cells.append(NOT_THERE)
-                continue
-            c = result.fit.noise[term]
-            cells.append(f'{value_text(c, unit):9} {interval_text(c, unit)}'.rstrip())
-        for pair in comparison.pairs:
-            d = pair.of(axis, term)
-            said = NOT_THERE if d is None else f'{ratio_text(d)} {verdict_text(d)}'.strip()
-            cells.append(said)
-    for pair in comparison.pairs:
-        tried = [d for d in pair.differences if d.axis == axis and d.tau is not None]
-        off = [d for d in tried if d.significant]
-        cells.append(f'{len(off)} of {len(tried)} differ' if tried else NOT_THERE)
-    return cells
 
 
 def _twice(labels: Sequence[str]) -> str:
@@ -229,19 +160,12 @@ def add_inflate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='DIR',
         help='folder for inflation.json, report.html with both curves, and a table and pictures',
     )
-    parser.add_argument(
-        '--units',
-        choices=('datasheet', 'si'),
-        default='datasheet',
-        help='units of the pictures (default datasheet)',
-    )
+    add_units(parser)
     add_settings(parser, 'pictures', PictureSettings)
 
 
 def inflate(args: argparse.Namespace) -> int:
     """Read both, show the factors, and write the files."""
-    from .. import api
-    from ..io.comparison import inflation_document, inflation_facts
 
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
@@ -267,6 +191,102 @@ def inflate(args: argparse.Namespace) -> int:
     return 0
 
 
+def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `allan fit`."""
+    parser.add_argument('curve', metavar='CURVE', help='text file of an Allan curve')
+    parser.add_argument(
+        '--published',
+        metavar='FILE',
+        help='imu.yaml of Kalibr whose values are checked against the curve',
+    )
+    parser.add_argument(
+        '--hours',
+        type=float,
+        metavar='HOURS',
+        help='length of the recording (default: nine times the longest averaging time)',
+    )
+    parser.add_argument(
+        '--gyro-unit',
+        choices=('rad/s', 'deg/s'),
+        help='unit of gyro deviations (default rad/s with a header, else deg/s)',
+    )
+    add_units(parser)
+
+
+def fit(args: argparse.Namespace) -> int:
+    """Fit all curves of the file, and show coefficients, processes and inconsistencies."""
+    from ..io.user_files import doubts, read_curves, read_published
+
+    console = Console.of(args)
+    if args.hours is not None and not 0.0 < args.hours < float('inf'):
+        raise AllanError(f'--hours {args.hours:g}: give a time above 0')
+    curves = read_curves(args.curve, args.gyro_unit or '')
+    published = read_published(args.published) if args.published else {}
+    record = None if args.hours is None else 3600.0 * args.hours
+    fits = {axis: fit_curve(curves.tau, adev, record) for axis, adev in curves.adev.items()}
+    doubtful = doubts(curves, fits, published)
+    if console.json:
+        console.document(_document(args.curve, fits, doubtful))
+        return 0
+
+    for sensor in SENSORS:
+        columns = [
+            axis_cells(axis, fit.noise, args.units)
+            for axis, fit in fits.items()
+            if axis.startswith(sensor)
+        ]
+        for line in table_lines(term_labels(sensor, args.units), columns, width()):
+            print(line)
+    print()
+    for axis, fit in fits.items():
+        for text in _process_lines(axis, fit):
+            print(text)
+    for text in doubtful:
+        print(f'warning: {text}')
+    return 0
+
+
+def _process_lines(axis: str, fit: AxisFit) -> list[str]:
+    """Return the processes of an axis and its largest deviation, one line each."""
+
+    unit = SI_UNITS[sensor_of(axis)]['B']
+    lines = [
+        f'{axis}: Gauss-Markov, {p.sigma:.3g} {unit}, {p.correlation_time:.3g} s'
+        for p in fit.processes.gauss_markov
+    ]
+    lines += [
+        f'{axis}: sinusoid, {p.amplitude:.3g} {unit}, {p.frequency:.3g} Hz'
+        for p in fit.processes.sinusoid
+    ]
+    if fit.deviation is not None:
+        relative, tau = fit.deviation
+        lines.append(f'{axis}: largest deviation {abs(relative):.0%} at {tau:.3g} s')
+    return lines
+
+
+def _document(source: str, fits: Mapping[str, AxisFit], doubtful: list[str]) -> dict[str, Any]:
+    """Return the fits as JSON values in SI."""
+
+    axes = {}
+    for axis, fit in fits.items():
+        axes[axis] = {
+            'noise': {term: asdict(c) for term, c in fit.noise.items()},
+            'processes': asdict(fit.processes),
+            'deviation': fit.deviation._asdict() if fit.deviation else None,
+            'gof_z': fit.gof_z,
+        }
+    return {'schema': 'allan_ros/curve_fit/1', 'source': source, 'axes': axes, 'doubts': doubtful}
+
+
+FIT = """
+Fit an Allan curve computed by another tool, and check the values published with it.
+
+CURVE is a text file with averaging times in s and Allan deviations, one column per axis: with a
+header of names (tau, gyro_x, ...), or as allan_variance_ros writes it.
+
+  allan fit allan_variance.csv --published imu.yaml
+"""
+
 INFLATE = """
 Measure what running motors add to the noise of a robot at rest.
 
@@ -281,4 +301,5 @@ factor on each, and the ratio of the Allan deviations.
 COMMANDS = {
     'compare': Command(__doc__ or '', add_arguments, run, EXITS),
     'inflate': Command(INFLATE, add_inflate_arguments, inflate),
+    'fit': Command(FIT, add_fit_arguments, fit),
 }

@@ -1,34 +1,343 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON_ARGCOMPLETE_OK
-"""`allan`: the offline tool. Each verb is a module that is imported when it is called."""
+"""`allan`: the offline tool. Each verb is a module that is imported when it is called.
+
+The parser has a short usage, help with groups, suggestions for misspelled words, and shell
+completion by argcomplete, which is imported only for a completion request.
+"""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import difflib
+import importlib
 import os
+import re
 import shlex
 import signal
 import sys
+import textwrap
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any, NoReturn
 
 from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
-from .options import words_with_config
-from .parser import (
-    EXIT_ERROR,
-    EXIT_FAULT,
-    EXIT_INTERRUPTED,
-    EXIT_NO_READER,
-    EXIT_USAGE,
-    VERBS,
-    build_parser,
-    command_of,
-    complete,
-    verb_parser,
-)
+from .console import add_console_options
+from .options import Command, words_with_config
+
+HELP_COLUMN = 26
+"""Where the explanations of options begin."""
+
+NUMBERS: dict[str | int | None, str] = {
+    '+': '{0} [{0} ...]',
+    '*': '[{0} ...]',
+    '?': '[{0}]',
+    None: '{0}',
+}
+"""``nargs`` of a positional argument -> how the usage shows it."""
+
+CLOSE = 0.6
+"""Similarity (difflib's ratio) above which a word counts as a misspelling of another."""
+
+VERBS = {
+    'analyze': 'recordings in, coefficients, curves, plots and a report out',
+    'check': 'check one IMU: one line of output and an exit code',
+    'merge': 'add the sums of several runs of one IMU and fit them together',
+    'compare': 'compare runs, or runs with a datasheet: which differences are significant',
+    'sensors': 'datasheets of IMUs: list them, or show one with its sources',
+    'export': 'write the measured noise as the file of a filter or simulator',
+    'fit': 'fit an Allan curve of another tool, and check values published with it',
+    'inflate': 'what running motors add to the noise of a robot at rest',
+    'simulate': 'write a recording of an IMU whose noise is known',
+}
+"""Verb -> what it does."""
+
+MODULES = {
+    'check': 'analyze',
+    'merge': 'analyze',
+    'inflate': 'compare',
+    'fit': 'compare',
+    'sensors': 'export',
+}
+"""Verb -> its module in this package, where that has another name."""
+
+DESCRIPTION = """
+Measure the noise of an IMU by its Allan variance.
+
+  allan analyze my_bag -o results        a recording in, a report out
+  allan check my_bag --sensor mpu-6050   one line and an exit code
+  allan export results --to openvins     its numbers as the file of a filter
+  allan simulate my_bag --preset paper   no recording at hand? this writes one
+"""
+"""Description above the list of verbs."""
+
+SHELLS = ('bash', 'zsh', 'fish')
+"""Shells whose completion can be set up."""
+
+EXIT_ERROR, EXIT_USAGE, EXIT_FAULT, EXIT_INTERRUPTED, EXIT_NO_READER = 1, 2, 70, 130, 141
+"""70 is EX_SOFTWARE of sysexits.h; the last two are 128 + SIGINT and 128 + SIGPIPE, as in
+shells."""
+
+EXITS = {
+    0: 'done',
+    EXIT_ERROR: 'an error you can fix: stderr has one line with the cause and the remedy',
+    EXIT_USAGE: 'wrong usage of the command line',
+    EXIT_FAULT: 'a bug in allan: please report the line',
+    EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
+}
+"""Exit code -> what it means."""
+
+
+class AllanParser(argparse.ArgumentParser):
+    """An argparse parser whose errors are two lines: the usage, and what is wrong with a hint."""
+
+    def __init__(self, **given: Any) -> None:
+        given.setdefault('formatter_class', HelpFormatter)
+        super().__init__(**given)
+
+    def shorten_usage(self) -> None:
+        """Leave the options out of the usage; the help lists them. Call it when all are added."""
+        arguments = [
+            NUMBERS.get(action.nargs, '{0}').format(action.metavar or action.dest)
+            for action in self._get_positional_actions()
+        ]
+        self.usage = ' '.join(['%(prog)s', '[options]', *map(str, arguments)])
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Report unknown arguments here, with the usage of the verb instead of the main usage."""
+        words: list[str] = []
+        for word in sys.argv[1:] if args is None else args:
+            if words and word.startswith('-,'):  # --columns -,t,gx: a value, not an option
+                words[-1] += f'={word}'
+            else:
+                words.append(word)
+        known, unknown = super().parse_known_args(words, namespace)
+        if unknown:
+            self.error(f'unrecognized arguments: {" ".join(unknown)}')
+        return known or argparse.Namespace(), unknown
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error with a suggestion, and exit with code 2."""
+        self.print_usage(sys.stderr)
+        meant = self._meant(message)
+        hint = f'; did you mean {meant}?' if meant else f'; see `{self.prog} --help`'
+        self.exit(EXIT_USAGE, f'{self.prog}: {message}{hint}\n')
+
+    def _meant(self, message: str) -> str:
+        """Return the option or choice most like a wrong one in the message; '' for none."""
+        wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: ([^\s=]*)", message)
+        if wrong is None:
+            return ''
+        choices = [str(c) for action in self._actions for c in action.choices or ()]
+        known = [*self._option_string_actions, *choices]
+        close = difflib.get_close_matches(wrong[1] or wrong[2], known, 1, CLOSE)
+        return close[0] if close else ''
+
+
+class HelpFormatter(argparse.HelpFormatter):
+    """Fills the paragraphs of descriptions, keeps their indented lines as they are."""
+
+    def __init__(self, prog: str, **given: Any) -> None:
+        super().__init__(prog, **{**given, 'max_help_position': HELP_COLUMN})
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return '\n\n'.join(
+            paragraph if '\n  ' in f'\n{paragraph}' else textwrap.fill(paragraph, width)
+            for paragraph in text.strip('\n').split('\n\n')
+        )
+
+
+def build_parser(verb: str = '') -> AllanParser:
+    """Return the parser of the whole command line, with the options of one verb only.
+
+    Other verbs get no options, because their settings would import numpy.
+    """
+    parser = AllanParser(
+        prog='allan',
+        usage='allan VERB [options] ...',
+        description=DESCRIPTION,
+        add_help=False,  # the verbs come first
+        epilog='`allan VERB --help` shows the options of a verb.\n\n'
+        + _exits_text(EXITS)
+        + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width. allan.toml, or '
+        '[tool.allan] of pyproject.toml, in the current folder sets defaults of options.',
+    )
+    verbs = parser.add_subparsers(
+        title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
+    )
+    options = parser.add_argument_group('options')
+    options.add_argument('-h', '--help', action='help', help='show this help and exit')
+    options.add_argument(
+        '--version',
+        action='version',
+        version=f'allan_ros {__version__}',
+        help='show the version and exit',
+    )
+    options.add_argument(
+        '--completion',
+        action=_Completion,
+        choices=SHELLS,
+        help='print a script that completes verbs, options and names in this shell: '
+        'eval "$(allan --completion bash)" in ~/.bashrc, or for fish '
+        'allan --completion fish | source',
+    )
+    for name, what in VERBS.items():
+        sub = verbs.add_parser(name, help=what)
+        if name == verb:
+            command = command_of(name)
+            sub.description = command.description
+            sub.epilog = _exits_text({**EXITS, **command.exits})
+            command.add_arguments(sub)
+            add_console_options(sub)
+            sub.shorten_usage()
+    return parser
+
+
+def command_of(verb: str) -> Command:
+    """Return the command of a verb, whose module is imported."""
+    module = importlib.import_module(f'.{MODULES.get(verb, verb)}', __package__)
+    command: Command = module.COMMANDS[verb]
+    return command
+
+
+def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
+    """Return the parser of one verb within that of the whole command line."""
+    (verbs,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    found: argparse.ArgumentParser = verbs.choices[verb]
+    return found
+
+
+class _Completion(argparse.Action):
+    """Prints the completion script and exits, as --version does."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        _namespace: argparse.Namespace,
+        values: object,
+        _option: str | None = None,
+    ) -> None:
+        print(registration(str(values)))
+        parser.exit()
+
+
+def _exits_text(exits: dict[int, str]) -> str:
+    return '\n'.join(['exit codes:', *(f'  {code:<4} {what}' for code, what in exits.items())])
+
+
+RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
+"""Suffixes of the files that `analyze` reads."""
+
+DOCUMENTS = ('.json',)
+"""Suffix of what `merge` and `export` read."""
+
+INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
+"""Verb -> suffixes of its inputs, where they are not recordings."""
+
+
+def registration(shell: str) -> str:
+    """Return the code that a shell evaluates to complete ``allan``.
+
+    Raises
+    ------
+    AllanError
+        When argcomplete is not installed.
+    """
+    try:
+        from argcomplete import shellcode
+    except ImportError as error:
+        raise AllanError(
+            '--completion needs argcomplete: pip install argcomplete, or apt install '
+            'python3-argcomplete'
+        ) from error
+    code: str = shellcode(['allan'], shell='fish' if shell == 'fish' else 'bash')
+    if shell == 'zsh' and 'compdef' not in code:  # argcomplete before 3.0 supports bash only
+        code = f'autoload -U bashcompinit\nbashcompinit\n{code}'
+    return code
+
+
+def complete() -> None:
+    """Answer a completion request and exit; return if argcomplete is not installed."""
+    try:
+        import argcomplete
+    except ImportError:
+        return
+
+    words = os.environ.get('COMP_LINE', '').split()
+    parser = build_parser(next((word for word in words if word in VERBS), ''))
+    _attach(parser)
+    argcomplete.autocomplete(parser)
+
+
+def _attach(parser: argparse.ArgumentParser) -> None:
+    """Attach a completer to every argument without choices."""
+    from argcomplete.completers import FilesCompleter
+
+    completers: dict[str, Any] = {
+        'inputs': FilesCompleter(INPUTS.get(parser.prog, RECORDINGS)),
+        'results': FilesCompleter(DOCUMENTS),
+        'baseline': FilesCompleter(DOCUMENTS),
+        'sensor': _quiet(_sensors),
+        'name': _quiet(_sensors),
+        'to': _quiet(_targets),
+        'export': _quiet(_target_lists),
+        'topic': _quiet(_topics),
+    }
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                _attach(sub)
+        elif action.dest in completers and not action.choices:
+            action.completer = completers[action.dest]  # type: ignore[attr-defined]
+
+
+def _quiet(words: Callable[..., Iterable[str]]) -> Callable[..., list[str]]:
+    """Return a completer that offers nothing when the words cannot be determined."""
+
+    def completer(**asked: Any) -> list[str]:
+        try:
+            return list(words(**asked))
+        except (AllanError, OSError):
+            return []
+
+    return completer
+
+
+def _sensors(**_: Any) -> Iterable[str]:
+    from ..io.datasheets import sensor_names
+
+    return sensor_names()
+
+
+def _targets(**_: Any) -> Iterable[str]:
+    from ..io.exporters import TARGETS
+
+    return TARGETS
+
+
+def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
+    """Return the targets that are not yet in ``kalibr,openvins,...``."""
+    given, comma, _last = prefix.rpartition(',')
+    return (f'{given}{comma}{t}' for t in _targets() if t not in given.split(','))
+
+
+def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+    """Return the Imu topics of the bags that are named already, or all topics of them."""
+    from ..io.readers.folder import bag_files, open_storage
+    from ..io.readers.message_fields import IMU_TYPE
+
+    topics = []
+    for path in getattr(parsed_args, 'inputs', None) or ():
+        with open_storage(bag_files(Path(path)).files[0]) as (storage, _compression):
+            topics += storage.topics
+    imus = {topic.name for topic in topics if topic.type == IMU_TYPE}
+    return sorted(imus or {topic.name for topic in topics})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

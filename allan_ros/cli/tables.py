@@ -1,20 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `analyze` and `merge` print: verdict, coefficients, findings and next steps."""
+"""What `analyze`, `merge`, `compare` and `fit` print: verdict, tables, findings and next steps."""
 
 from __future__ import annotations
 
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from ..core.compare import Comparison
 from ..core.compare import Verdict as LimitVerdict
-from ..core.fit import TERMS
+from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
+from ..io.comparison import RunComparison, comparison_headline, ratio_text, verdict_text
 from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
 from ..io.format import (
+    ShownUnit,
     deviation_text,
     grouped,
     interval_text,
@@ -105,9 +107,11 @@ def results_lines(
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colours)
     for sensor, where in SENSORS.items():
-        axes = [_column(results, axis, units) for axis in AXES[where] if axis in results.axes]
-        if axes:
-            yield from table_lines(_labels(sensor, units), axes, columns)
+        axes = [axis for axis in AXES[where] if axis in results.axes]
+        cells = [
+            [*axis_cells(a, results.axes[a].fit.noise, units), _deviation(results, a)] for a in axes
+        ]
+        yield from table_lines([*term_labels(sensor, units), DEVIATION], cells, columns)
     if any(a.regions for a in results.axes.values()):
         yield ''
         yield from _region_lines(results, columns)
@@ -170,25 +174,34 @@ def _legend(results: Results) -> str:
     return '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
 
 
-def _labels(sensor: str, units: str) -> list[str]:
-    terms = [f'{term} {shown_unit(sensor, term, units).name}' for term in TERMS]
-    return [sensor, *terms, DEVIATION]
+def term_labels(sensor: str, units: str) -> list[str]:
+    """Return the labels of a table of the five terms."""
+    return [sensor, *(f'{term} {shown_unit(sensor, term, units).name}' for term in TERMS)]
 
 
-def _column(results: Results, axis: str, units: str) -> list[str]:
-    fit = results.axes[axis].fit
-    cells = [axis.rsplit('_', 1)[1]]
-    for term in TERMS:
-        unit, coefficient = shown_unit(axis, term, units), fit.noise[term]
-        cells.append(f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}')
-    large = fit.deviation is not None and abs(fit.deviation.relative) >= SMALL_DEVIATION
-    return [*cells, deviation_text(fit.deviation) if large else NOTHING]
+def axis_cells(axis: str, noise: Mapping[str, Coefficient], units: str) -> list[str]:
+    """Return the column of one axis: its name, and the values with their intervals."""
+    shown = [(noise[term], shown_unit(axis, term, units)) for term in TERMS]
+    return [axis.rsplit('_', 1)[1], *(coefficient_cell(c, unit) for c, unit in shown)]
+
+
+def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
+    """Return the value and the interval, each in a column."""
+    return f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}'
+
+
+def _deviation(results: Results, axis: str) -> str:
+    deviation = results.axes[axis].fit.deviation
+    large = deviation is not None and abs(deviation.relative) >= SMALL_DEVIATION
+    return deviation_text(deviation) if large else NOTHING
 
 
 def table_lines(
     labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
 ) -> Iterator[str]:
     """Yield the columns side by side, as many at a time as fit the width."""
+    if not columns:
+        return
     label = max(LABEL, *(len(text) + GAP for text in labels))
     cell = max(len(text) for column in columns for text in column) + GAP
     across = max(1, (width - label + GAP) // cell)
@@ -206,3 +219,50 @@ def _region_lines(results: Results, columns: int) -> Iterator[str]:
             continue
         reading = ', '.join(region_text(region) for region in result.regions)
         yield from wrapped(f'{axis:{len("accel_x")}}  {reading}', columns, ' ' * 9)
+
+
+def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
+    """Yield the lines of the verdict, of a table per sensor, and of the datasheet comparisons."""
+    for sentence in comparison_headline(comparison):
+        yield from wrapped(sentence, columns, '  ')
+    for sensor, where in SENSORS.items():
+        axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
+        labels = [sensor, *_run_labels(comparison, sensor, units)]
+        cells = [[a.rsplit('_', 1)[1], *_run_cells(comparison, a, units)] for a in axes]
+        yield from table_lines(labels, cells, columns)
+    yield ''
+    if comparison.pairs:
+        yield from wrapped(
+            f'ratios are to {comparison.runs[0].label}, with 95 % intervals; "higher" and "lower" '
+            f'are more than chance: in runs of equal noise any of all that is compared is called '
+            f'so in at most {comparison.family_error:.0%} of comparisons',
+            columns,
+        )
+    for label, checked in comparison.datasheets:
+        yield ''
+        yield f'{label}'
+        yield from datasheet_lines(checked, units, columns)
+
+
+def _run_labels(comparison: RunComparison, sensor: str, units: str) -> Iterator[str]:
+    for label in term_labels(sensor, units)[1:]:
+        for i, subject in enumerate(comparison.runs):
+            yield f'{"" if i else label:{LABEL}}{subject.label}'
+        yield from (f'{"":{LABEL}}{pair.second} ratio' for pair in comparison.pairs)
+    yield from (f'{DEVIATION} {pair.second}' for pair in comparison.pairs)
+
+
+def _run_cells(comparison: RunComparison, axis: str, units: str) -> Iterator[str]:
+    """Yield the cells of one axis: each term of each run and its ratio, then the deviations."""
+    for term in TERMS:
+        unit = shown_unit(axis, term, units)
+        for subject in comparison.runs:
+            result = subject.results.axes.get(axis)
+            yield coefficient_cell(result.fit.noise[term], unit).rstrip() if result else ''
+        for difference in (pair.of(axis, term) for pair in comparison.pairs):
+            text = difference and f'{ratio_text(difference)} {verdict_text(difference)}'
+            yield (text or '').strip()
+    for pair in comparison.pairs:
+        tested = [d for d in pair.differences if d.axis == axis and d.tau is not None]
+        differ = sum(d.significant for d in tested)
+        yield f'{differ} of {len(tested)} differ' if tested else ''

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from allan_ros.cli import parser
-from allan_ros.cli.main import main
-from allan_ros.cli.parser import SHELLS, VERBS
+from allan_ros.cli import main as cli
+from allan_ros.cli.main import SHELLS, VERBS, main
 from allan_ros.io.datasheets import sensor_names
 from allan_ros.io.exporters import TARGETS
 
@@ -80,7 +79,7 @@ def test_topics_are_those_of_the_bag(tmp_path: Path) -> None:
     how = ['--preset', 'paper', '--hours', '0.001', '--topic', '/my/imu', '-q']
     assert main(['simulate', str(bag), *how]) == 0
     given = type('Parsed', (), {'inputs': [str(bag)]})()
-    assert list(parser._topics(given)) == ['/my/imu']
+    assert list(cli._topics(given)) == ['/my/imu']
 
 
 @pytest.mark.parametrize('shell', SHELLS)

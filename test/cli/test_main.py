@@ -18,8 +18,7 @@ import pytest
 
 import allan_ros
 from allan_ros.cli import analyze
-from allan_ros.cli.main import main
-from allan_ros.cli.parser import EXITS, VERBS
+from allan_ros.cli.main import EXITS, VERBS, main
 
 ALLAN = [sys.executable, '-m', 'allan_ros.cli.main']
 

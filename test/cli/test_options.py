@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 
 import pytest
 
+from allan_ros.cli.main import build_parser
 from allan_ros.cli.options import add_settings, settings_of
-from allan_ros.cli.parser import build_parser
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import SegmenterSettings, check, parameter
 from allan_ros.io.readers.recording import ReadOptions
