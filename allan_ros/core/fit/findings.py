@@ -48,17 +48,17 @@ def lattice_step(phase: Floats, deviation: float) -> float | None:
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
     if len(moved) < LEAST_POINTS or not deviation > 0.0:
         return None
-    step = 0.0
-    for i, value in enumerate(moved):
-        step = _common_divisor(float(value), step, least)
+    step, values = 0.0, moved.tolist()
+    for i, value in enumerate(values):
+        step = _common_divisor(value, step, least)
         if step < least:
             return None
         # Euclid gathers rounding errors; the multiples so far, the smallest first, take them out.
-        for known in moved[: i + 1]:
-            multiple = np.round(known / step)
-            if multiple < 1.0:
+        for known in values[: i + 1]:
+            multiple = round(known / step)
+            if multiple < 1:
                 return None  # the divisor exceeds a number it should divide: there is none
-            step = float(known / multiple)
+            step = known / multiple
     off = np.abs(moved / step - np.round(moved / step))
     return step if off.max() < NEAR_WHOLE else None
 

@@ -16,7 +16,7 @@ by the cube root of Wilson & Hilferty (PNAS 17, 1931).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,7 @@ from .solve import (
     PointFit,
     Q,
     Whitening,
+    iterate,
     solve,
     weights_at,
     white_floor,
@@ -50,12 +51,20 @@ Z_DETECT = 2.33
 """Normal quantile of 99 %: a term that is 0 is resolved by mistake in 1 % of records."""
 
 
-ENOUGH = 0.01
-"""How near z must come to its target: half a percent of the half-width."""
+ENOUGH = 1e-3
+"""How near z must come to its target: a twentieth of a percent of the half-width."""
 
 
-EVALUATIONS = 25
-"""Bound on each half of the search for an end, which takes four to eight in all."""
+SLOW = 2
+"""Steps that may leave more than half of the bracket, or find none, before a long one is made."""
+
+
+FARTHEST = 5.0
+"""Factor by which a step increases the distance from the start at most."""
+
+
+NOWHERE = 1e8
+"""Distance in that of the first guess beyond which no end is searched."""
 
 
 LITTLE_SKEW = 1e-3
@@ -78,35 +87,34 @@ class CoefficientInterval:
 
 
 class Score:
-    """Score test of one variance coefficient: z(c), with its neighbours refitted."""
+    """Score test of one variance coefficient: z(c), with its neighbours refitted.
+
+    Attributes
+    ----------
+    estimate, deviation : float
+        Of the last fit.
+    """
 
     def __init__(self, table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT) -> None:
         self.table = table
         self.term = term
         self.misfit = misfit
-        self._start = power
         self.estimate = 0.0
         self.deviation = 0.0
+        self._neighbours = Neighbours(power)
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return z(c) as a normal deviate.
-
-        `estimate` and `deviation` are those of the fit at c. An estimate below ``at_least`` is
-        replaced by ``at_least``.
-        """
-        power = solve(
+        """Return z(c) as a normal deviate, an estimate below ``at_least`` counting as that."""
+        power, whitening, white = iterate(
             self.table,
-            self._start,
+            self._neighbours.at(c),
             fixed={self.term: c},
             signed=self.term != Q,
             misfit=self.misfit,
         )
-        self._start = power
+        self._neighbours.add(c, power)
         active = [a for a, p in enumerate(power) if a == self.term or p != 0.0]
-        whitening = Whitening.of(weights_at(self.table, power, self.misfit))
-        columns = np.column_stack([self.table.terms[:, active], self.table.avar])
-        white = whitening.apply(columns)
-        contrast = _contrast(white[:, :-1], active.index(self.term))
+        contrast = _contrast(white[:, active], active.index(self.term))
         self.estimate = float(contrast @ white[:, -1])
         self.deviation = float(np.sqrt(contrast @ contrast))
         model = self.table.terms @ with_floor(self.table, power)
@@ -114,6 +122,27 @@ class Score:
         third = 2.0 * float(np.sum(weights * scatter**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation
         return normal_deviate(z, third / self.deviation**3)
+
+
+class Neighbours:
+    """The coefficients of the last two fits, extrapolated to where the next one begins."""
+
+    def __init__(self, power: Floats) -> None:
+        self._known: list[tuple[float, Floats]] = [(np.nan, power)]
+
+    def at(self, c: float) -> Floats:
+        """Return the coefficients at c by linear extrapolation, those that were 0 staying 0."""
+        end, last = self._known[-1]
+        begin, first = self._known[0]
+        if len(self._known) < 2 or begin == end:
+            return last
+        moved = last + (last - first) * (c - end) / (end - begin)
+        return np.where(moved * last > 0.0, moved, last)
+
+    def add(self, c: float, power: Floats) -> None:
+        """Remember a fit."""
+        known = [k for k in self._known if k[0] != c and not np.isnan(k[0])]
+        self._known = [*known[-1:], (c, power)]
 
 
 def _contrast(design: Floats, at: int) -> Floats:
@@ -146,50 +175,80 @@ def coefficient_interval(
     # Not the estimate under the weights of a zero where there is another: it can lie far outside.
     middle = power[term] if power[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
-        score(middle)
-        deviation = score.deviation
-        high = cross(score, -Z_TWO_SIDED, middle, middle + 2.0 * deviation, np.inf)
-        low = cross(score, Z_TWO_SIDED, middle, middle - 2.0 * deviation, 0.0)
+        known = [(0.0, z_zero), (middle, score(middle))]
+        reach = Z_TWO_SIDED * score.deviation
+        high = cross(score, -Z_TWO_SIDED, known, middle + reach, np.inf)
+        low = cross(score, Z_TWO_SIDED, known, middle - reach, 0.0)
         return CoefficientInterval(z_zero, low, high, high)
     # An estimate below zero counts as zero: the limit is then that of the length of the record.
-    upper = cross(lambda c: score(c, 0.0), -Z_ONE_SIDED, 0.0, middle + 2.0 * deviation, np.inf)
+    known = [(0.0, max(z_zero, 0.0))]
+    reach = middle + Z_ONE_SIDED * deviation
+    upper = cross(lambda c: score(c, 0.0), -Z_ONE_SIDED, known, reach, np.inf)
     return CoefficientInterval(z_zero, 0.0, upper, upper)
 
 
 def cross(
-    z: Callable[[float], float], target: float, inner: float, outer: float, limit: float
+    z: Callable[[float], float],
+    target: float,
+    known: Sequence[tuple[float, float]],
+    guess: float,
+    limit: float,
 ) -> float:
-    """Return where a falling z meets the target, beyond ``inner`` on the side of ``outer``.
+    """Return where a falling z meets the target, beyond the last known point towards the limit.
 
-    The limit is returned if z does not meet it before. False position with halving (Illinois;
-    Dowell & Jarratt, BIT 11 (1971)) once the root is between two points; the outer one moves away
-    until it is.
+    Each step goes to where the hyperbola (alpha - c) / (beta + gamma c) through the last three
+    points meets the target: it is z if the deviation is linear in c. A step that leaves the bracket
+    is replaced by half the bracket, or twice the distance where there is none yet.
+
+    Parameters
+    ----------
+    z : callable
+    target : float
+    known : sequence of (c, z)
+        Points that are known already; the search starts from the last.
+    guess : float
+        Where to evaluate first.
+    limit : float
+        Returned if z does not meet the target before.
     """
-    side = 1.0 if limit > inner else -1.0
-    a, fa = inner, side * (z(inner) - target)
-    if fa <= 0.0:
-        return inner
-    b = side * min(side * outer, side * limit)
-    fb = side * (z(b) - target)
-    for _ in range(EVALUATIONS):
-        if fb <= 0.0 or b == limit:
-            break
-        a, fa = b, fb
-        b = side * min(side * (inner + 2.0 * (b - inner)), side * limit)
-        fb = side * (z(b) - target)
-    if fb > 0.0:
-        return limit
-    for _ in range(EVALUATIONS):
-        c = (a * fb - b * fa) / (fb - fa) if fb != fa else (a + b) / 2.0
-        fc = side * (z(c) - target)
-        if abs(fc) < ENOUGH:
-            return c
-        if (fc > 0.0) == (fb > 0.0):
-            fa = fa / 2.0
+    points = list(known)
+    start, value = points[-1]
+    side = 1.0 if limit > start else -1.0
+    if side * (value - target) <= 0.0:
+        return start
+    inner, outer, met = start, limit, False
+    c, first, steps = side * min(side * guess, side * limit), abs(guess - start), 0
+    while abs(c - start) <= NOWHERE * first:
+        value = z(c)
+        points.append((c, value))
+        width = abs(outer - inner)
+        if side * (value - target) <= 0.0:
+            outer, met = c, True
+        elif c == limit:
+            return limit
         else:
-            a, fa = b, fb
-        b, fb = c, fc
-    return b
+            inner = c
+        if abs(value - target) < ENOUGH or abs(outer - inner) < ENOUGH / 2.0 * abs(outer - start):
+            return c
+        # z jumps where a neighbour becomes 0: only halving the bracket is certain to end there.
+        steps = steps + 1 if not met or abs(outer - inner) > width / 2.0 else 0
+        c = _hyperbola(points[-3:], target)
+        far = start + side * FARTHEST * (abs(inner - start) or first)
+        ends = (inner, outer if met else side * min(side * outer, side * far))
+        if steps > SLOW or not min(ends) < c < max(ends):
+            c, steps = (inner + outer) / 2.0 if met else ends[1], 0
+    return limit
+
+
+def _hyperbola(points: Sequence[tuple[float, float]], target: float) -> float:
+    """Return where the hyperbola, or the line, through the last points meets the target."""
+    c, z = np.array(points).T
+    columns = [np.ones_like(c), -z, -c * z][: len(points)]
+    try:
+        alpha, beta, *gamma = np.linalg.solve(np.stack(columns, axis=1), c)
+    except np.linalg.LinAlgError:
+        return np.nan
+    return float((alpha - beta * target) / (1.0 + sum(gamma) * target))
 
 
 WIDEST_SHAPE = 100.0
@@ -280,12 +339,21 @@ def ramp_interval(
 
     ignored = np.zeros(len(variance))
     ignored[counted] = np.nan
+    # With known ramps the Allan variance is quadratic in them, and nothing else depends on them.
+    at = value + deviation * np.array([-1.0, 0.0, 1.0])
+    tables = []
+    for c in at:
+        known = np.where(np.isnan(ignored), c, np.nan)
+        tables.append(fit.options.table(pooled, axis, fit.power, known))
+    below, middle, above = (table.avar for table in tables)
+    slope, bend = (above - below) / 2.0, (above + below) / 2.0 - middle
+    held = fit.power
 
     def z(c: float) -> float:
-        known = np.full(len(variance), np.nan)
-        known[counted] = c
-        less = fit.options.table(pooled, axis, fit.power, known)
-        held = solve(less, fit.power, signed=fit.options.signed, misfit=fit.options.misfit)
+        nonlocal held
+        x = (c - value) / deviation
+        less = replace(tables[1], avar=middle + slope * x + bend * x * x)
+        held = solve(less, held, signed=fit.options.signed, misfit=fit.options.misfit)
         noise = fit.options.noise(with_floor(less, held))
         free, effects = pooled.ramps(axis, noise, ignored)
         r, sd = _mean(free[counted], (variances(effects) @ noise)[counted])
@@ -296,10 +364,11 @@ def ramp_interval(
         most = fit.power.copy()
         most[K] = max(walk, most[K])
         bound = _mean(ramps, replace(fit, power=most).ramp_variance[counted])[1]
-    reach = Z_TWO_SIDED * bound
-    low = cross(z, Z_TWO_SIDED, value, value - 2.0 * deviation, value - reach)
-    high = cross(z, -Z_TWO_SIDED, value, value + 2.0 * deviation, value + reach)
-    observable = abs(value) > Z_DETECT_RAMP * bound or abs(z(0.0)) > Z_DETECT_RAMP
+    reach, half = Z_TWO_SIDED * bound, Z_TWO_SIDED * deviation
+    start = [(0.0, z(0.0)), (value, z(value))]
+    low = cross(z, Z_TWO_SIDED, start, value - half, value - reach)
+    high = cross(z, -Z_TWO_SIDED, start, value + half, value + reach)
+    observable = abs(value) > Z_DETECT_RAMP * bound or abs(start[0][1]) > Z_DETECT_RAMP
     return RampInterval(value, low, high, observable, shared)
 
 

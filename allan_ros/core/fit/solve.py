@@ -9,11 +9,13 @@ the coefficients inside the covariance as well would be biased.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
 from ..errors import AllanError
 from .model import RANDOM_TERMS, WHITE, Floats
@@ -26,30 +28,31 @@ instead of none."""
 
 
 def nonnegative_least_squares(
-    columns: Floats, target: Floats, signed: tuple[int, ...] = ()
+    columns: Floats, target: Floats, signed: Sequence[int] = ()
 ) -> Floats:
     """Return x >= 0 that minimises |columns x - target|.
 
-    The active-set method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23), started
-    with all columns, which usually is the solution. Importing a general solver takes longer than
-    all fits of an IMU.
+    The active set is guessed from the signs of the unconstrained solution, which usually is right;
+    otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23) finds it.
+    Importing a general solver takes longer than all fits of an IMU.
 
     Parameters
     ----------
     columns : (points, terms) float64 array
         Of any scale.
     target : (points,) float64 array
-    signed : tuple of int
+    signed : sequence of int
         Columns whose coefficient may be negative.
 
     Returns
     -------
     (terms,) float64 array
     """
-    scale = np.sqrt((columns**2).sum(axis=0))
+    scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
     scale[scale == 0.0] = 1.0
     scaled = columns / scale
-    gram = scaled.T @ scaled + RIDGE * np.eye(len(scale))
+    gram = scaled.T @ scaled
+    gram.flat[:: len(scale) + 1] += RIDGE
     moment = scaled.T @ target
     bound = np.ones(len(scale), bool)
     bound[list(signed)] = False
@@ -57,18 +60,15 @@ def nonnegative_least_squares(
     def unconstrained(active: NDArray[np.bool_]) -> Floats:
         out = np.zeros(len(scale))
         at = np.flatnonzero(active)
-        out[at] = np.linalg.solve(gram[np.ix_(at, at)], moment[at])
+        if len(at):
+            out[at] = dposv(gram[at[:, None], at], moment[at])[1]
         return out
 
-    x = unconstrained(np.ones(len(scale), bool))
-    if (x[bound] >= 0.0).all():
-        return np.asarray(x / scale)
-    # Removing negative coefficients and adding those with a gain usually converges at once.
-    active = ~bound | (x > 0.0)
+    active = np.ones(len(scale), bool)
     for _ in range(NNLS_GUESSES):
         x = unconstrained(active)
-        slope = moment - gram @ x
-        wrong = (active & bound & (x < 0.0)) | (~active & (slope > NNLS_TOLERANCE * np.abs(moment)))
+        gain = moment - gram @ x > NNLS_TOLERANCE * np.abs(moment)
+        wrong = np.where(active, bound & (x < 0.0), gain)
         if not wrong.any():
             return np.asarray(x / scale)
         active ^= wrong
@@ -96,7 +96,7 @@ def nonnegative_least_squares(
     return np.asarray(x / scale)
 
 
-NNLS_GUESSES = 4
+NNLS_GUESSES = 5
 """Attempts to guess the active set at once."""
 
 
@@ -114,15 +114,16 @@ almost one and the same number, and the covariance is only known to about this."
 
 
 TOLERANCE = 1e-3
-"""Relative change of the coefficients at which the iteration stops: far below their errors."""
+"""Relative change of the modelled Allan variance at which the iteration stops: the weights follow
+it, and an error of the weights changes the coefficients in second order only."""
 
 
 ROUNDS = 12
 """Bound on the rounds of a fit, which settles in two to five."""
 
 
-SWING = 0.25
-"""A step back by more than this part of the last step counts as oscillation."""
+LONGEST_STEP = 9.0
+"""Bound on the extrapolation of a round, in the change since the round before."""
 
 
 NOISE_FLOOR = 1e-6
@@ -156,11 +157,7 @@ def first_guess(table: Table) -> Floats:
 
 @dataclass(frozen=True)
 class Whitening:
-    """The factor L of a covariance D L L' D, D its deviations: 1/D and 1/L make unit covariance.
-
-    numpy has no triangular solver, which costs 0.1 ms; loading scipy.linalg would cost 0.2 s and
-    15 MB in a long-lived node.
-    """
+    """The factor L of a covariance D L L' D, D its deviations: 1/D and 1/L make unit covariance."""
 
     lower: Floats
     deviation: Floats
@@ -169,52 +166,48 @@ class Whitening:
     def of(cls, covariance: Floats) -> Whitening:
         """Return the whitening of a covariance, its correlation with `JITTER` on the diagonal.
 
+        A slightly indefinite matrix is replaced by the nearest one without an eigenvalue below 0
+        (Higham, LAA 103, 1988).
+
         Raises
         ------
         AllanError
             When the matrix is not a covariance.
         """
         deviation = np.sqrt(np.diag(covariance))
-        correlation = covariance / np.outer(deviation, deviation)
-        try:
-            lower = _factor(correlation)
-        except np.linalg.LinAlgError:
-            lower = np.full_like(correlation, np.nan)
-        # Some builds of LAPACK factor NaN into NaN, others raise.
-        if not np.isfinite(lower).all():
-            raise AllanError(
-                'these sums follow no noise that can be computed: their numbers span too much, or '
-                'are damaged; accumulate them again'
-            )
-        return cls(lower, deviation)
+        correlation = covariance / deviation / deviation[:, None]
+        # LAPACK returns NaN from some matrices of NaN, and an error code from others.
+        if np.isfinite(correlation).all():
+            lower = _cholesky(correlation)
+            if lower is None:
+                values, vectors = np.linalg.eigh(correlation)
+                lower = _cholesky((vectors * np.maximum(values, 0.0)) @ vectors.T)
+            if lower is not None:
+                return cls(lower, deviation)
+        raise AllanError(
+            'these sums follow no noise that can be computed: their numbers span too much, or '
+            'are damaged; accumulate them again'
+        )
 
     def apply(self, columns: Floats) -> Floats:
         """Return columns of table values in units of unit covariance."""
-        scaled = columns / self.deviation[:, None]
-        return np.asarray(np.linalg.solve(self.lower, scaled))
+        return np.asarray(dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
 
     def weights(self, contrast: Floats) -> Floats:
         """Convert weights on the whitened table to weights on the table."""
-        return np.asarray(np.linalg.solve(self.lower.T, contrast) / self.deviation)
+        return np.asarray(dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
     def scatter(self, contrast: Floats) -> Floats:
         """Return the covariance of the table with that sum."""
         return np.asarray(self.lower @ contrast * self.deviation)
 
 
-def _factor(correlation: Floats) -> Floats:
-    """Return the factor of a correlation matrix with `JITTER` on its diagonal.
-
-    A slightly indefinite matrix is replaced by the nearest one without an eigenvalue below 0
-    (Higham, LAA 103, 1988).
-    """
-    jitter = JITTER * np.eye(len(correlation))
-    try:
-        return np.asarray(np.linalg.cholesky(correlation + jitter), float)
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(correlation)
-        nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        return np.asarray(np.linalg.cholesky(nearest + jitter), float)
+def _cholesky(correlation: Floats) -> Floats | None:
+    """Return the factor of a matrix with `JITTER` on its diagonal, or None if it has none."""
+    jittered = correlation.copy()
+    jittered.flat[:: len(correlation) + 1] += JITTER
+    lower, info = dpotrf(jittered, lower=1)
+    return None if info else np.asarray(lower, float)
 
 
 def solve(
@@ -242,32 +235,65 @@ def solve(
     misfit : Misfit
         Fractional error of the model, added to the covariance as (misfit V_model)^2.
     """
+    return iterate(table, power, fixed, columns, signed, misfit).power
+
+
+class Iterated(NamedTuple):
+    """Coefficients, and the whitening of the table, and its columns and target, of the last round.
+
+    `white` has the whitened columns of the table and, last, its whitened Allan variances.
+    """
+
+    power: Floats
+    whitening: Whitening
+    white: Floats
+
+
+def iterate(
+    table: Table,
+    power: Floats,
+    fixed: Mapping[int, float] | None = None,
+    columns: Sequence[int] | None = None,
+    signed: bool = False,
+    misfit: Misfit = NO_MISFIT,
+) -> Iterated:
+    """Return the solution with the weights it was found with; parameters as of `solve`."""
     held = dict(fixed or {})
-    every = range(table.terms.shape[1])
-    columns = tuple(every) if columns is None else columns
+    size = table.terms.shape[1]
+    columns = range(size) if columns is None else columns
     free = [c for c in columns if c not in held]
-    tangents = range(table.noises + table.lines, table.terms.shape[1])
-    may_be_negative = (*((Q,) if signed else ()), *tangents)
-    negative = tuple(free.index(c) for c in may_be_negative if c in free)
-    now = np.array([held.get(c, power[c] if c in columns else 0.0) for c in every])
-    offset = sum((table.terms[:, c] * v for c, v in held.items()), np.zeros(len(table.m)))
-    both = np.column_stack([table.terms, table.avar - offset])
-    last = np.zeros(len(every))
-    new = now
+    tangents = range(table.noises + table.lines, size)
+    negative = [i for i, c in enumerate(free) if (c == Q and signed) or c in tangents]
+    new = np.zeros(size)
+    for c, value in held.items():
+        new[c] = value
+    now = new.copy()
+    now[free] = power[free]
+    both = np.column_stack([table.terms, table.avar])
+    floor = white_floor(table)
+    before = table.terms @ with_floor(table, now, floor)
+    last: tuple[Floats, Floats] | None = None
     for _ in range(ROUNDS):
-        white = Whitening.of(weights_at(table, now, misfit)).apply(both)
-        new = np.zeros(len(every))
-        new[free] = nonnegative_least_squares(white[:, free], white[:, -1], negative)
-        for c, v in held.items():
-            new[c] = v
-        step = new - now
-        if np.all(np.abs(step) <= TOLERANCE * np.abs(now)):
+        whitening = Whitening.of(weights_at(table, now, misfit, floor))
+        white = whitening.apply(both)
+        target = white[:, -1]
+        for c, value in held.items():
+            target = target - value * white[:, c]
+        new = new.copy()
+        new[free] = nonnegative_least_squares(white[:, free], target, negative)
+        # What changes between two similar terms and leaves the model as it is changes no weight.
+        change = table.terms @ with_floor(table, new, floor) / before - 1.0
+        if np.all(np.abs(change) <= TOLERANCE):
             break
-        # Two similar terms can alternate between rounds: halve the step then.
-        swings = np.any(step * last < -SWING * last**2)
-        last = step / 2.0 if swings else step
-        now = now + last
-    return np.asarray(new)
+        now = new
+        if last is not None:
+            # Rounds that creep towards the solution or swing about it: Anderson (JACM 12, 1965).
+            turn = change - last[1]
+            share = float(change @ turn) / max(float(turn @ turn), np.finfo(float).tiny)
+            now = new - np.clip(share, -LONGEST_STEP, 1.0) * (new - last[0])
+        last = new, change
+        before = table.terms @ with_floor(table, now, floor)
+    return Iterated(new, whitening, white)
 
 
 def white_floor(table: Table) -> float:
@@ -276,24 +302,26 @@ def white_floor(table: Table) -> float:
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 
 
-def with_floor(table: Table, power: Floats) -> Floats:
+def with_floor(table: Table, power: Floats, floor: float | None = None) -> Floats:
     """Return the coefficients, none negative, with `white_floor` at least: each factor has
     noise."""
     p = np.maximum(power, 0.0)
     p[table.noises + table.lines :] = 0.0
-    p[N] = max(p[N], white_floor(table))
+    p[N] = max(p[N], white_floor(table) if floor is None else floor)
     return p
 
 
-def weights_at(table: Table, power: Floats, misfit: Misfit) -> Floats:
+def weights_at(
+    table: Table, power: Floats, misfit: Misfit = NO_MISFIT, floor: float | None = None
+) -> Floats:
     """Return the covariance of the table at the coefficients `with_floor`."""
-    p = with_floor(table, power)
+    p = with_floor(table, power, floor)
     covariance = table.covariance(p)
-    model = table.terms @ p
-    diagonal = (
-        np.maximum(np.diag(covariance), EMPTY_ROW * model**2) + (misfit.at(table.m) * model) ** 2
-    )
-    covariance[np.diag_indices_from(covariance)] = diagonal
+    square = (table.terms @ p) ** 2
+    diagonal = covariance.reshape(-1)[:: len(square) + 1]
+    np.maximum(diagonal, EMPTY_ROW * square, out=diagonal)
+    if misfit.size:
+        diagonal += misfit.at(table.m) ** 2 * square
     return covariance
 
 
