@@ -47,7 +47,7 @@ def test_a_file_with_a_header(tmp_path, capsys):
     path.write_text(f'tau [s],gyro_x [rad/s]\n{rows}\n')
     assert list(read_curves(path).adev) == ['gyro_x']
     assert main(['fit', str(path), '--units', 'si']) == 0
-    assert 'gyro_x' in capsys.readouterr().out
+    assert 'N rad/s/sqrt(Hz)    0.001000' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize('text', ['', 'tau,speed\n1,2\n', '1 2 3\n', 'tau,gyro_x\n1,x\n'])
