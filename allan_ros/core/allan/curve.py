@@ -37,21 +37,16 @@ FAR = 100.0
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
     """Return the equivalent degrees of freedom of an Allan variance pooled over segments.
 
+    NaN when there are no differences.
+
     Parameters
     ----------
     noise_type : int
         Exponent alpha of S_y ~ f^alpha, 2 .. -2.
     m, stride : int
         Averaging factor, and samples between the starts of two second differences.
-    counts : (segments,) array
-        Second differences in each segment (or in each of the groups of `number`).
-    number : (segments,) array
-        Number of segments with each count.
-
-    Returns
-    -------
-    float
-        NaN when there are no differences.
+    counts, number : (segments,) arrays
+        Second differences in a segment, and number of segments with that count.
     """
     counts = np.atleast_1d(np.asarray(counts, np.int64))
     number = np.broadcast_to(np.asarray(number), counts.shape)
@@ -71,16 +66,8 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
     """Return the correlation of two second differences of averaging factor m.
 
-    It is the fourth difference, with step m, of the generalised autocovariance of the phase.
-
-    Parameters
-    ----------
-    noise_type : int
-        Exponent alpha of S_y ~ f^alpha, 2 .. -2.
-    m : int
-        Averaging factor.
-    lags : (n,) array
-        Samples between their starts.
+    ``lags`` are the samples between their starts. It is the fourth difference, with step m, of the
+    generalised autocovariance of the phase for noise of exponent alpha.
     """
     steps = np.arange(-2, 3) * m
     weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -123,19 +110,8 @@ def chi_squared_limits(
 ) -> tuple[Floats, Floats]:
     """Return the confidence limits of the deviation sqrt(avar), NIST SP 1065 section 5.3.1.
 
-    Parameters
-    ----------
-    avar : array
-        Allan variances.
-    degrees : array of the same shape
-        Their equivalent degrees of freedom; NaN gives NaN.
-    level : float
-        Probability between the limits.
-
-    Returns
-    -------
-    low, high : float64 arrays
-        sqrt(avar edf / chi^2) at the upper and lower quantile.
+    They are sqrt(avar edf / chi^2) at the upper and lower quantile, with the probability ``level``
+    between them; NaN ``degrees`` (of freedom) give NaN.
     """
     from scipy.special import chdtri  # 20 MB: a node that only accumulates draws no limits
 
@@ -160,7 +136,8 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 
     alpha = -1 - mu (NIST SP 1065 table 4). It needs no samples. A slope of -2 is classified
     as white phase, which in an IMU is quantization. Where the record holds under 16 averaging
-    times a slope is meaningless, and the type of the previous factor is used.
+    times a slope is meaningless, and the type of the previous factor is used; white (0) where
+    nothing is known.
 
     Parameters
     ----------
@@ -170,11 +147,6 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
         Allan variance; NaN or 0 where there is none.
     samples : int
         Length of the record.
-
-    Returns
-    -------
-    (factors, axes) int64 array
-        2 .. -2; white (0) where nothing is known.
     """
     slopes = local_slopes(m, avar, np.where(MIN_BLOCKS * m <= samples, samples / m, 0.0))
     out = np.empty(avar.shape, np.int64)
@@ -191,19 +163,14 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 def local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
     """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
 
+    NaN where fewer than two points with a weight and a positive variance are near.
+
     Parameters
     ----------
     m : (factors,) int64 array
-        Averaging factors.
     avar : (factors, axes) float64 array
-        Allan variance.
     weights : (factors,) float64 array
         Of the points, such as their degrees of freedom; 0 leaves one out.
-
-    Returns
-    -------
-    (factors, axes) float64 array
-        NaN where fewer than two points with a weight and a positive variance are near.
     """
     x = np.log(m.astype(float))
     span = np.log(SLOPE_SPAN) * (1.0 + 1e-9)
@@ -299,13 +266,10 @@ def sample_period(sums: AllanSums) -> float:
 def allan_curve(sums: AllanSums) -> AllanCurve:
     """Return the curve of the factors that have data.
 
-    The degrees of freedom are those of the noise type at each point and of the lengths of the
-    segments; pooled segments count with the mean length of their class.
-
     Raises
     ------
     AllanError
-        When there are fewer than two samples, so that no sample period is known.
+        As of `sample_period`.
     """
     tau0 = sample_period(sums)
     some = sums.count > 0
@@ -322,20 +286,16 @@ def degrees_of_freedom(
 ) -> Floats:
     """Return the equivalent degrees of freedom of variances pooled over the segments of the sums.
 
+    NaN where no segment is long enough; pooled segments count with the mean length of their class.
+
     Parameters
     ----------
     sums : AllanSums
-        Its histogram of segment lengths is used.
     m, stride : (factors,) int64 arrays
         Averaging factors, and samples between starts: those of the grid, or m itself for groups
         that do not overlap.
     types : (factors, axes) int64 array
         Noise type at each.
-
-    Returns
-    -------
-    (factors, axes) float64 array
-        NaN where no segment is long enough.
     """
     lengths = [round(samples) for samples, _ in sums.length_histogram]
     number = [how_many for _, how_many in sums.length_histogram]

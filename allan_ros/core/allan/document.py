@@ -12,6 +12,7 @@ import base64
 import dataclasses
 import math
 import zlib
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,10 @@ from .history import (
     CELLS,
     FIRST_EDGE,
     KEPT_RECORDINGS,
-    MOST_PERIODS,
     AgeBin,
     History,
     Recording,
+    add_padded,
     age_bin,
     edge_age,
     short,
@@ -57,6 +58,9 @@ MAX_CLASSES = 500
 
 MAX_BINS = 120
 """Most bins by age: the last edge is at 2^66 samples."""
+
+MOST_PERIODS = 1024
+"""A recording of 2^60 samples has about 300 periods."""
 
 MAX_SUM = 1e80
 """Largest sum of squares; the covariance of a fit takes its fourth power."""
@@ -107,12 +111,7 @@ def _history_to_document(history: History) -> dict[str, Any]:
             for b in history.bins
         ],
         'recordings': [
-            _plain(r)
-            | {
-                f.name: _packed(getattr(r, f.name))
-                for f in dataclasses.fields(r)
-                if f.name in PACKED
-            }
+            _plain(r) | {key: _packed(getattr(r, key)) for key in PACKED}
             for r in history.recordings
         ],
     }
@@ -217,13 +216,7 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
 
 
 def _check(sums: AllanSums, where: str) -> None:
-    """Do nothing if the parts of the sums agree with each other.
-
-    Raises
-    ------
-    AllanError
-        Naming the part that contradicts the others.
-    """
+    """Raise `AllanError` naming a part of the sums that contradicts the others."""
     if sums.intervals != sums.samples - sums.segment_count:
         raise AllanError(
             f'{where}.intervals is {sums.intervals}: {sums.samples} samples in '
@@ -238,13 +231,9 @@ def _check(sums: AllanSums, where: str) -> None:
     lengths = np.arange(1, len(sums.filled) + 1)
     if np.any(lengths @ sums.filled > sums.samples):
         raise AllanError(f'{where}.filled has more samples than the segments: the file is damaged')
-    kept = np.zeros_like(sums.count)
-    for segment in sums.segments:
-        kept += counts(segment.samples, sums.m, sums.stride)
-    pooled = sums.count - kept
-    most = np.zeros_like(sums.count)
-    for c in sums.classes:
-        most += c.samples // sums.stride + c.count
+    m, stride, none = sums.m, sums.stride, np.zeros_like(sums.count)
+    pooled = sums.count - sum((counts(s.samples, m, stride) for s in sums.segments), none)
+    most = sum((c.samples // stride + c.count for c in sums.classes), none)
     if np.any(pooled < 0) or np.any(pooled > most):
         raise AllanError(
             f'{where}.count is not that of the segments and classes: the file is damaged'
@@ -253,10 +242,8 @@ def _check(sums: AllanSums, where: str) -> None:
         raise AllanError(f'{where}.group_count exceeds count: the file is damaged')
     bins = sums.history.bins
     if bins:
-        number, total = np.zeros_like(sums.count), np.zeros_like(sums.sum_sq)
-        for b in bins:
-            number[: len(b.count)] += b.count
-            total[: len(b.count)] += b.sum_sq
+        number = reduce(add_padded, (b.count for b in bins), none)
+        total = reduce(add_padded, (b.sum_sq for b in bins), np.zeros_like(sums.sum_sq))
         near = np.abs(total - sums.sum_sq) <= SAME * sums.sum_sq
         if not np.array_equal(number, sums.count) or not near.all():
             raise AllanError(f'{where}.history does not add up to the sums: the file is damaged')
@@ -267,7 +254,7 @@ def _table(
     key: str,
     rows: int,
     columns: int,
-    least: float = -math.inf,
+    least: float = -MAX_SUM,
     most: float = MAX_SUM,
 ) -> NDArray[np.float64]:
     """Return a table of numbers that an IMU may have."""

@@ -14,8 +14,8 @@ an offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,11 +26,11 @@ from .history import (
     PERIOD_OVER_FACTOR,
     AgeBin,
     History,
+    PeriodSums,
     Recording,
     age_bin,
     edge_age,
     period_begins,
-    regrouped,
     shortest_period,
     starts_before,
 )
@@ -48,84 +48,31 @@ PHASE_POINTS = 128
 _HISTORY = 2 * LEVEL_FACTORS[-1]
 """Points a level keeps of the previous block: the reach of its longest second difference."""
 
-_ALL_FACTORS = FIRST_FACTORS + LEVEL_FACTORS
 
-
-MOST_PIECES = 512
-"""Sums by period are merged to the periods of the recording beyond this many."""
-
-
-class _PeriodSums:
-    """Sums of squares by period at one averaging factor; the periods may be too short yet.
-
-    Parameters
-    ----------
-    m : int
-        A power of 4.
-    axes : int
-    """
-
-    def __init__(self, m: int, axes: int) -> None:
-        self.m, self.axes = m, axes
-        self.begins: list[int] = []
-        self.sums: list[Floats] = []
-
-    def shortest(self, length: int) -> int:
-        """Return the length of the shortest period with sums at this factor."""
-        return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
-
-    def add(self, begin: int, sums: Floats) -> None:
-        """Add sums, (axes,), of a period that is the last one or follows it."""
-        if self.begins and begin <= self.begins[-1]:
-            self.sums[-1] = self.sums[-1] + sums
-        else:
-            self.begins.append(begin)
-            self.sums.append(sums)
-
-    def over(self, begins: Ints) -> Floats:
-        """Return the sums over periods that begin at some ages, (periods, axes)."""
-        return regrouped(np.reshape(self.sums, (-1, self.axes)), np.array(self.begins, int), begins)
-
-    def merge(self, length: int) -> None:
-        """Merge periods if there are too many for a recording that has this length so far."""
-        if len(self.begins) > MOST_PIECES:
-            coarser = period_begins(length, self.begins[0])
-            self.sums, self.begins = list(self.over(coarser)), coarser.tolist()
-
-    def copy(self) -> _PeriodSums:
-        """Return a copy that can be added to."""
-        other = _PeriodSums(self.m, self.axes)
-        other.begins, other.sums = self.begins.copy(), self.sums.copy()
-        return other
-
-
+@dataclass
 class _LevelSums:
-    """Sums of squared second differences of one level, by the age of their start and over groups.
-
-    Attributes
-    ----------
-    bins : dict of bin index to (factors, axes) float64 array
-    periods : dict of row of a factor to _PeriodSums
-        Of every second octave.
-    groups : (factors, axes) float64 array
+    """Sums of squared second differences of one level: by bin of the age of their start and by
+    period (of every second octave, by row of the factor), and over groups, (factors, axes) each.
     """
 
-    def __init__(self, factors: tuple[int, ...], axes: int) -> None:
-        self.bins: dict[int, Floats] = {}
-        self.periods = {
-            i: _PeriodSums(m, axes)
-            for i, m in enumerate(factors)
-            if m.bit_count() == 1 and m.bit_length() % 2
-        }
-        self.groups = np.zeros((len(factors), axes))
+    bins: dict[int, Floats]
+    periods: dict[int, PeriodSums]
+    groups: Floats
+
+    @classmethod
+    def of(cls, factors: Sequence[int], axes: int) -> _LevelSums:
+        """Return the sums of no difference."""
+        octaves = {i: m for i, m in enumerate(factors) if m.bit_count() == 1}
+        periods = {i: PeriodSums(m, [], []) for i, m in octaves.items() if m.bit_length() % 2}
+        return cls({}, periods, np.zeros((len(factors), axes)))
 
     def copy(self) -> _LevelSums:
         """Return a copy that can be added to."""
-        other = _LevelSums((), 0)
-        other.bins = {index: squares.copy() for index, squares in self.bins.items()}
-        other.periods = {i: one.copy() for i, one in self.periods.items()}
-        other.groups = self.groups.copy()
-        return other
+        return _LevelSums(
+            {index: squares.copy() for index, squares in self.bins.items()},
+            {i: PeriodSums(p.m, p.begins[:], p.sums[:]) for i, p in self.periods.items()},
+            self.groups.copy(),
+        )
 
 
 class _Level:
@@ -137,14 +84,14 @@ class _Level:
 
     def __init__(self, level: int, axes: int, offset: int) -> None:
         self.level = level
-        self.factors = LEVEL_FACTORS if level else _ALL_FACTORS
+        self.factors = LEVEL_FACTORS if level else FIRST_FACTORS + LEVEL_FACTORS
         self.offset = offset
         self.points = np.empty((axes, _HISTORY + BLOCK))
         self.fill = 0
         self.summed = 0
         self.first: Floats | None = None
         self.bin, self.bin_starts = 0, (0, 0)  # the bin used last, and its differences
-        self.sums = _LevelSums(tuple(f << level for f in self.factors), axes)
+        self.sums = _LevelSums.of([f << level for f in self.factors], axes)
 
     @property
     def past(self) -> int:
@@ -166,24 +113,16 @@ class _Level:
         self.fill = 0
         return upward
 
-    def with_history(self, new: Floats) -> Floats:
-        """Return the end of the previous block followed by new points, (axes, n)."""
-        return np.concatenate([self.points[:, _HISTORY - self.past : _HISTORY], new], axis=1)
-
-    def sums_with(self, points: Floats) -> _LevelSums:
-        """Return the sums so far and those of every difference that ends in new points.
-
-        Parameters
-        ----------
-        points : (axes, history + new) float64 array
-            The new points behind the history they follow on.
-        """
+    def snapshot(self, new: Floats) -> tuple[_LevelSums, Floats, Floats]:
+        """Return the sums with those of differences that end in new points, and the end points."""
+        points = np.concatenate([self.points[:, _HISTORY - self.past : _HISTORY], new], axis=1)
         sums = self.sums.copy()
         self._add(points, sums)
-        return sums
+        first = points[:, :_HISTORY] if self.first is None else self.first
+        return sums, first, points[:, -_HISTORY:]
 
     def _add(self, points: Floats, sums: _LevelSums) -> None:
-        """Add the squares of every difference that ends in new points, as of `sums_with`."""
+        """Add the squares of every difference that ends in the points behind the `past` ones."""
         scratch = np.empty((2, *points.shape))
         length = self.offset + ((self.summed + points.shape[1] - self.past) << self.level)
         for i, f in enumerate(self.factors):
@@ -207,18 +146,14 @@ class _Level:
             sums.groups[i] += _squares(every) if f > 1 or len(pieces) > 1 else pieces[0][1]
             if i in sums.periods:
                 by_period = sums.periods[i]
-                periods = self._by_period(first, number, by_period.shortest(length))
-                for begin, low, high in periods:
+                for begin, low, high in self._by_period(first, number, by_period.shortest(length)):
                     complete = high - low == number and len(pieces) == 1
                     squares = pieces[0][1] if complete else _squares(d[:, low:high])
                     by_period.add(begin, squares)
                 by_period.merge(length)
 
     def _by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
-        """Return (bin, low, high) for the differences first .. first + number - 1.
-
-        ``low`` and ``high`` count from ``first``.
-        """
+        """Return (bin, low, high) of differences; ``low`` and ``high`` count from ``first``."""
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]
@@ -238,7 +173,7 @@ class _Level:
     def _pieces(
         self, first: int, number: int, piece: Callable[[int], tuple[int, int]]
     ) -> list[tuple[int, int, int]]:
-        """Divide differences into pieces; ``piece`` returns the key and the last age + 1 of one."""
+        """Divide differences as `_by_bin`; ``piece`` returns the key of an age and its end."""
         found = []
         low = 0
         while low < number:
@@ -252,40 +187,27 @@ class _Level:
         """Return the first difference that starts at an age or later."""
         return -((self.offset - age) >> self.level)
 
-    def ends(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return the first and the last points of the level; ``points`` as in `sums_with`."""
-        first = points[:, :_HISTORY] if self.first is None else self.first
-        return first, points[:, -_HISTORY:]
-
 
 def _squares(d: Floats) -> Floats:
     """Return the sum of squares of each row, by one dot product per row."""
-    sums: Floats = np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0]
-    return sums
+    return np.asarray(np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0])
 
 
 def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
     """Return the sum of all d at a lag, from the first and the last 2 lag points.
 
-    The sum telescopes: with g(u) = theta(u + lag) - theta(u), d(u) = g(u + lag) - g(u), so the sum
-    is that of the last ``lag`` of g less that of the first.
+    It telescopes: d(u) = g(u + lag) - g(u) with g(u) = theta(u + lag) - theta(u).
     """
     head = first[:, lag : 2 * lag] - first[:, :lag]
     tail = last[:, -lag:] - last[:, -2 * lag : -lag]
-    out: Floats = tail.sum(axis=1) - head.sum(axis=1)
-    return out
+    return np.asarray(tail.sum(axis=1) - head.sum(axis=1))
 
 
 class _SparsePhase:
     """The phase of a segment at ages that are multiples of a step, a power of two.
 
-    Parameters
-    ----------
-    axes : int
-    points : int
-        The step doubles whenever the last age reaches that many steps.
-    offset : int
-        Age of the first sample of the segment.
+    The step doubles whenever the last age reaches ``points`` steps; ``offset`` is the age of the
+    first sample of the segment.
     """
 
     def __init__(self, axes: int, points: int, offset: int = 0) -> None:
@@ -342,6 +264,7 @@ class OpenSegment:
         self.samples += n
 
     def _sum_from_bottom(self) -> None:
+        """Sum the full block of level 0, and the blocks that its points fill above."""
         bottom = self.levels[0]
         for sparse in (self.coarse, self.cells):
             sparse.points, sparse.step = sparse.extended(bottom.waiting(), self.base, bottom.summed)
@@ -369,28 +292,24 @@ class OpenSegment:
         shape = (len(m), len(axes))
         bins: dict[int, Floats] = {}
         groups, signed = np.zeros(shape), np.zeros(shape)
-        by_period: list[_PeriodSums] = []
+        by_period: list[PeriodSums] = []
         carry = np.empty((len(axes), 0))
         j = row = 0
         while row < len(m):
             level = self.levels[j] if j < len(self.levels) else _Level(j, len(axes), self.offset)
             new = np.concatenate([level.waiting(), carry], axis=1)
-            points = level.with_history(new)
-            sums = level.sums_with(points)
+            sums, first, last = level.snapshot(new)
             by_period += sums.periods.values()
             reached = level.factors[: len(m) - row]
             rows = slice(row, row + len(reached))
             groups[rows] = sums.groups[: len(reached)]
             for index, squares in sums.bins.items():
                 bins.setdefault(index, np.zeros(shape))[rows] = squares[: len(reached)]
-            first, last = level.ends(points)
             signed[rows] = [_signed_sum(first, last, f) for f in reached]
             carry = new[:, ::2] + self.base if j == 0 else new[:, ::2]
             row += len(reached)
             j += 1
-        sum_sq = np.zeros(shape)
-        for index in sorted(bins):
-            sum_sq += bins[index]
+        sum_sq = sum((bins[index] for index in sorted(bins)), np.zeros(shape))
         bottom = self.levels[0]
         phase, step = self.coarse.extended(bottom.waiting(), self.base, bottom.summed)
         record = SegmentRecord(
@@ -420,7 +339,7 @@ class OpenSegment:
                 no_ramp = np.zeros((0, len(self.theta)))
                 yield AgeBin(index, count[:some], squares[index][:some], (), no_ramp)
 
-    def _recording(self, by_period: list[_PeriodSums]) -> Recording:
+    def _recording(self, by_period: list[PeriodSums]) -> Recording:
         """Return the means by cell and the sums of squares by period of this segment."""
         offset, bottom, axes = self.offset, self.levels[0], len(self.theta)
         phase, step = self.cells.extended(bottom.waiting(), self.base, bottom.summed)
@@ -439,7 +358,7 @@ class OpenSegment:
             stride = max(1, one.m // LEVEL_FACTORS[0])
             before = starts_before(np.append(begins, length), one.m, stride, offset, self.samples)
             count[rows, i] = np.diff(before)[rows]
-            sum_sq[rows, i] = one.over(begins)[rows]
+            sum_sq[rows, i] = one.over(begins, axes)[rows]
         return Recording(
             self.start_ns,
             length,
@@ -523,7 +442,7 @@ class RunningAllan:
 
     @property
     def sums(self) -> AllanSums:
-        """The sums of all samples as if the open segment ended here; the state does not change."""
+        """The sums as if the open segment ended here; the state does not change."""
         exact = self._exact
         return replace(exact, history=exact.history.rounded())
 

@@ -18,8 +18,10 @@ values, and the values of several recordings add.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +52,11 @@ SHORTEST_PERIODS = (128, 2048)
 PERIOD_OVER_FACTOR = 16
 """A period has sums at averaging factors up to its length over this."""
 
-MOST_PERIODS = 1024
-"""Bound for documents: a recording of 2^60 samples has about 300 periods."""
-
 KEPT_RECORDINGS = 32
 """How many recordings keep their means and periods."""
+
+MOST_PIECES = 512
+"""Sums by period are merged to the periods of the recording beyond this many."""
 
 PooledCount = tuple[int, int, int]
 """Index of a length class, and how many segments and samples of it begin in a bin."""
@@ -78,10 +80,7 @@ def edge_age(index: int) -> int:
 
 def cell_step(length: int, cells: int) -> int:
     """Return the smallest power of two that divides a length into fewer than so many cells."""
-    step = 1
-    while length >= cells * step:
-        step *= 2
-    return step
+    return 1 << (length // cells).bit_length()
 
 
 def shortest_period(length: int) -> int:
@@ -101,12 +100,10 @@ def period_begins(length: int, begin: int = 0) -> Ints:
     shortest = shortest_period(length)
     while begin < length:
         period = shortest
-        while True:
-            double = 2 * period
-            left = length - begin // double * double
-            if LONGEST_PERIOD * double > length or (1 + PERIOD_DISTANCE) * double > left:
-                break
-            period = double
+        while LONGEST_PERIOD * 2 * period <= length and (
+            (1 + PERIOD_DISTANCE) * 2 * period <= length - begin // (2 * period) * 2 * period
+        ):
+            period *= 2
         begins.append(begin // period * period)
         begin = begins[-1] + period
     return np.array(begins, np.int64)
@@ -115,25 +112,50 @@ def period_begins(length: int, begin: int = 0) -> Ints:
 def starts_before(ages: Ints, m: Ints | int, stride: Ints | int, offset: int, samples: int) -> Ints:
     """Return how many second differences of a segment start before some ages.
 
-    Parameters
-    ----------
-    ages : int64 array
-    m, stride : int or int64 arrays that broadcast with ``ages``
-        Averaging factors, and samples between two starts.
-    offset, samples : int
-        Age of the first sample of the segment, and its length.
+    ``m`` and ``stride`` (averaging factor, samples between two starts) broadcast with ``ages``;
+    ``offset`` is the age of the first of the ``samples`` of the segment.
     """
     ends = np.maximum(samples - 2 * np.asarray(m) + 1, 0)  # starts are below it
-    number: Ints = -(-np.clip(ages - offset, 0, ends) // stride)
-    return number
+    return np.asarray(-(-np.clip(ages - offset, 0, ends) // stride))
 
 
 def short(values: Floats) -> Floats:
     """Return values rounded to the 16 significant bits with which the history is kept."""
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
     even = bits + ((bits >> 37) & 1) + ((1 << 36) - 1)
-    rounded: Floats = (even >> 37 << 37).view('<f8')
-    return rounded
+    return np.asarray((even >> 37 << 37).view('<f8'))
+
+
+@dataclass
+class PeriodSums:
+    """Sums of squares by period at one averaging factor; the periods may be too short yet."""
+
+    m: int
+    begins: list[int]
+    sums: list[Floats]
+
+    def shortest(self, length: int) -> int:
+        """Return the length of the shortest period with sums at this factor."""
+        return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
+
+    def add(self, begin: int, sums: Floats) -> None:
+        """Add sums, (axes,), of a period that is the last one or follows it."""
+        if self.begins and begin <= self.begins[-1]:
+            self.sums[-1] = self.sums[-1] + sums
+        else:
+            self.begins.append(begin)
+            self.sums.append(sums)
+
+    def over(self, begins: Ints, axes: int) -> Floats:
+        """Return the sums over periods that begin at some ages, (periods, axes)."""
+        return regrouped(np.reshape(self.sums, (-1, axes)), np.array(self.begins, int), begins)
+
+    def merge(self, length: int) -> None:
+        """Merge periods if there are too many for a recording that has this length so far."""
+        if len(self.begins) > MOST_PIECES:
+            coarser = period_begins(length, self.begins[0])
+            self.sums = list(self.over(coarser, len(self.sums[0])))
+            self.begins = coarser.tolist()
 
 
 class ByValue:
@@ -156,8 +178,7 @@ class AgeBin(ByValue):
     ----------
     index : int
         It begins at ``edge_age(index)`` and ends where the next one of the history begins.
-    count : (factors,) int64 array
-    sum_sq : (factors, axes) float64 array
+    count, sum_sq : (factors,) int64 and (factors, axes) float64 arrays
         As in `AllanSums`.
     pooled : tuple of (class index, segments, samples)
         The segments that begin here and are kept only by their length class.
@@ -202,8 +223,7 @@ class Recording(ByValue):
         First sample of the recording.
     period_begin : (periods,) int64 array
         Ages at which the periods begin, see `period_begins`.
-    level_count : (periods, levels) int64 array
-    level_sum_sq : (periods, levels, axes) float64 array
+    level_count, level_sum_sq : (periods, levels) int64 and (periods, levels, axes) float64 arrays
         Second differences that start in each period at the factors 1, 4, 16 ..., and the sum of
         their squares.
     """
@@ -228,8 +248,7 @@ class Recording(ByValue):
     def mean(self) -> Floats:
         """Mean of the samples in the segments, (axes,)."""
         weights = self.cell_samples / max(int(self.cell_samples.sum()), 1)
-        mean: Floats = self.reference + weights @ self.cell_means
-        return mean
+        return np.asarray(self.reference + weights @ self.cell_means)
 
     @property
     def level_m(self) -> Ints:
@@ -243,16 +262,16 @@ class Recording(ByValue):
 
     def coarser(self, cells: int, begins: Ints) -> Recording:
         """Return the same in fewer cells than so many, and in longer periods."""
-        step = cell_step(self.length, cells)
+        step = max(cell_step(self.length, cells), self.step)
         number, means = self.cell_samples, self.cell_means
-        sums = means * number[:, None]
-        for _ in range(max(0, step.bit_length() - self.step.bit_length())):
-            number, sums = _pair_sums(number), _pair_sums(sums)
         if step > self.step:
+            sums = means * number[:, None]
+            for _ in range(step.bit_length() - self.step.bit_length()):
+                number, sums = _pair_sums(number), _pair_sums(sums)
             means = sums / np.maximum(number, 1)[:, None]
         return replace(
             self,
-            step=max(step, self.step),
+            step=step,
             cell_samples=number,
             cell_means=means,
             period_begin=begins,
@@ -271,9 +290,7 @@ class Recording(ByValue):
         return replace(self, cell_means=means, level_sum_sq=squares)
 
     def continued(self, later: Recording) -> Recording:
-        """Return this recording extended by a later segment; both ages count from the same first
-        sample.
-        """
+        """Return this recording with a later segment, whose ages count from the same sample."""
         length = max(self.length, later.length)
         begins = period_begins(length)
         a = replace(self, length=length).coarser(CELLS, begins)
@@ -281,15 +298,13 @@ class Recording(ByValue):
         number = add_padded(a.cell_samples, b.cell_samples)
         shifted = b.cell_means + (b.reference - a.reference)
         sums = add_padded(a.cell_means * a.cell_samples[:, None], shifted * b.cell_samples[:, None])
-        levels = max(a.level_count.shape[1], b.level_count.shape[1])
         return replace(
             a,
             samples=a.samples + b.samples,
             cell_samples=number,
             cell_means=sums / np.maximum(number, 1)[:, None],
-            level_count=_with_levels(a.level_count, levels) + _with_levels(b.level_count, levels),
-            level_sum_sq=_with_levels(a.level_sum_sq, levels)
-            + _with_levels(b.level_sum_sq, levels),
+            level_count=add_padded(a.level_count, b.level_count, 1),
+            level_sum_sq=add_padded(a.level_sum_sq, b.level_sum_sq, 1),
         )
 
 
@@ -304,9 +319,7 @@ class History(ByValue):
     bins : tuple of AgeBin
         By index; bins without a difference are left out.
     recordings : tuple of Recording
-        The latest and the 31 longest others, longest first.
-    recording_count : int
-        How many there are.
+        The latest and the 31 longest others, longest first, of ``recording_count``.
     """
 
     first: int = 1
@@ -364,20 +377,20 @@ class History(ByValue):
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
         """Return the same with segments that are from now on kept by their length class alone.
 
-        Parameters
-        ----------
-        pooled : iterable of (age, (class index, segments, samples), ramp correction)
-            Age of the first sample of each.
+        Each is the age of its first sample, (class index, segments, samples), and its ramp
+        correction.
         """
-        bins = {b.index: b for b in self.bins}
-        for age, number, ramp in pooled:
-            index = age_bin(age)
-            index = index if index >= self.first else 0
-            have = bins.get(index)
-            nothing = AgeBin(index, ramp[:0, 0].astype(np.int64), ramp[:0], (), ramp[:0])
-            more = replace(nothing, pooled=(number,), ramp=ramp)
-            bins[index] = more if have is None else have + more
-        return replace(self, bins=tuple(bins[i] for i in sorted(bins)))
+        more = [
+            AgeBin(
+                index if (index := age_bin(age)) >= self.first else 0,
+                np.zeros(0, np.int64),
+                ramp[:0],
+                (number,),
+                ramp,
+            )
+            for age, number, ramp in pooled
+        ]
+        return replace(self, bins=_add_bins(self.bins, more))
 
     def _from(self, first: int) -> History:
         """Return the same with all bins below an edge merged into the first."""
@@ -386,24 +399,22 @@ class History(ByValue):
         early = [b for b in self.bins if b.index < first]
         late = [b for b in self.bins if b.index >= first]
         if early:
-            merged = early[0]
-            for more in early[1:]:
-                merged = merged + more
+            merged = reduce(operator.add, early)
             late.insert(0, replace(merged, index=0))
         return replace(self, first=first, bins=tuple(late))
 
 
-def add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
-    """Return a + b along the first axis, the shorter one filled with zeros."""
-    if len(a) < len(b):
+def add_padded(a: NDArray, b: NDArray, axis: int = 0) -> NDArray:  # type: ignore[type-arg]
+    """Return a + b, along one axis the shorter one filled with zeros."""
+    if a.shape[axis] < b.shape[axis]:
         a, b = b, a
     out = a.copy()
-    out[: len(b)] += b
+    out[(slice(None),) * axis + (slice(b.shape[axis]),)] += b
     return out
 
 
 def _first_edge(length: int) -> int:
-    """Return the index of the lowest edge at or beyond 1/128 of a length in samples."""
+    """Return the index of the lowest edge at or beyond `EARLIEST_PART` of a length in samples."""
     index = max(1, age_bin(max(length // EARLIEST_PART, 1)))
     return index if edge_age(index) * EARLIEST_PART >= length else index + 1
 
@@ -421,28 +432,19 @@ def _pair_sums(values: NDArray) -> NDArray:  # type: ignore[type-arg]
     """Return the sums of neighbours along the first axis; a last one without neighbour stays."""
     if len(values) % 2:
         values = np.concatenate([values, np.zeros_like(values[:1])])
-    pairs: NDArray = values[::2] + values[1::2]  # type: ignore[type-arg]
-    return pairs
-
-
-def _with_levels(values: NDArray, levels: int) -> NDArray:  # type: ignore[type-arg]
-    """Return values, (periods, levels, ...), with zeros for further levels."""
-    width = [(0, 0)] * values.ndim
-    width[1] = (0, levels - values.shape[1])
-    return np.pad(values, width)
+    return np.asarray(values[::2] + values[1::2])
 
 
 def _add_pooled(a: tuple[PooledCount, ...], b: tuple[PooledCount, ...]) -> tuple[PooledCount, ...]:
-    total: dict[int, tuple[int, int]] = {}
+    total: dict[int, PooledCount] = {}
     for index, count, samples in a + b:
-        have = total.get(index, (0, 0))
-        total[index] = (have[0] + count, have[1] + samples)
-    return tuple((index, *total[index]) for index in sorted(total))
+        _, counts, lengths = total.get(index, (index, 0, 0))
+        total[index] = (index, counts + count, lengths + samples)
+    return tuple(total[index] for index in sorted(total))
 
 
-def _add_bins(a: tuple[AgeBin, ...], b: tuple[AgeBin, ...]) -> tuple[AgeBin, ...]:
+def _add_bins(a: Iterable[AgeBin], b: Iterable[AgeBin]) -> tuple[AgeBin, ...]:
     total: dict[int, AgeBin] = {each.index: each for each in a}
     for each in b:
-        have = total.get(each.index)
-        total[each.index] = each if have is None else have + each
+        total[each.index] = total[each.index] + each if each.index in total else each
     return tuple(total[index] for index in sorted(total))

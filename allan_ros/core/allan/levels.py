@@ -73,18 +73,14 @@ class Scatter:
 def level_changes(recordings: Sequence[Recording], age: int = 0) -> dict[int, Scatter]:
     """Return the axes whose white noise differs between sixths of a recording, or recordings.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    age : int
-        Samples left out at the start of each.
+    ``age`` samples are left out at the start of each.
     """
-    found = {}
-    for axis, level in _white_levels(recordings, age, _parts_of_each(recordings)).items():
-        one = _scatter(*level)
-        if one and one.probability < LEVEL_PROBABILITY and one.high >= LEVEL_RATIO * one.low:
-            found[axis] = one
-    return found
+    scatters = _white_scatters(_white_levels(recordings, age, _parts_of_each(recordings)))
+    return {
+        axis: one
+        for axis, one in scatters.items()
+        if one.probability < LEVEL_PROBABILITY and one.high >= LEVEL_RATIO * one.low
+    }
 
 
 def _parts_of_each(recordings: Sequence[Recording]) -> int:
@@ -99,24 +95,20 @@ def level_excess(recordings: Sequence[Recording], axes: int, age: int = 0) -> Fl
     is not significant.
     """
     out = np.zeros(axes)
-    for axis, level in _white_levels(recordings, age, 0).items():
-        found = _scatter(*level)
-        if found is not None and found.probability < EXCESS_PROBABILITY:
+    for axis, found in _white_scatters(_white_levels(recordings, age, 0)).items():
+        if found.probability < EXCESS_PROBABILITY:
             out[axis] = found.scatter / math.sqrt(found.parts)
     return out
 
 
-def _white_levels(
-    recordings: Sequence[Recording], age: int, parts: int
-) -> dict[int, tuple[int, Floats, Ints]]:
-    """Return (m, variances, counts) of the parts by axis, where there is white noise.
+WhiteLevel = tuple[int, Floats, Ints]
+"""Averaging factor, variance of each part, and number of its second differences."""
 
-    Parameters
-    ----------
-    recordings, age
-        As of `level_changes`.
-    parts : int
-        Of each recording; 0 for its periods.
+
+def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
+    """Return the levels of so many parts of each recording (0: of its periods) by axis.
+
+    Axes without white noise are left out.
     """
     split = [_level_parts(recording, age, parts) for recording in recordings]
     levels = min((count.shape[1] for count, _ in split), default=0)
@@ -159,6 +151,11 @@ def _white_level(variance: Floats, count: Floats) -> int | None:
         if abs(slope + 1.0) < WHITE_SLOPE and count[i] >= LEAST_DIFFERENCES:
             return i
     return None
+
+
+def _white_scatters(levels: dict[int, WhiteLevel]) -> dict[int, Scatter]:
+    scatters = {axis: _scatter(*level) for axis, level in levels.items()}
+    return {axis: one for axis, one in scatters.items() if one is not None}
 
 
 def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
@@ -218,16 +215,15 @@ def drift_scatter(
     """
     axes = sum(len(s) for s in sensors)
     scatter = np.zeros(axes)
-    if not recordings:
-        return scatter
     of_each = _parts_of_each(recordings)
     parts = [part for one in recordings for part in _parts(one, age, of_each)]
     if len(parts) < 2:
         return scatter
     step = recordings[0].step
-    model = variance_model(means := CellMeans.of(recordings[0].cells(math.ceil(age / step))))
+    means = CellMeans.of(recordings[0].cells(math.ceil(age / step)))
     if len(means.begin) < PARTS + 2:
         return scatter
+    model = variance_model(means)
     white = _white_levels(recordings, age, of_each)
     gains = np.zeros((axes, len(LOG_SCATTERS)))
     contrasts = model.contrasts @ means.means
@@ -270,18 +266,10 @@ def _parts(recording: Recording, age: int, parts: int) -> list[tuple[CellMeans, 
 def _size_likelihood(
     means: Floats, part: CellMeans, variances: Floats, white_ratio: float, width: float
 ) -> Floats:
-    """Return twice the log likelihood of each size of the drift of a part.
+    """Return twice the log likelihood of each size of the drift of a part from its means, (cells,).
 
-    Parameters
-    ----------
-    means : (cells,) float64 array
-    part : CellMeans
-    variances : (3,) float64 array
-        Of all, for cells of unit length.
-    white_ratio : float
-        White noise of the part, relative to all.
-    width : float
-        Length of the cells of the part.
+    ``variances`` are those of all for cells of unit length, ``white_ratio`` the white noise of the
+    part relative to all, ``width`` the length of its cells.
     """
     model = variance_model(part)
     values = model.contrasts @ means
@@ -297,10 +285,7 @@ def _size_likelihood(
 def _gains(sizes: Floats) -> Floats:
     """Return twice the log likelihood ratio of each scatter against none.
 
-    Parameters
-    ----------
-    sizes : (parts, sizes) float64 array
-        Twice the log likelihood of each size of each part.
+    ``sizes`` are twice the log likelihoods of each size of each part, (parts, sizes).
     """
     best = sizes.max(axis=1, keepdims=True)
     likelihoods = np.exp((sizes - best) / 2.0)

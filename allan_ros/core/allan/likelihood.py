@@ -47,18 +47,11 @@ class CellMeans:
     @classmethod
     def of(cls, recording: Recording, growth: int = GROWTH) -> CellMeans:
         """Return the means of stretches that grow in proportion to their age."""
-        number, means = recording.cell_samples, recording.cell_means
+        cells = len(recording.cell_samples)
         edges = [0]
-        while edges[-1] < len(number):
-            edges.append(min(edges[-1] + max(1, edges[-1] // growth), len(number)))
-        begin, end = np.array(edges[:-1]), np.array(edges[1:])
-        if not len(begin):
-            return cls(begin.astype(float), end.astype(float), means)
-        samples = np.add.reduceat(number, begin)
-        sums = np.add.reduceat(means * number[:, None], begin, axis=0)
-        some = 2 * samples >= (end - begin) * recording.step
-        mean = sums[some] / np.maximum(samples[some], 1)[:, None]
-        return cls(begin[some].astype(float), end[some].astype(float), mean)
+        while edges[-1] < cells:
+            edges.append(min(edges[-1] + max(1, edges[-1] // growth), cells))
+        return cls._between(recording, np.array(edges))
 
     @classmethod
     def even(cls, recording: Recording, most: int) -> CellMeans:
@@ -66,14 +59,20 @@ class CellMeans:
         width = 1
         while len(recording.cell_samples) > most * width:
             width *= 2
-        rows = len(recording.cell_samples) // width
-        number = recording.cell_samples[: rows * width].reshape(rows, width)
-        means = recording.cell_means[: rows * width].reshape(rows, width, -1)
-        samples = number.sum(axis=1)
-        sums = (means * number[:, :, None]).sum(axis=1)
-        some = 2 * samples >= width * recording.step
-        begin = width * np.arange(rows, dtype=float)[some]
-        return cls(begin, begin + width, sums[some] / np.maximum(samples[some], 1)[:, None])
+        return cls._between(recording, np.arange(0, len(recording.cell_samples) + 1, width))
+
+    @classmethod
+    def _between(cls, recording: Recording, edges: NDArray[np.int64]) -> CellMeans:
+        """Return the means of the stretches that have samples in at least half of their time."""
+        begin, end, number = edges[:-1], edges[1:], recording.cell_samples[: edges[-1]]
+        if not len(begin):
+            return cls(np.zeros(0), np.zeros(0), recording.cell_means[:0])
+        samples = np.add.reduceat(number, begin)
+        means = recording.cell_means[: edges[-1]]
+        sums = np.add.reduceat(means * number[:, None], begin, axis=0)
+        some = 2 * samples >= (end - begin) * recording.step
+        mean = sums[some] / np.maximum(samples[some], 1)[:, None]
+        return cls(begin[some].astype(float), end[some].astype(float), mean)
 
     def since(self, age: float) -> CellMeans:
         """Return the stretches that begin at an age or later, in cells."""
@@ -134,23 +133,15 @@ class VarianceModel:
         ends = (self.begin, self.end)
         lags = [np.abs(x[:, None] - y) for x in ends for y in ends]
         widths = np.outer(self.end - self.begin, self.end - self.begin)
-        covariances = []
-        for phase in (_white, _flicker, _walk):
-            begins, outward, inward, last = (phase(t) for t in lags)
-            covariances.append((begins - outward - inward + last) / widths)
-        return covariances
+        return [
+            (begins - outward - inward + last) / widths
+            for begins, outward, inward, last in zip(*(_phase_covariances(t) for t in lags))
+        ]
 
 
-def _white(lag: Floats) -> Floats:
-    return -lag / 2.0
-
-
-def _flicker(lag: Floats) -> Floats:
-    return np.asarray(lag * lag * np.log(np.where(lag > 0.0, lag, 1.0)) / (2.0 * math.pi))
-
-
-def _walk(lag: Floats) -> Floats:
-    return np.asarray(lag**3 / 12.0)
+def _phase_covariances(lag: Floats) -> tuple[Floats, Floats, Floats]:
+    log = np.log(np.where(lag > 0.0, lag, 1.0))
+    return -lag / 2.0, lag * lag * log / (2.0 * math.pi), lag**3 / 12.0
 
 
 @lru_cache(maxsize=4)
@@ -234,16 +225,9 @@ def maximum(
     effects: Floats | None = None,
     rounds: int = 25,
 ) -> Likelihood:
-    """Return the maximum of the likelihood over variances of 0 or above, by Fisher scoring.
+    """Return the maximum of `likelihood` over variances of 0 or above, by Fisher scoring.
 
-    Parameters
-    ----------
-    values, units, effects
-        As of `likelihood`.
-    start : (components,) float64 array
-        Variances to begin with.
-    rounds : int
-        Most iterations.
+    It begins with the variances ``start`` and takes ``rounds`` iterations at the most.
     """
     best = likelihood(values, units, start, effects)
     for _ in range(rounds):
@@ -276,11 +260,7 @@ def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def _climb(
-    at: Likelihood,
-    values: Floats,
-    units: Sequence[Floats],
-    change: Floats,
-    effects: Floats | None,
+    at: Likelihood, values: Floats, units: Sequence[Floats], change: Floats, effects: Floats | None
 ) -> Likelihood | None:
     """Return the likelihood after the change or a part of it; None if none is better."""
     for halvings in range(10):

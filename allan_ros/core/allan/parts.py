@@ -10,7 +10,9 @@ its equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,37 +30,25 @@ LEAST_STEPS = 8
 
 
 def settled_sums(sums: AllanSums, age: int) -> AllanSums:
-    """Return the sums of all second differences that start at an age or later.
+    """Return the sums of all second differences that start at an age in samples or later.
 
     Segments that begin earlier are shortened to begin at the next point of their phase record.
     Where this is no start of a factor's differences, or pooled segments are divided, the sum of
-    squares is that of nearly the same differences, scaled to their exact number.
-
-    Parameters
-    ----------
-    sums : AllanSums
-    age : int
-        In samples, one of ``sums.history.ages``.
-
-    Returns
-    -------
-    AllanSums
-        Without groups that do not overlap and without a history.
+    squares is that of nearly the same differences, scaled to their exact number. Groups that do
+    not overlap and the history are left out.
 
     Raises
     ------
     AllanError
-        When the age is not an edge of the history.
+        When the age is not one of ``sums.history.ages``.
     """
     if age not in sums.history.ages:
         raise AllanError(f'age {age} is no edge of the sums by age: {sums.history.ages}')
     late = [b for b in sums.history.bins if edge_age(b.index) >= age]
     early = [b for b in sums.history.bins if edge_age(b.index) < age]
-    m, stride = sums.m, sums.stride
-    sum_sq, number = np.zeros_like(sums.sum_sq), np.zeros_like(sums.count)
-    for each in late:
-        sum_sq[: len(each.count)] += each.sum_sq
-        number[: len(each.count)] += each.count
+    m, stride, none = sums.m, sums.stride, np.zeros_like(sums.count)
+    sum_sq = reduce(add_padded, (b.sum_sq for b in late), np.zeros_like(sums.sum_sq))
+    number = reduce(add_padded, (b.count for b in late), none)
     tau0 = sums.tau0 or 0.0
     segments = []
     for segment in sums.segments:
@@ -69,14 +59,13 @@ def settled_sums(sums: AllanSums, age: int) -> AllanSums:
         if shorter is not segment:
             _replace_long_factors(segment, shorter, age, m, stride, sum_sq, number)
     classes = _settled_classes(sums.classes, early)
-    exact, kept = np.zeros_like(number), np.zeros_like(number)
-    for segment in segments:
-        exact += counts(segment.samples, m, stride)
-    for segment in sums.segments:
-        kept += counts(segment.samples, m, stride)
+    exact, kept = (
+        sum((counts(s.samples, m, stride) for s in some), none)
+        for some in (segments, sums.segments)
+    )
     pooled = sum(c.samples for c in sums.classes)
     share = sum(c.samples for c in classes) / pooled if pooled else 0.0
-    exact += np.rint((sums.count - kept) * share).astype(np.int64)
+    exact = exact + np.rint((sums.count - kept) * share).astype(np.int64)
     exact[number == 0] = 0
     some = int(np.flatnonzero(exact)[-1]) + 1 if exact.any() else 0
     sum_sq[:some] *= (exact[:some] / np.maximum(number[:some], 1))[:, None]
@@ -173,22 +162,16 @@ def _settled_classes(
 
     The ramp corrections of those are taken from the longest class: only their sum matters.
     """
-    gone: dict[int, tuple[int, int]] = {}
-    ramp = np.zeros((0, 0))
-    for each in early:
-        for index, count, samples in each.pooled:
-            have = gone.get(index, (0, 0))
-            gone[index] = (have[0] + count, have[1] + samples)
-        if len(each.ramp):
-            ramp = add_padded(each.ramp, ramp) if ramp.size else each.ramp
-    rest = []
+    gone = reduce(operator.add, early)
+    pooled = {index: (count, samples) for index, count, samples in gone.pooled}
+    ramp, rest = gone.ramp, []
     for c in classes:
-        count, samples = gone.get(c.index, (0, 0))
+        count, samples = pooled.get(c.index, (0, 0))
         if c.count > count:
             rest.append(replace(c, count=c.count - count, samples=c.samples - samples))
         else:
-            ramp = add_padded(ramp, -c.ramp_correction) if ramp.size else -c.ramp_correction
-    if rest and ramp.size:
+            ramp = add_padded(ramp, -c.ramp_correction)
+    if rest:
         rest[-1] = replace(rest[-1], ramp_correction=add_padded(rest[-1].ramp_correction, -ramp))
     return tuple(rest)
 
@@ -229,12 +212,7 @@ class RecentNoise:
 def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
     """Return the recent and the former noise of each axis; nothing while there is too little data.
 
-    Parameters
-    ----------
-    sums : AllanSums
-        Of one or more recordings; the end of the latest one is the present.
-    window_s : float
-        Length of the recent window in s.
+    The recent window of ``window_s`` seconds ends with the latest recording.
     """
     if not window_s > 0.0:
         raise AllanError(f'a recent window of {window_s} s is invalid: give a positive number')
@@ -283,13 +261,13 @@ def _rows(
             some = min(levels, former.level_count.shape[1])
             counts[:some] += former.level_count[:, :some].sum(axis=0)
             squares[:some] += former.level_sum_sq[:, :some].sum(axis=0)
-    if counts.any():
-        return (
-            np.concatenate([counts[None], count[first:, :levels]]),
-            np.concatenate([squares[None], sum_sq[first:, :levels]]),
-            np.concatenate([[0], begins[first:]]),
-        )
-    return count[:, :levels], sum_sq[:, :levels], begins
+    if not counts.any():
+        return count[:, :levels], sum_sq[:, :levels], begins
+    return (
+        np.concatenate([counts[None], count[first:, :levels]]),
+        np.concatenate([squares[None], sum_sq[first:, :levels]]),
+        np.concatenate([[0], begins[first:]]),
+    )
 
 
 def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
@@ -305,16 +283,8 @@ def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
 def _steps(degrees: Floats, power: Floats) -> tuple[int, int, int | None]:
     """Return the rows at which the level of one axis first and last stepped, and at which factor.
 
-    Parameters
-    ----------
-    degrees, power : (rows, factors) float64 arrays
-        Degrees of freedom and sums of squares.
-
-    Returns
-    -------
-    first, last : int
-        Both 1, the beginning of the window, where there is no step.
-    level : int or None
+    (1, 1, None) without a step: the beginning of the window. ``degrees`` (of freedom) and ``power``
+    (sums of squares) are (rows, factors).
     """
     degrees, power = np.cumsum(degrees, axis=0), np.cumsum(power, axis=0)
     ratio = _two_levels(degrees, power)
@@ -333,12 +303,8 @@ def _steps(degrees: Floats, power: Floats) -> tuple[int, int, int | None]:
 def _two_levels(degrees: Floats, power: Floats) -> Floats:
     """Return twice the log likelihood ratio of a step after each row against none.
 
-    Chi-squared variances on both sides; -inf where either has too few degrees of freedom.
-
-    Parameters
-    ----------
-    degrees, power : (rows, ...) float64 arrays
-        Degrees of freedom and sums of squares, both running.
+    Chi-squared variances on both sides; -inf where either has too few degrees of freedom. Both
+    ``degrees`` and ``power`` are running sums, (rows, ...).
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = power, power[-1] - power, power[-1]

@@ -149,14 +149,7 @@ class RunningSpectrum:
 
 
 def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
-    """Return the density of the sums; None if no segment has the length of a block.
-
-    Parameters
-    ----------
-    sums : SpectrumSums
-    tau0 : float
-        Sample period in s.
-    """
+    """Return the density of the sums with sample period ``tau0`` in s; None without a block."""
     some = np.flatnonzero(sums.blocks)
     if not len(some):
         return None

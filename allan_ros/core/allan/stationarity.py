@@ -92,17 +92,13 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
     The most significant one is found first; what follows it is tested again, up to half the
     recording.
 
-    Parameters
-    ----------
-    recording : Recording
-    sensors : sequence of sequences of int
-        Positions of the axes of each sensor; their likelihood ratios are summed.
+    The likelihood ratios of the axes of each of the ``sensors`` (positions of axes) are summed.
     """
     found: list[EarlyPart] = []
     left_out = 0
     while left_out <= len(recording.cell_samples) // 2:
         rest = recording.cells(left_out)
-        tests = [_strongest(rest, sensors, kind, limits) for kind, limits in THRESHOLDS.items()]
+        tests = [_strongest(rest, sensors, kind) for kind in THRESHOLDS]
         part = max((t for t in tests if t), key=lambda t: t.excess, default=None)
         if part is None:
             break
@@ -115,18 +111,11 @@ THRESHOLDS = {'warm_up': (19.0, 23.5, 27.5), 'early_drift': (18.0, 19.5, 21.5)}
 """Twice the log likelihood ratio that is significant: of one axis, one sensor, and all axes."""
 
 
-def ratios(
+def _ratios(
     recording: Recording, kind: str
 ) -> tuple[VarianceModel, list[_Candidate], Floats, list[Likelihood | None]]:
-    """Return twice the log likelihood ratios of the candidates of one kind of early part.
-
-    Returns
-    -------
-    model : VarianceModel
-    candidates : list
-    ratios : (axes, candidates) float64 array
-    null : list of Likelihood or None
-        Without the effect; None for an axis without noise.
+    """Return the model, the candidates of one kind of early part, twice the log likelihood ratio
+    of each, (axes, candidates), and the likelihoods without it (None for an axis without noise).
     """
     means = CellMeans.of(recording)
     model = variance_model(means)
@@ -183,45 +172,37 @@ def _candidates(model: VarianceModel, cells: int, kind: str) -> list[_Candidate]
 
 
 def _strongest(
-    recording: Recording,
-    sensors: Sequence[Sequence[int]],
-    kind: str,
-    thresholds: tuple[float, float, float],
+    recording: Recording, sensors: Sequence[Sequence[int]], kind: str
 ) -> EarlyPart | None:
+    """Return the most significant early part of one kind; None if none is."""
     if np.count_nonzero(2 * recording.cell_samples >= recording.step) < LEAST_CELLS:
         return None
-    model, candidates, ratio, nulls = ratios(recording, kind)
+    model, candidates, ratio, nulls = _ratios(recording, kind)
     every = tuple(range(len(ratio)))
-    groups = [(one,) for one in every] + [tuple(s) for s in sensors] + [every]
-    limits = [thresholds[0]] * len(every) + [thresholds[1]] * len(sensors) + [thresholds[2]]
-    excesses = [float(ratio[list(g)].sum(axis=0).max()) - limit for g, limit in zip(groups, limits)]
-    strongest = int(np.argmax(excesses))
-    if excesses[strongest] <= 0.0:
+    of_axis, of_sensor, of_all = THRESHOLDS[kind]
+    groups: list[tuple[tuple[int, ...], float]] = [((one,), of_axis) for one in every]
+    groups += [*((tuple(sensor), of_sensor) for sensor in sensors), (every, of_all)]
+    excess, group = max(
+        ((float(ratio[list(g)].sum(axis=0).max()) - limit, g) for g, limit in groups),
+        key=lambda one: one[0],
+    )
+    if excess <= 0.0:
         return None
-    group = groups[strongest]
     best = candidates[int(ratio[list(group)].sum(axis=0).argmax())]
     amplitudes = np.zeros(len(every))
     age = best.parameter
     if kind == 'warm_up':
         means = CellMeans.of(recording)
         values = model.contrasts @ means.means
-        ages = [age]
         for axis, null in enumerate(nulls):
             if null is None:
                 continue
             new = _alternative(values[:, axis], model, null, best, kind)
             amplitudes[axis] = new.amplitudes[0]
             if axis in group:
-                ages.append(_invisible_from(means, new, best))
-        age = max(ages)
-    return EarlyPart(
-        kind,
-        group,
-        amplitudes,
-        best.parameter * recording.step,
-        excesses[strongest],
-        math.ceil(age * recording.step),
-    )
+                age = max(age, _invisible_from(means, new, best))
+    decay, end = best.parameter * recording.step, math.ceil(age * recording.step)
+    return EarlyPart(kind, group, amplitudes, decay, excess, end)
 
 
 def _invisible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> float:
@@ -295,14 +276,10 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     """Return the axes on which steps of the bias are more likely than a random walk alone.
 
     Steps are added one by one where the score is largest, and the variances are fitted again.
-
-    Parameters
-    ----------
-    recording : Recording
-    age : int
-        Samples left out at the start.
+    ``age`` samples are left out at the start.
     """
-    recording = recording.cells(math.ceil(age / recording.step))
+    offset = math.ceil(age / recording.step)
+    recording = recording.cells(offset)
     fine = CellMeans.even(recording, STEP_CELLS)
     if len(fine.begin) < LEAST_CELLS:
         return ()
@@ -314,7 +291,6 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
         start = _null_of(values[:, axis], model)
         steps = None if start is None else _steps_of(axis, fine, coarse, start.variances)
         if steps is not None:
-            offset = math.ceil(age / recording.step)
             ages = tuple((a + offset) * recording.step for a in steps.ages)
             scale = 1.0 / recording.step  # a walk per cell
             walks = steps.walk_before * scale, steps.walk_after * scale
@@ -351,14 +327,8 @@ def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> B
     if best is None or null is None:
         return None
     kept = tuple(float(a) for a in ages[chosen[: len(best.amplitudes)]])
-    return BiasSteps(
-        axis,
-        kept,
-        best.amplitudes,
-        float(null.variances[2]),
-        float(best.variances[2]),
-        best_excess,
-    )
+    walks = float(null.variances[2]), float(best.variances[2])
+    return BiasSteps(axis, kept, best.amplitudes, *walks, best_excess)
 
 
 def _step_scores(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 
 import numpy as np
@@ -32,23 +32,9 @@ search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors of the first levels and their strides, ascending.
-
-    Parameters
-    ----------
-    levels : int
-        How many levels, at least 1.
-
-    Returns
-    -------
-    m, stride : (5 + 4 levels,) int64 arrays
-        In samples.
-    """
-    m = list(FIRST_FACTORS)
-    stride = [1] * len(m)
-    for j in range(levels):
-        m += [f << j for f in LEVEL_FACTORS]
-        stride += [1 << j] * len(LEVEL_FACTORS)
+    """Return the averaging factors of the first levels and their strides, (5 + 4 levels,) each."""
+    m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
+    stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
     return np.array(m, np.int64), np.array(stride, np.int64)
 
 
@@ -65,8 +51,7 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 
     n samples make n + 1 phase points; differences start at 0, stride, 2 stride .. n - 2 m.
     """
-    number: NDArray[np.int64] = np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
-    return number
+    return np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
 
 
 Floats = NDArray[np.float64]
@@ -131,20 +116,15 @@ class SegmentRecord(ByValue):
         This fixed linear estimator removes the ramp of pooled segments; the 32 longest segments
         get the efficient one in the fit. Zero with fewer than three points.
         """
-        slope: Floats = ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase
-        return slope
+        return np.asarray(ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase)
 
 
 def ols_ramp_weights(points: int, step: int) -> Floats:
     """Return w such that w @ phase is the least-squares slope of the samples, per sample.
 
     The interval means of the samples are (theta_{k+1} - theta_k)/step; w is the least-squares
-    slope of those on time, written in terms of theta. Exact for a pure ramp, 0 for a constant.
-
-    Returns
-    -------
-    (points,) float64 array
-        All zero when there are fewer than two intervals.
+    slope of those on time, written in terms of theta. Exact for a pure ramp, 0 for a constant and
+    for fewer than two intervals.
     """
     k = np.arange(points - 1, dtype=float)
     k -= k.mean() if points > 1 else 0.0
@@ -152,8 +132,7 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
     if spread == 0.0:
         return np.zeros(points)
     slope = k / (spread * step * step)
-    weights: Floats = np.concatenate([[0.0], slope]) - np.concatenate([slope, [0.0]])
-    return weights
+    return np.asarray(np.concatenate([[0.0], slope]) - np.concatenate([slope, [0.0]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,8 +314,8 @@ class AllanSums(ByValue):
         pooled = [(s, LengthClass.of(s)) for s in segments[KEPT_SEGMENTS:]]
         classes = {c.index: c for c in self.classes}
         for more in (*other.classes, *(c for _, c in pooled)):
-            have = classes.get(more.index)
-            classes[more.index] = more if have is None else have + more
+            known = more.index in classes
+            classes[more.index] = classes[more.index] + more if known else more
         history = History()
         if self._has_history and other._has_history:
             both = (self.history, other.history)
@@ -344,6 +323,7 @@ class AllanSums(ByValue):
             history = history.with_pooled(
                 (s.age, (c.index, c.count, c.samples), c.ramp_correction) for s, c in pooled
             )
+        filled = [one for one in (self.filled, other.filled) if len(one)]
         return replace(
             self,
             count=add_padded(self.count, other.count),
@@ -355,7 +335,7 @@ class AllanSums(ByValue):
             elapsed_ns=self.elapsed_ns + other.elapsed_ns,
             intervals=self.intervals + other.intervals,
             history=history,
-            filled=_added(self.filled, other.filled),
+            filled=reduce(add_padded, filled) if filled else self.filled,
         )
 
     @property
@@ -383,26 +363,10 @@ class AllanSums(ByValue):
             )
 
 
-def _added(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the numbers of filled gaps of both, either of which may be empty."""
-    if not len(a) or not len(b):
-        return a if len(a) else b
-    both: NDArray[np.int64] = add_padded(a, b)
-    return both
-
-
 def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
-    """Return sum d^2 / (2 m^2 count), NIST SP 1065 eq. 11; NaN without data.
+    """Return sum d^2 / (2 m^2 count), (factors, axes), NIST SP 1065 eq. 11.
 
-    Parameters
-    ----------
-    sum_sq : (factors, axes) float64 array
-    m, count : (factors,) int64 arrays
-
-    Returns
-    -------
-    (factors, axes) float64 array
-        0 where it is below `LEAST_VARIANCE`.
+    NaN without data, 0 below `LEAST_VARIANCE`.
     """
     number = m.astype(float) ** 2 * count  # in int64 it overflows after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
@@ -430,15 +394,11 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
         return tuple(a or b)
     by_axes = {s.axes: s for s in b}
     if set(by_axes) != {s.axes for s in a}:
+        one, other = (' and separately '.join(', '.join(s.axes) for s in sums) for sums in (a, b))
         raise AllanError(
-            f'sums of {_axes_text(a)} and of {_axes_text(b)} do not add: the sensors differ, '
-            'analyze them separately'
+            f'sums of {one} and of {other} do not add: the sensors differ, analyze them separately'
         )
     return tuple(s + by_axes[s.axes] for s in a)
-
-
-def _axes_text(sums: Sequence[AllanSums]) -> str:
-    return ' and separately '.join(', '.join(s.axes) for s in sums)
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
