@@ -62,7 +62,14 @@ REASONS = {
 }
 """Count in the checkpoint -> its name in the table."""
 
-HEADING = ('fault', 'what was lost', 'what was said', 'said after', 'evidence again after', 'exit')
+HEADING = (
+    'fault',
+    'what was lost',
+    'what was said',
+    'said after',
+    'static data again after',
+    'exit',
+)
 
 
 FAULTS: dict[str, tuple[Callable[[Client, Path], Row], str]] = {}
@@ -90,14 +97,14 @@ class Hearing:
     ----------
     client : Client
     ending : str
-        Of the name of the status of the input whose evidence is followed.
+        Of the name of the status of the input whose static data are followed.
 
     Attributes
     ----------
     said : list of (time in s, level and message)
         Every new message that is not OK; one that differs only in its numbers is not new.
     grew : list of float
-        When the evidence had grown.
+        When the static data had grown.
     """
 
     def __init__(self, client: Client, ending: str = 'input') -> None:

@@ -24,7 +24,7 @@ def status(name: str, level: bytes = DiagnosticStatus.OK, message: str = '', **v
 
 
 def gyro(age_s: float = 0.2) -> Row:
-    message = 'N 0.1720 deg/sqrt(h), B < 3.10 deg/h from 20.0 min of evidence; B shows soon'
+    message = 'N 0.1720 deg/sqrt(h), B < 3.10 deg/h from 20.0 min of static data; B shows soon'
     told = {
         'N_[rad/s/sqrt(Hz)]': '5e-05',
         'N_[deg/sqrt(h)]': '0.1720',
@@ -53,7 +53,7 @@ def drawn(shown: list[Row], columns: int, encoding: str = 'utf-8') -> list[str]:
 
 def test_the_terms_are_those_in_datasheet_units():
     assert gyro().terms == {'N': '0.1720 deg/sqrt(h)', 'B': '< 3.10 deg/h'}
-    assert gyro().remark == '20.0 min of evidence; B shows soon'
+    assert gyro().remark == '20.0 min of static data; B shows soon'
 
 
 def test_the_gravest_comes_first_and_what_is_silent_is_stale():
