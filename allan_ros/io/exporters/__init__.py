@@ -2,23 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-The tables of targets are in `targets` and `simulators`; `model` gives their numbers and the header
+A `Target` has the rows of its table or a function that yields its entries; its `Form` makes text of
+them. The tables are in `targets` and `simulators`; `model` gives the numbers and the header
 comment, `forms` the text. A new target is an entry of a table and a line in `TARGETS`.
 """
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...core.errors import AllanError
 from ...core.findings import Finding, finding
-from .target import ExportOptions
+from ...core.settings import check, parameter
 
 if TYPE_CHECKING:
     from ..results import Results
-    from .target import Target
+    from .model import FilterNoise
 
 __all__ = ['TARGETS', 'Export', 'ExportOptions', 'make_export', 'target_of']
 
@@ -50,6 +52,223 @@ TARGETS = {
     'webots': 'Webots: Python module that adds the noise in the controller',
 }
 """Target -> what its file is."""
+
+AXIS_RULE = 'worst'
+"""Default axis rule of files with one number per sensor, as Kalibr users expect it."""
+
+FIDELITIES = ('reduction', 'coefficients')
+
+VIO_HORIZON_S = 30.0
+"""A camera or lidar corrects the integration; drift counts over 1 to 30 s."""
+
+INS_HORIZON_S = 100.0
+"""GNSS corrects the integration and may be out for a while; drift counts over 1 to 100 s."""
+
+SIMULATOR_HORIZON_S = 1000.0
+"""A simulated sensor should drift like the real one over 1 to 1000 s."""
+
+Value = Any
+"""A number, a string, a list or a mapping of these: what a file can hold under a key."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Options of a file for a filter."""
+
+    axis: str = parameter(
+        '',
+        'Value of a sensor: the worst of three axes, their root mean square, or each axis where '
+        'the file takes three numbers. Default: each where possible, else worst.',
+        choices=('', 'worst', 'mean', 'each'),
+    )
+    inflate: float = parameter(
+        1.0,
+        'Factor on every noise level, for vibration and model errors that add to the noise at '
+        'rest; measure it with `allan inflate`.',
+        low=1.0,
+        high=1000.0,
+    )
+    filter_rate: float = parameter(
+        0.0,
+        'Rate at which the filter takes samples; 0: that of the recording, or of the filter where '
+        'it has its own.',
+        unit='Hz',
+        low=0.0,
+        high=1e6,
+    )
+    strict: bool = parameter(
+        False,
+        'Refuse to write 95 % upper limits, and reductions that misstate the error growth by more '
+        'than a factor of 2.',
+    )
+    exact: bool = parameter(
+        False,
+        'vins_fusion only: write what its midpoint rule needs, N sqrt(2f), instead of the '
+        'customary N sqrt(f).',
+    )
+    fidelity: str = parameter(
+        'reduction',
+        'N and K of the file: a reduction, with K raised so that the predicted error growth covers '
+        'the complete model, or the bare coefficients.',
+        choices=FIDELITIES,
+    )
+    horizon: float = parameter(
+        0.0,
+        'Longest time that the filter integrates without correction, over which the reduction '
+        'holds; 0: the default of the target (30 s for cameras and lidars, 100 s for GNSS).',
+        unit='s',
+        low=0.0,
+        high=1e6,
+    )
+    topic: str = parameter(
+        '', 'The Imu topic to name in the file; empty: the topic of the recording.'
+    )
+    date: str = parameter(
+        '', 'The date to name in the file; empty: the time of the first recorded sample.'
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key of a file.
+
+    Attributes
+    ----------
+    path : tuple of str
+        The key, after the keys of the mappings that contain it.
+    value : Value
+    words : str
+        Origin of the number: unit, formula, axis, interval. '' for what is not measured.
+    is_limit : bool
+        Whether the number comes from a 95 % upper limit.
+    keep : bool
+        Whether to leave the value in the user's own file alone, because it is not measured.
+    findings : tuple of Finding
+        What the user should know about it.
+    """
+
+    path: tuple[str, ...]
+    value: Value
+    words: str = ''
+    is_limit: bool = False
+    keep: bool = False
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """The last key of the path."""
+        return self.path[-1]
+
+
+class Row(NamedTuple):
+    """One key of a file and the quantity that it holds.
+
+    Attributes
+    ----------
+    key : str
+    sensor : 'gyro' or 'accel', or '-' for both
+    what : str
+        N or K; sigma, tau or driving (the density sigma sqrt(2/tau)) of the Gauss-Markov bias;
+        turn_on; common_tau of all axes; rate; topic; zero.
+    unit : str
+        One of `model.QUANTITIES` for N and K, or a unit.
+    limits : (low, high) or None
+        Range that the filter accepts.
+    """
+
+    key: str
+    sensor: str
+    what: str
+    unit: str = ''
+    limits: tuple[float, float] | None = None
+
+
+def rows(table: str) -> tuple[Row, ...]:
+    """Return the rows of a table with the columns of `Row`, limits as low..high."""
+    found = []
+    for line in table.strip().splitlines():
+        key, sensor, what, *rest = line.split()
+        unit = rest[0] if rest else 'density'
+        low, high = map(float, rest[1].split('..')) if len(rest) > 1 else (0.0, 0.0)
+        found.append(Row(key, sensor, what, unit, (low, high) if high else None))
+    return tuple(found)
+
+
+def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
+    """Return the rows of N of gyro and accelerometer, then of K of gyro and accelerometer."""
+    whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
+    return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
+
+
+class Form:
+    """How the entries of a target become text."""
+
+    no_merge = (
+        'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
+    )
+
+    def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        """Return a file with these entries and the header."""
+        raise NotImplementedError
+
+    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
+        """Return the user's text with these entries in it, or raise `AllanError`."""
+        raise AllanError(self.no_merge)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A filter, simulator or calibration tool.
+
+    Attributes
+    ----------
+    file_name : str
+        Name of its file in a folder of results.
+    convention : str
+        Convention of the numbers, and the source file of the target that shows it.
+    form : Form
+    rows : tuple of Row
+        The keys of the file.
+    parent : tuple of str
+        The mappings that contain the keys.
+    fixed : mapping of key to value
+        Required keys that are not measured; in the user's own file they stay.
+    notes : tuple of str
+        Further facts for the user of this file.
+    entries : callable or None
+        Yields the entries from the noise, for files that a table cannot describe.
+    three : bool
+        Whether the file takes three numbers per sensor.
+    rate_hz : float or None
+        The filter's own rate; None where it steps with the samples.
+    horizon_s : float
+        Default upper end of the horizons of the reduction, in s.
+    walk : bool
+        Whether the target has a random walk of the bias, and so takes N from the same reduction.
+    bound : bool
+        Whether the reduction bounds the error growth, as a filter needs it; a simulator gets the
+        closest one.
+    exact : bool
+        Whether N is for the midpoint rule, and `ExportOptions.exact` applies.
+    """
+
+    file_name: str
+    convention: str
+    form: Form
+    rows: tuple[Row, ...] = ()
+    parent: tuple[str, ...] = ()
+    fixed: Mapping[str, Value] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    entries: Callable[[FilterNoise], Iterable[Entry]] | None = None
+    three: bool = False
+    rate_hz: float | None = None
+    horizon_s: float = VIO_HORIZON_S
+    walk: bool = True
+    bound: bool = True
+    exact: bool = False
 
 
 @dataclass(frozen=True)

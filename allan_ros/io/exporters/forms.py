@@ -18,7 +18,7 @@ from typing import Any
 import yaml
 
 from ...core.errors import AllanError
-from .target import Entry, Form, Value
+from . import Entry, Form, Value
 
 INDENT = 2
 

@@ -30,7 +30,7 @@ from ...core.noise import ProcessModel
 from ..axis_result import AxisResult
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results import Results
-from .target import AXIS_RULE, Entry, ExportOptions, Row, Target
+from . import AXIS_RULE, Entry, ExportOptions, Row, Target
 
 DIGITS = 6
 """Significant digits written: two more than any interval is known to."""

@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 from ...core.filters.noise_parameters import reduce_axis
 from ...core.filters.reductions import STATES, Horizons, Reduction, StateSpace
 from ...core.imu import SI_UNITS, UNITS, sensor_of
-from .forms import JsonForm, LineForm, XmlForm
-from .model import FilterNoise, divided, rounded
-from .target import (
+from . import (
     INS_HORIZON_S,
     SIMULATOR_HORIZON_S,
     VIO_HORIZON_S,
@@ -34,6 +32,8 @@ from .target import (
     Target,
     rows,
 )
+from .forms import JsonForm, LineForm, XmlForm
+from .model import FilterNoise, divided, rounded
 
 SCHEMA = 'allan_ros/state_space/1'
 

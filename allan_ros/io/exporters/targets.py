@@ -15,9 +15,9 @@ from functools import partial
 import numpy as np
 
 from ...core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
+from . import INS_HORIZON_S, Entry, Row, Target, Value, four, rows
 from .forms import JsonForm, LineForm, YamlForm, matlab_literal
 from .model import FilterNoise, clamped, divided, rounded
-from .target import INS_HORIZON_S, Entry, Row, Target, Value, four, rows
 
 ANY_NODE = ('/**', 'ros__parameters')
 """Parameters of whatever node the file is loaded into by --params-file."""

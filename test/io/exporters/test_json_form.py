@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
+from allan_ros.io.exporters import Entry
 from allan_ros.io.exporters.forms import HEADER_KEY, JsonForm
-from allan_ros.io.exporters.target import Entry
 
 ENTRIES = [Entry(('value0', 'rate'), 200.0), Entry(('value0', 'noise'), [1e-3, 2e-3, 3e-3])]
 NEW = {'rate': 200.0, 'noise': [1e-3, 2e-3, 3e-3]}

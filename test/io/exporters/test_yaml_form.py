@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.io.exporters import Entry, ExportOptions, make_export
 from allan_ros.io.exporters.forms import BLOCK_BEGIN, BLOCK_END, YamlForm
-from allan_ros.io.exporters.target import Entry
 from allan_ros.io.results import Results
 
 BARE = ExportOptions(fidelity='coefficients')
