@@ -22,7 +22,7 @@ from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.fit import METHODS
 from .core.fit.curve_fit import fit_curve
-from .core.imu import AXES, SAMPLE_SI, ImuBatch, joined
+from .core.imu import AXES, ImuBatch, joined
 from .core.settings import SegmenterSettings, check, describe, parameter, settings_from
 from .core.simulate import Faults, simulate_imu
 from .io.axis_result import AxisResult
@@ -187,9 +187,7 @@ def analyze(
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
         recorded = add_recordings(read)
         return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
-    recording = recording_in_memory(
-        source, rate, axes, gyro_unit or SAMPLE_SI['gyro'], accel_unit or SAMPLE_SI['accel']
-    )
+    recording = recording_in_memory(source, reading, axes)
     job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
     recorded = read_recording(job, recording)
     findings = without_absent(recorded.provenance.findings)

@@ -329,8 +329,8 @@ def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
 
 def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
     """Return the Imu topics of the bags that are named already, or all topics of them."""
-    from ..io.readers.folder import bag_files, open_storage
-    from ..io.readers.message_fields import IMU_TYPE
+    from ..io.readers.cdr import IMU_TYPE
+    from ..io.readers.open import bag_files, open_storage
 
     topics = []
     for path in getattr(parsed_args, 'inputs', None) or ():

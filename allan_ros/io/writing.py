@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import AllanError
 from ..core.imu import ImuBatch
-from .readers.cdr import encode_imus, encode_records
+from .readers.cdr import IMU_TYPE, encode_imus, encode_records
 from .readers.mcap import (
     CHANNEL,
     CHUNK,
@@ -43,7 +43,6 @@ from .readers.mcap import (
     STATISTICS,
     STATISTICS_HEAD,
 )
-from .readers.message_fields import IMU_TYPE
 from .readers.storage import optional_package
 
 COMPRESSIONS: dict[str, tuple[str, ...]] = {

@@ -15,7 +15,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -49,8 +49,7 @@ class _Column:
 
     def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
         self.where = f'{path}: array {name!r}' if name else f'{path}'
-        open_file = _opener(path, name)
-        self._file = stack.enter_context(open_file())
+        self._file = stack.enter_context(_opened(path, name))
         self.shape, fortran, self.dtype = _read_header(self._file, self.where)
         if self.dtype.kind not in 'fiu':
             raise AllanError(f'{self.where} is of type {self.dtype}: save it as float64 or int64')
@@ -59,7 +58,7 @@ class _Column:
             # Column after column: one file handle each keeps the memory constant.
             start = self._file.tell()
             for column in range(self.shape[1]):
-                file = stack.enter_context(open_file())
+                file = stack.enter_context(_opened(path, name))
                 file.seek(start + column * self.shape[0] * self.dtype.itemsize)
                 self._by_column.append(file)
 
@@ -96,19 +95,9 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
 
 
 _LIBRARY_ERRORS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    ValueError,
-    KeyError,
-    EOFError,
-    OSError,
+    *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
     RuntimeError,  # encrypted, and NotImplementedError for other compressions
-    OverflowError,
-    MemoryError,
-    SyntaxError,
-    TokenError,
-    TypeError,
+    *(OverflowError, MemoryError, SyntaxError, TokenError, TypeError),
 )
 """What zipfile and numpy raise on damaged files."""
 
@@ -129,27 +118,15 @@ def _members(path: Path) -> tuple[str, ...]:
     return members
 
 
-def _opener(path: Path, name: str) -> Any:
-    """Return a function that opens that array (the file itself if it is not a zip)."""
-    if not name:
-        return lambda: open_regular(path)
-    return lambda: _Member(path, name)
-
-
-class _Member:
-    """A member of a zip; closing it closes the archive."""
-
-    def __init__(self, path: Path, name: str) -> None:
-        self._file = open_regular(path)
-        self._archive = zipfile.ZipFile(self._file)
-        self._name = f'{name}.npy'
-
-    def __enter__(self) -> IO[bytes]:
-        return self._archive.open(self._name)
-
-    def __exit__(self, *_: object) -> None:
-        self._archive.close()
-        self._file.close()
+@contextmanager
+def _opened(path: Path, name: str) -> Iterator[IO[bytes]]:
+    """Open that array of a zip, or the file itself if there is no name."""
+    with open_regular(path) as file:
+        if name:
+            with zipfile.ZipFile(file) as archive:
+                yield archive.open(f'{name}.npy')
+        else:
+            yield file
 
 
 def _read_header(file: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -234,7 +211,7 @@ def _to_nanoseconds(
 
 
 def _frame_id(path: Path) -> str:
-    with _Member(path, FRAME) as file:
+    with _opened(path, FRAME) as file:
         shape, _, dtype = _read_header(file, f'{path}: array {FRAME!r}')
         if shape not in ((), (1,)) or dtype.kind != 'U' or dtype.itemsize > MAX_FRAME_BYTES:
             raise AllanError(f'{path}: array {FRAME!r} must be one text: save it as such')
@@ -282,13 +259,9 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
             ):
                 if counts[name] or name != RECORD:
                     spools[name].seek(0)
+                    header = {'descr': npy.dtype_to_descr(dtype), 'shape': shape}
                     with archive.open(f'{name}.npy', 'w', force_zip64=True) as member:
-                        header = {
-                            'descr': npy.dtype_to_descr(dtype),
-                            'fortran_order': False,
-                            'shape': shape,
-                        }
-                        npy.write_array_header_1_0(member, header)
+                        npy.write_array_header_1_0(member, {**header, 'fortran_order': False})
                         shutil.copyfileobj(spools[name], member)
             with archive.open(f'{FRAME}.npy', 'w') as member:
                 npy.write_array(member, np.array(frames[0] if frames else ''))
@@ -305,35 +278,21 @@ DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
 
 
 def recording_in_memory(
-    samples: Any,
-    rate: float = 0.0,
-    axes: str | Sequence[str] | None = None,
-    gyro_unit: str = 'rad/s',
-    accel_unit: str = 'm/s^2',
+    samples: Any, options: ReadOptions, axes: str | Sequence[str] | None = None
 ) -> Recording:
-    """Return samples in memory as a recording.
+    """Return an ImuBatch, array, DataFrame or mapping of column name to array as a recording.
 
-    Parameters
-    ----------
-    samples : ImuBatch, (n,) or (n, k) array, DataFrame, or mapping of column name to array
-        Columns of a DataFrame are recognized by their names, as in a table file; its times are
-        its DatetimeIndex or a column such as ``t`` or ``time``.
-    rate : float
-        Sample rate in Hz; needed where there are no times, and used instead of them if given.
-    axes : str or sequence of str, optional
-        The axis of each column, or 'gyro' or 'accel' for three. By default one column is
-        ``gyro_x``, three are the gyro, six are gyro and accelerometer.
-    gyro_unit, accel_unit : str
-        Units of the columns that do not name theirs.
-
+    Columns of a DataFrame are recognized by their names, as in a table file; its times are its
+    DatetimeIndex or a column such as ``t`` or ``time``. A rate in the options is used instead; the
+    units are those of columns that do not name theirs. ``axes`` are as in `allan_ros.analyze`.
     Raises AllanError when the shape, a name, a unit or the rate is impossible, or a time is
     missing.
     """
     if isinstance(samples, ImuBatch):
         return _recording(samples)
+    options, rate = options.with_units(), options.rate_hz
     if rate and not (np.isfinite(rate) and rate > 0.0):
         raise AllanError(f'rate is {rate} Hz: give a positive number')
-    options = ReadOptions(rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit)
     stamps = None
     if isinstance(samples, Mapping) or hasattr(samples, 'columns'):
         columns, units_of, stamps = _named_columns(samples, axes, bool(rate))
@@ -391,7 +350,8 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
     return values
 
 
-def _axis_names(axes: str | Sequence[str] | None, columns: int) -> tuple[str, ...]:
+def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
+    """Return the axes by name; ``columns`` is how many there are (0: as many as are named)."""
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(
@@ -403,6 +363,7 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int) -> tuple[str, ..
     for name in names:
         if name not in AXES:
             raise AllanError(f'axis {name!r} is unknown: choose from {", ".join(AXES)}')
+    columns = columns or len(names)
     if len(set(names)) < len(names) or len(names) != columns:
         raise AllanError(
             f'{columns} columns and {len(names)} axes ({", ".join(names)}): name each column once'
@@ -418,7 +379,7 @@ def _named_columns(
     columns: dict[str, NDArray[np.float64]] = {}
     units: dict[str, str] = {}
     stamps = None
-    wanted = None if axes is None else set(_axis_names(axes, len(_tuple(axes))))
+    wanted = None if axes is None else set(_axis_names(axes))
     for name in names:
         known = axis_of_column(str(name))
         if known is not None and known[0] not in columns and (not wanted or known[0] in wanted):
@@ -437,12 +398,6 @@ def _named_columns(
     if len({len(column) for column in columns.values()}) > 1:
         raise AllanError('the columns have different lengths: give one row per sample')
     return columns, units, stamps
-
-
-def _tuple(axes: str | Sequence[str]) -> Sequence[str]:
-    if isinstance(axes, str):
-        return AXES[SENSORS[axes]] if axes in SENSORS else (axes,)
-    return axes
 
 
 def _stamps(times: Any, scale: int) -> NDArray[np.int64]:

@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from ...core.imu import AXES, MAX_NAME, SENSORS, ImuBatch
 
+IMU_TYPE = 'sensor_msgs/msg/Imu'
+
 Encoding = Literal['cdr', 'ros1']
 
 Rows = slice | NDArray[np.intp]
@@ -34,10 +36,14 @@ NANOSECONDS = 10**9
 ABSENT = -1.0
 """covariance[0] of an absent sensor (sensor_msgs/Imu.msg)."""
 
-ENCAPSULATION_BYTES = 4
-
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
 """First two bytes of the encapsulation: CDR_BE and CDR_LE."""
+
+_ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
+"""The first two bytes of the encapsulation -> byte order."""
+
+_FRAME_AT = 16
+"""Offset of frame_id: after encapsulation (ROS 1: seq), sec, nanosec and its length."""
 
 _DOUBLE = 8
 
@@ -68,10 +74,8 @@ class DecodedImus:
     stamps_ns : (n,) int64 array
     samples : (n, 6) float64 array
         rad/s and m/s^2 in the order of `AXES`; NaN where the sensor is absent.
-    frame_ids : list of str
-        The distinct frames of the batch.
-    frames : (n,) integer array
-        The frame of each message, as an index into ``frame_ids``.
+    frame_ids, frames : list of str, (n,) integer array
+        The distinct frames, and the index of that of each message.
     kept : dict of str to int
         Sensor -> number of messages that declare it absent by covariance[0] = -1 or NaN, and yet
         contain valid data, which are kept.
@@ -109,11 +113,11 @@ class DecodedImus:
 
 @lru_cache(maxsize=256)
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
-    """Return the record layout of an Imu message with a frame_id of that serialized size.
+    """Return the record layout of an Imu message in byte order '<' or '>'.
 
-    The byte order is '<' or '>', and the size is that in the length field: with the final NUL in
-    CDR, without in ROS 1. An ``itemsize`` above the size of the message means padding at the end;
-    a smaller one raises ValueError.
+    The size of the frame_id is that in the length field: with the final NUL in CDR, without in
+    ROS 1. An ``itemsize`` above the size of the message means padding at the end; a smaller one
+    raises ValueError.
     """
     start = 4
     if encoding == 'cdr':
@@ -141,14 +145,8 @@ def decode_imus(
 ) -> DecodedImus:
     """Decode serialized Imu messages, all at once where their layout is the same.
 
-    Parameters
-    ----------
-    payloads : sequence of bytes, or an array where all have the same length
-    encoding : 'cdr' or 'ros1'
-    trust_covariance : bool
-        Whether a sensor with covariance[0] = -1 or NaN is absent even if its data are valid.
-
-    Raises MalformedMessage for the first payload that is not an Imu message.
+    With ``trust_covariance`` a sensor with covariance[0] = -1 or NaN is absent even if its data are
+    valid. Raises MalformedMessage for the first payload that is not an Imu message.
     """
     n = len(payloads)
     decoded = DecodedImus.empty(n)
@@ -197,29 +195,25 @@ def _decode_equal(payloads: NDArray[np.void], wire: _Wire, rows: Rows, into: Dec
     if encoding == 'cdr':
         kind += head['representation'].astype(np.int64) << 32
     if (kind == kind[:1]).all():
-        _decode_alike(payloads, int(kind[0]), wire, rows, into)
+        _decode_alike(payloads, wire, rows, into)
         return
     places = np.arange(len(into.frames))[rows]
     for value in np.unique(kind):
         chosen = kind == value
-        _decode_alike(payloads[chosen], int(value), wire, places[chosen], into)
+        _decode_alike(payloads[chosen], wire, places[chosen], into)
 
 
-def _decode_alike(
-    payloads: NDArray[np.void], kind: int, wire: _Wire, rows: Rows, into: DecodedImus
-) -> None:
-    """Decode payloads of one layout."""
-    encoding = wire.encoding
-    order, frame_bytes = _order_and_frame_bytes(kind, encoding, _first(rows))
+def _decode_alike(payloads: NDArray[np.void], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
+    """Decode payloads of the layout of the first."""
+    index, length = _first(rows), payloads.itemsize
+    order, frame_bytes = _order_and_frame_bytes(payloads[0].tobytes(), wire.encoding, index)
     try:
-        dtype = imu_dtype(encoding, order, frame_bytes, payloads.itemsize)
+        dtype = imu_dtype(wire.encoding, order, frame_bytes, length)
     except (ValueError, OverflowError) as error:
-        reason = f'its frame_id of {frame_bytes} bytes does not fit {payloads.itemsize} bytes'
-        raise MalformedMessage(_first(rows), reason) from error
+        reason = f'its frame_id of {frame_bytes} bytes does not fit {length} bytes'
+        raise MalformedMessage(index, reason) from error
     if frame_bytes > MAX_NAME:
-        raise MalformedMessage(
-            _first(rows), f'its frame_id has {frame_bytes} bytes, more than {MAX_NAME}'
-        )
+        raise MalformedMessage(index, f'its frame_id has {frame_bytes} bytes, more than {MAX_NAME}')
     _fill(payloads.view(dtype), wire, rows, into)
 
 
@@ -228,13 +222,16 @@ def _first(rows: Rows) -> int:
     return int(rows.start if isinstance(rows, slice) else rows[0])
 
 
-def _order_and_frame_bytes(kind: int, encoding: Encoding, index: int) -> tuple[str, int]:
-    representation, length = kind >> 32, kind & 0xFFFFFFFF
-    if encoding == 'ros1' or representation == LITTLE_ENDIAN:
-        return '<', length
-    if representation == BIG_ENDIAN:
-        return '>', int.from_bytes(length.to_bytes(4, 'little'), 'big')
-    raise MalformedMessage(index, f'its encapsulation {representation:#06x} is not plain CDR')
+def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -> tuple[str, int]:
+    """Return the byte order of a message and the serialized size of its frame_id."""
+    if len(payload) < _FRAME_AT:
+        raise _too_few(index, len(payload))
+    order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
+    if order is None:
+        reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
+        raise MalformedMessage(index, reason)
+    start = _FRAME_AT - 4
+    return order, int.from_bytes(payload[start:_FRAME_AT], 'little' if order == '<' else 'big')
 
 
 def _fill(records: NDArray[Any], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
@@ -303,38 +300,22 @@ def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDA
 
 
 def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
-    """Decode a serialized sensor_msgs/Temperature.
-
-    Returns
-    -------
-    int, str, float
-        Header stamp in ns, frame_id, and temperature in degC.
+    """Return header stamp in ns, frame_id and degC of a serialized sensor_msgs/Temperature.
 
     Raises MalformedMessage when the payload is no such message.
     """
-    try:
-        if encoding == 'cdr':
-            order, frame_bytes = _order_and_frame_size(payload)
-            sec, nanosec = struct.unpack_from(f'{order}iI', payload, ENCAPSULATION_BYTES)
-            start = _FRAME_AT
-            end = start + frame_bytes
-            value_at = end + (ENCAPSULATION_BYTES - end) % _DOUBLE
-        else:
-            order, start = '<', 16
-            sec, nanosec, frame_bytes = struct.unpack_from('<III', payload, 4)
-            value_at = end = start + frame_bytes
-        (celsius,) = struct.unpack_from(f'{order}d', payload, value_at)
-    except struct.error as error:
-        raise MalformedMessage(0, f'{len(payload)} bytes are too few') from error
-    frame_id = payload[start:end].rstrip(b'\0').decode(errors='replace')
+    order, frame_bytes = _order_and_frame_bytes(payload, encoding)
+    if frame_bytes > len(payload):
+        raise _too_few(0, len(payload))
+    sec, nanosec = struct.unpack_from(f'{order}{"iI" if encoding == "cdr" else "II"}', payload, 4)
+    # the number follows the header as the orientation does in an Imu message
+    at = _offsets(encoding, order, frame_bytes)['orientation']
+    if len(payload) < at + _DOUBLE:
+        raise _too_few(0, len(payload))
+    (celsius,) = struct.unpack_from(f'{order}d', payload, at)
+    frame_id = payload[_FRAME_AT : _FRAME_AT + frame_bytes].rstrip(b'\0').decode(errors='replace')
     return sec * NANOSECONDS + nanosec, frame_id, celsius
 
-
-_ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
-"""The first two bytes of the encapsulation -> byte order."""
-
-_FRAME_AT = ENCAPSULATION_BYTES + 12
-"""Offset of frame_id, after sec, nanosec and its length."""
 
 _COVARIANCE_BYTES = 9 * _DOUBLE
 
@@ -345,18 +326,11 @@ _NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 
 
 class CovariancePatch:
-    """Writes known variances into the covariances of CDR payloads.
+    """Writes known variances, in (rad/s)^2 and (m/s^2)^2, into the covariances of CDR payloads.
 
     A covariance that begins with -1 or NaN marks an absent sensor and is never changed. One that
-    is not all zeros comes from the driver and is changed only with ``overwrite``.
-
-    Parameters
-    ----------
-    variances : mapping of 'gyro' and 'accel' to (x, y, z)
-        (rad/s)^2 and (m/s^2)^2; the covariance of a missing sensor is not changed.
-    overwrite : bool
-    frame_id : str
-        Change only messages with this frame_id; '' for all messages.
+    is not all zeros comes from the driver and is changed only with ``overwrite``. Messages with
+    another frame_id are not changed, unless that is ''.
     """
 
     def __init__(
@@ -438,28 +412,16 @@ def frame_id_of(payload: bytes) -> str:
 
 def _layout(payload: bytes) -> tuple[str, dict[str, int], bytes]:
     """Return the byte order of an Imu message in CDR, the offsets of its fields, and frame_id."""
-    order, frame_bytes = _order_and_frame_size(payload)
-    offsets = _offsets(order, frame_bytes, len(payload))
+    order, frame_bytes = _order_and_frame_bytes(payload, 'cdr')
+    offsets = _offsets('cdr', order, frame_bytes, len(payload))
     return order, offsets, payload[_FRAME_AT : _FRAME_AT + frame_bytes]
 
 
-def _order_and_frame_size(payload: bytes) -> tuple[str, int]:
-    order = _ORDERS.get(payload[:2])
-    if order is None or len(payload) < _FRAME_AT:
-        raise MalformedMessage(0, f'{len(payload)} bytes that do not begin as plain CDR')
-    frame_bytes = int.from_bytes(
-        payload[_FRAME_AT - 4 : _FRAME_AT], 'little' if order == '<' else 'big'
-    )
-    if frame_bytes > len(payload):
-        raise MalformedMessage(0, f'its frame_id of {frame_bytes} bytes does not fit')
-    return order, frame_bytes
-
-
 @lru_cache(maxsize=256)
-def _offsets(order: str, frame_bytes: int, length: int) -> dict[str, int]:
-    """Return the offsets of the fields in a payload of that length."""
+def _offsets(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> dict[str, int]:
+    """Return the offsets of the fields in a payload of that length (0: of the shortest)."""
     try:
-        fields = imu_dtype('cdr', order, frame_bytes, length).fields
+        fields = imu_dtype(encoding, order, frame_bytes, length).fields
     except ValueError as error:
         raise MalformedMessage(0, f'{length} bytes are too few for an Imu') from error
     return {name: entry[1] for name, entry in (fields or {}).items()}

@@ -12,7 +12,6 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -20,10 +19,10 @@ from numpy.typing import NDArray
 
 from .storage import (
     Block,
+    Chunk,
     ChunkStorage,
     Cut,
     Payloads,
-    Stretch,
     Topic,
     among,
     damaged,
@@ -185,23 +184,7 @@ LOOSE_BYTES = 1 << 20
 """Messages outside chunks are read in stretches of about this size."""
 
 
-@dataclass(frozen=True, order=True)
-class McapStretch(Stretch):
-    """A chunk record, or consecutive messages outside chunks.
-
-    The ``index_length`` bytes after a chunk contain the records that list its messages.
-    """
-
-    is_chunk: bool
-    index_length: int = 0
-
-    @property
-    def end(self) -> int:
-        """Offset of the first byte after the stretch and its index."""
-        return self.offset + self.length + self.index_length
-
-
-class McapStorage(ChunkStorage[McapStretch]):
+class McapStorage(ChunkStorage):
     """An open .mcap file."""
 
     DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
@@ -228,14 +211,14 @@ class McapStorage(ChunkStorage[McapStretch]):
         if not self.cut and not ended:
             self.cut = Cut(at, end)
 
-    def _messages(self, chunk: McapStretch, ids: set[int]) -> Block:
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
         index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
         return chunk_messages(self._data(chunk), ids, index)
 
-    def _data(self, stretch: McapStretch) -> bytes:
+    def _data(self, stretch: Chunk) -> bytes:
         """Return the records of a stretch, decompressed."""
         data = self._read(stretch.offset, stretch.length)
-        if not stretch.is_chunk:
+        if stretch.loose:
             return data
         _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
         compression, at = _text(data, CHUNK_HEAD.size)
@@ -243,13 +226,13 @@ class McapStorage(ChunkStorage[McapStretch]):
         packed = memoryview(data)[at + 8 : at + 8 + stored]
         return self._unpacked(stretch.offset, packed, compression, size, checksum)
 
-    def _read_summary(self) -> tuple[list[McapStretch], int]:
+    def _read_summary(self) -> tuple[list[Chunk], int]:
         """Take schemas, channels and counts from the summary.
 
         Returns the chunks it lists, in the order of the file, and where the summary begins; no
         chunks and the end of the file where it cannot be used.
         """
-        unusable: tuple[list[McapStretch], int] = ([], self._size)
+        unusable: tuple[list[Chunk], int] = ([], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
         if not footer.endswith(MAGIC) or footer[0] != FOOTER:
             return unusable
@@ -257,7 +240,7 @@ class McapStorage(ChunkStorage[McapStretch]):
         end = self._size - FOOTER_BYTES
         if not 0 < start <= end:
             return unusable
-        chunks: dict[int, McapStretch] = {}
+        chunks: dict[int, Chunk] = {}
         data = self._read(start, end - start)
         for opcode, at, stop in records(data):
             self._learn(opcode, data, at, stop)
@@ -287,7 +270,7 @@ class McapStorage(ChunkStorage[McapStretch]):
                 skipped += end - at
             elif opcode == CHUNK:
                 first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
-                chunk = McapStretch(first, start, length, True)
+                chunk = Chunk(first, start, length)
                 self._chunks.append(chunk)
                 data = self._data(chunk)
                 for inner, inner_at, inner_end in records(data):
@@ -311,12 +294,12 @@ class McapStorage(ChunkStorage[McapStretch]):
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1
         last = self._chunks[-1] if self._chunks else None
-        adjoins = last and not last.is_chunk and last.offset + last.length == offset
+        adjoins = last and last.loose and last.offset + last.length == offset
         if last and adjoins and last.length < LOOSE_BYTES:
             start = min(last.start_ns, log_time)
-            self._chunks[-1] = McapStretch(start, last.offset, last.length + length, False)
+            self._chunks[-1] = Chunk(start, last.offset, last.length + length, loose=True)
         else:
-            self._chunks.append(McapStretch(log_time, offset, length, False))
+            self._chunks.append(Chunk(log_time, offset, length, loose=True))
 
     def _learn(self, opcode: int, data: bytes, at: int, stop: int) -> None:
         """Count a message, or take note of a schema, a channel or the statistics."""
@@ -340,11 +323,12 @@ class McapStorage(ChunkStorage[McapStretch]):
             self._stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
 
 
-def _listed_chunk(data: bytes, at: int) -> McapStretch:
+def _listed_chunk(data: bytes, at: int) -> Chunk:
     """Return the chunk that a ChunkIndex record describes."""
     first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
     (index_length,) = struct.unpack_from('<Q', data, at + CHUNK_INDEX_HEAD.size + map_bytes)
-    return McapStretch(first, offset + RECORD.size, length - RECORD.size, True, index_length)
+    start, length = offset + RECORD.size, length - RECORD.size
+    return Chunk(first, start, length, index_length=index_length)
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

@@ -11,11 +11,11 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from .storage import Block, ChunkStorage, Cut, Stretch, Topic, damaged, normal_type
+from .storage import Block, Chunk, ChunkStorage, Cut, Topic, damaged, normal_type
 
 MAGIC = b'#ROSBAG V2.0\n'
 
@@ -37,15 +37,7 @@ MAX_HEADER = 1 << 20
 """Record headers are far shorter; a longer one means that the file is damaged."""
 
 
-@dataclass(frozen=True, order=True)
-class Chunk(Stretch):
-    """A chunk, its compression, and its uncompressed size."""
-
-    compression: str
-    size: int
-
-
-class Ros1Storage(ChunkStorage[Chunk]):
+class Ros1Storage(ChunkStorage):
     """An open ROS 1 bag."""
 
     # LookupError: a missing field
@@ -132,10 +124,7 @@ class Ros1Storage(ChunkStorage[Chunk]):
             self._chunks.append(Chunk(start_ns, *bare))
         elif self._chunks:
             last = self._chunks[-1]
-            start_ns = min(last.start_ns, start_ns)
-            self._chunks[-1] = Chunk(
-                start_ns, last.offset, last.length, last.compression, last.size
-            )
+            self._chunks[-1] = replace(last, start_ns=min(last.start_ns, start_ns))
 
     def _take_unindexed(self, offset: int, length: int, compression: str, size: int) -> None:
         """Read a chunk without an index for its start time and counts."""

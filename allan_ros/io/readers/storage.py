@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, BinaryIO, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,19 +45,10 @@ _FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of one storage file.
+    """One topic of one storage file: number, name, message type (``package/msg/Name``).
 
-    Attributes
-    ----------
-    id : int
-        Number of the topic inside the file.
-    name, type : str
-        Topic name and message type, the type as ``package/msg/Name``.
-    encoding : str
-        Serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
-    schema_format, schema : str
-        Definition of the type: 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
-
+    The ``encoding`` of the messages is 'cdr', 'ros1', or one that cannot be read. The ``schema`` of
+    the type has the format 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
     Raises ValueError when a name contains control characters, which means that the file is damaged.
     """
 
@@ -106,10 +97,9 @@ class Storage(Protocol):
         """Yield the messages of these topics in the order of their record time."""
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return how many messages of these topics the file's own index states.
+        """Return how many messages of these topics the file's index states, or else ``read``.
 
-        Call it after `blocks`, with the number of messages that were read; that number is
-        returned where the file states none.
+        Call it after `blocks`, with the number of messages that were read.
         """
 
 
@@ -158,10 +148,7 @@ DEBIAN_PACKAGES = {name: f' or "apt install python3-{name}"' for name in ('lz4',
 
 
 def optional_package(module: str, purpose: str) -> Any:
-    """Import a module of a package that need not be installed.
-
-    Raises AllanError when it is not; the message names the purpose and how to install the package.
-    """
+    """Import a module; where it is missing, raise AllanError that tells how to install it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -191,8 +178,16 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     errors: tuple[type[Exception], ...] = (RuntimeError, EOFError, OSError, ValueError)
     if compression == 'zstd':
         errors = (*errors, _zstd().ZstdError)
+    elif compression not in ('lz4', 'bz2'):
+        raise ValueError(f'compression {compression!r} is unknown')
     try:
-        plain = _expanded(data, compression, limit)
+        if compression == 'zstd':
+            plain = _expanded_zstd(data, limit)
+        else:
+            stream: Any = bz2.BZ2Decompressor() if compression == 'bz2' else _lz4_stream()
+            plain = stream.decompress(data, max_length=limit + 1)
+            if not stream.eof and len(plain) <= limit:
+                raise ValueError('the compressed data end early')
     except errors as error:
         raise ValueError(f'{error}') from error
     if len(plain) > limit:
@@ -200,26 +195,19 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     return plain
 
 
-def _expanded(data: bytes | memoryview, compression: str, limit: int) -> bytes:
-    """Return the bytes of compressed data, as `decompress`, at most a little beyond the limit."""
-    if compression == 'zstd':
-        size = _zstd().frame_content_size(data)
-        if size > limit:
-            raise ValueError(f'it states {size} bytes, the limit is {limit}')
-        if size >= 0:
-            return bytes(_zstd_decompressor().decompress(data))
-        with _zstd().ZstdDecompressor().stream_reader(data) as reader:  # it states no size
-            return bytes(reader.read(limit + 1))
-    if compression == 'lz4':
-        stream = optional_package('lz4.frame', 'reading lz4 data').LZ4FrameDecompressor()
-    elif compression == 'bz2':
-        stream = bz2.BZ2Decompressor()
-    else:
-        raise ValueError(f'compression {compression!r} is unknown')
-    plain: bytes = stream.decompress(data, max_length=limit + 1)
-    if not stream.eof and len(plain) <= limit:
-        raise ValueError('the compressed data end early')
-    return plain
+def _lz4_stream() -> Any:
+    return optional_package('lz4.frame', 'reading lz4 data').LZ4FrameDecompressor()
+
+
+def _expanded_zstd(data: bytes | memoryview, limit: int) -> bytes:
+    """Return decompressed data, at most a little beyond the limit."""
+    size = _zstd().frame_content_size(data)
+    if size > limit:
+        raise ValueError(f'it states {size} bytes, the limit is {limit}')
+    if size >= 0:
+        return bytes(_zstd_decompressor().decompress(data))
+    with _zstd().ZstdDecompressor().stream_reader(data) as reader:  # it states no size
+        return bytes(reader.read(limit + 1))
 
 
 def decompress_messages(
@@ -293,26 +281,31 @@ def _zstd_decompressor() -> Any:
 
 
 @dataclass(frozen=True, order=True)
-class Stretch:
-    """A stretch of the file that contains messages, and the record time of the first."""
+class Chunk:
+    """A stretch of the file that contains messages, the first recorded at ``start_ns``.
+
+    ``compression`` and ``size`` (decompressed) are known of ROS 1 chunks. Of mcap, the records of
+    ``index_length`` bytes behind it list its messages, or it has ``loose`` messages of no chunk.
+    """
 
     start_ns: int
     offset: int
     length: int
+    compression: str = ''
+    size: int = 0
+    index_length: int = 0
+    loose: bool = False
+
+    @property
+    def end(self) -> int:
+        """Offset of the first byte after the stretch and its index."""
+        return self.offset + self.length + self.index_length
 
 
-Chunk = TypeVar('Chunk', bound=Stretch)
-
-
-class ChunkStorage(ABC, Generic[Chunk]):
+class ChunkStorage(ABC):
     """An open file that consists of chunks; subclasses know the format.
 
-    Attributes
-    ----------
-    DAMAGE : tuple of types
-        What reading a damaged file raises.
-    REMEDY : str
-        What the user can do about it.
+    `DAMAGE` is what reading a damaged file raises, `REMEDY` what the user can do about it.
     """
 
     DAMAGE: ClassVar[tuple[type[Exception], ...]]

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TextIO
 
 from ...core.errors import AllanError
-from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
+from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS, sensor_of
 from .recording import ReadOptions
 
 LEFT_OUT = '-'
@@ -30,15 +30,14 @@ EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
-_GYRO = re.compile(
-    r'(?:^|_)(?:g|w|gyro|gyr|gyroscope|omega|ang_vel|angular_velocity|angular_rate|w_rs_s)_?([xyz])$'
-)
+_SENSORS = {
+    sensor: re.compile(f'(?:^|_)(?:{names})_?([xyz])$')
+    for sensor, names in (
+        ('gyro', 'g|w|gyro|gyr|gyroscope|omega|ang_vel|angular_velocity|angular_rate|w_rs_s'),
+        ('accel', 'a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|a_rs_s'),
+    )
+}
 
-_ACCEL = re.compile(
-    r'(?:^|_)(?:a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|a_rs_s)_?([xyz])$'
-)
-
-_SENSORS = (('gyro', _GYRO), ('accel', _ACCEL))
 
 _TIME = re.compile(r'(?:^|_)(t|time|timestamp|timestamps|stamp|stamps)(?:_(s|ms|us|ns))?$')
 
@@ -57,14 +56,10 @@ class TableLayout:
 
     Attributes
     ----------
-    delimiter : str
-        ',', ';' or tab; '' for white space.
-    width : int
-        Number of columns of every row.
-    names : tuple of str
-        Column names, for messages; empty without a header.
-    header_line : int
-        Line number of the header; 0 without one.
+    delimiter, width : str, int
+        ',', ';', tab, or '' for white space; and the number of columns of every row.
+    names, header_line : tuple of str, int
+        Column names, and the number of their line; empty and 0 without a header.
     axes : dict
         Index of the axis in `AXES` -> (column, factor to SI).
     stamp, record : tuple of (column, factor to nanoseconds)
@@ -73,10 +68,9 @@ class TableLayout:
         Sample rate where there is no stamp.
     temperature : int or None
         Column of the temperature in degC.
-    units : dict
-        Sensor -> unit of its columns.
-    assumed : dict
-        Sensor -> (unit, name of a column), where neither the header nor the options state a unit.
+    units, assumed : dict
+        Sensor -> unit of its columns; and sensor -> (unit, name of a column), where neither the
+        header nor the options state a unit.
     """
 
     delimiter: str
@@ -175,25 +169,7 @@ def read_layout(path: Path, file: TextIO, options: ReadOptions) -> TableLayout:
         raise AllanError(f'{path}: has no line after its header: record or export it again')
     if picked:
         names = _picked(path, names, options.columns)
-    axes, stamp, record, units, assumed = _roles(path, names, options)
-    if not stamp and not options.rate_hz:
-        raise AllanError(
-            f'{path}: none of its columns ({_listed(names)}) is a time: state the sample rate '
-            'with --rate, or name the column with --columns'
-        )
-    return TableLayout(
-        delimiter,
-        len(first),
-        names,
-        header_line,
-        axes,
-        stamp,
-        record,
-        options.rate_hz,
-        next((column for column, name in enumerate(names) if _is_celsius(name)), None),
-        units,
-        assumed,
-    )
+    return _layout(path, names, options, delimiter, len(first), header_line)
 
 
 def _picked(path: Path, names: tuple[str, ...], columns: tuple[str, ...]) -> tuple[str, ...]:
@@ -232,47 +208,45 @@ def _check_names(path: Path, names: tuple[str, ...], first: list[str]) -> None:
         )
 
 
-_Columns = tuple[tuple[int, int], ...]
-
-
-def _roles(
-    path: Path, names: tuple[str, ...], options: ReadOptions
-) -> tuple[
-    dict[int, tuple[int, float]], _Columns, _Columns, dict[str, str], dict[str, tuple[str, str]]
-]:
-    """Return the axes, stamp and record columns, the units, and the units that are assumed."""
+def _layout(
+    path: Path,
+    names: tuple[str, ...],
+    options: ReadOptions,
+    delimiter: str,
+    width: int,
+    header_line: int,
+) -> TableLayout:
+    """Return the layout of a table with columns of these names."""
     axes: dict[int, tuple[int, float]] = {}
     units: dict[str, str] = {}
     assumed: dict[str, tuple[str, str]] = {}
     times: list[tuple[bool, int, int]] = []
-    record: _Columns = ()
-    parts: dict[str, int] = {}
+    record: tuple[tuple[int, int], ...] = ()
+    parts: dict[str, tuple[int, int]] = {}
     for column, name in enumerate(names):
         base, unit = _base_and_unit(name)
-        found = [(s, match) for s, form in _SENSORS if (match := form.search(base))]
-        if found:
-            sensor, match = found[0]
-            known = SAMPLE_UNITS[sensor]
+        if known := axis_of_column(name):
+            axis, sensor = known[0], sensor_of(known[0])
             stated = unit or getattr(options, f'{sensor}_unit')
             if not stated and not _is_si(base):
                 assumed.setdefault(sensor, (SAMPLE_SI[sensor], name))
             stated = stated or SAMPLE_SI[sensor]
-            if stated not in known:
+            if stated not in SAMPLE_UNITS[sensor]:
                 raise AllanError(
-                    f'{path}: the unit of column {name!r} is unknown: use one of {", ".join(known)}'
+                    f'{path}: the unit of column {name!r} is unknown: use one of '
+                    f'{", ".join(SAMPLE_UNITS[sensor])}'
                 )
             units.setdefault(sensor, stated)
-            axis = SENSORS[sensor].start + 'xyz'.index(match[1])
-            axes.setdefault(axis, (column, UNITS[stated].factor))
+            axes.setdefault(AXES.index(axis), (column, UNITS[stated].factor))
         elif match := _RECORD.match(base):
             record = ((column, STAMP_UNITS[match[1] or options.stamp_unit]),)
         elif _SECONDS.search(base):
-            parts.setdefault('s', column)
+            parts.setdefault('s', (column, STAMP_UNITS['s']))
         elif _NANOSECONDS.search(base):
-            parts.setdefault('ns', column)
+            parts.setdefault('ns', (column, STAMP_UNITS['ns']))
         elif match := _TIME.search(base):
-            size = unit if unit in STAMP_UNITS else match[2] or options.stamp_unit
-            times.append(('stamp' not in match[1], column, STAMP_UNITS[size]))
+            size = STAMP_UNITS[unit if unit in STAMP_UNITS else match[2] or options.stamp_unit]
+            times.append(('stamp' not in match[1], column, size))
     for sensor, place in SENSORS.items():
         have = [AXES[axis] for axis in range(place.start, place.stop) if axis in axes]
         if have and len(have) < 3:
@@ -285,15 +259,28 @@ def _roles(
             f'{path}: none of its columns ({_listed(names)}) is a gyro or accel axis: '
             f'name them, such as --columns {EXAMPLE_COLUMNS} (- leaves one out) or gx=NAME,...'
         )
+    # a stamp of the sensor has precedence over other times
+    stamp = tuple((column, scale) for _, column, scale in sorted(times)[:1])
     if len(parts) == 2:
-        stamp: _Columns = (
-            (parts['s'], STAMP_UNITS['s']),
-            (parts['ns'], STAMP_UNITS['ns']),
+        stamp = (parts['s'], parts['ns'])
+    if not stamp and not options.rate_hz:
+        raise AllanError(
+            f'{path}: none of its columns ({_listed(names)}) is a time: state the sample rate '
+            'with --rate, or name the column with --columns'
         )
-    else:
-        # a stamp of the sensor has precedence over other times
-        stamp = tuple((column, scale) for _, column, scale in sorted(times)[:1])
-    return axes, stamp, record, units, assumed
+    return TableLayout(
+        delimiter,
+        width,
+        names,
+        header_line,
+        axes,
+        stamp,
+        record,
+        options.rate_hz,
+        next((column for column, name in enumerate(names) if _is_celsius(name)), None),
+        units,
+        assumed,
+    )
 
 
 def axis_of_column(name: str) -> tuple[str, str] | None:
@@ -305,7 +292,7 @@ def axis_of_column(name: str) -> tuple[str, str] | None:
     (('gyro_x', 'deg/s'), ('accel_z', ''), None)
     """
     base, unit = _base_and_unit(name)
-    for sensor, pattern in (('gyro', _GYRO), ('accel', _ACCEL)):
+    for sensor, pattern in _SENSORS.items():
         if match := pattern.search(base):
             return f'{sensor}_{match[1]}', unit
     return None

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers.cdr import MalformedMessage, decode_imus, encode_imus
-from allan_ros.io.readers.message_fields import IMU_TYPE
+from allan_ros.io.readers.cdr import IMU_TYPE, MalformedMessage, decode_imus, encode_imus
 
 rosbags_typesys = pytest.importorskip('rosbags.typesys')
 ROS2 = rosbags_typesys.get_typestore(rosbags_typesys.Stores.ROS2_HUMBLE)

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.io.readers.cdr import encode_imus
-from allan_ros.io.readers.message_fields import IMU_TYPE
+from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.writing import write_recording
 

@@ -18,9 +18,8 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers import mcap as bag_mcap
 from allan_ros.io.readers import sqlite3 as bag_sqlite3
 from allan_ros.io.readers import sqlite3_pages
-from allan_ros.io.readers.cdr import decode_imus, encode_imus
+from allan_ros.io.readers.cdr import IMU_TYPE, decode_imus, encode_imus
 from allan_ros.io.readers.mcap import chunk_messages
-from allan_ros.io.readers.message_fields import IMU_TYPE
 from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.readers.recording import ReadOptions
 

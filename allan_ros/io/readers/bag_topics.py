@@ -1,0 +1,244 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of a bag, and which of them has the Imu: by its type, or inside other messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ...core.errors import AllanError
+from .cdr import (
+    IMU_TYPE,
+)
+from .open import BagFiles, bag_files, open_storage
+from .storage import (
+    Cut,
+    Topic,
+    optional_package,
+)
+
+ENCODINGS = ('cdr', 'ros1')
+"""Serializations that can be read."""
+
+LISTED = 10
+"""At most this many topics are listed in a message."""
+
+Key = tuple[str, str]
+"""Topic name and type, which identify a topic in all splits of a bag."""
+
+
+@dataclass
+class Survey:
+    """The topics of all files of a bag."""
+
+    topics: dict[Key, Topic] = field(default_factory=dict)
+    counts: dict[Key, int] = field(default_factory=dict)
+    storage: str = ''
+    cut: Cut | None = None
+
+    def listed(self, keys: Iterable[Key]) -> str:
+        """Return topics with type, number of messages and, if unsupported, serialization."""
+        shown = []
+        for key in keys:
+            encoding = self.topics[key].encoding
+            foreign = '' if encoding in ENCODINGS else f', serialized as {encoding}'
+            shown.append(f'{key[0]} ({key[1]}, {self.counts.get(key, 0)}{foreign})')
+        more = f' and {len(shown) - LISTED} more' if len(shown) > LISTED else ''
+        return ', '.join(shown[:LISTED]) + more
+
+
+@dataclass(frozen=True)
+class ImuSource:
+    """The topic that is read, and the path of the Imu in its messages (() for the message)."""
+
+    key: Key
+    field: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The name for users: the topic, or topic:field."""
+        return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
+
+
+def imu_topics(path: Path) -> list[str]:
+    """Return the Imu topics with messages of a bag, as `ReadOptions.topic` names them."""
+    return [source.label for source in _candidates(survey_bag(bag_files(path)))]
+
+
+def survey_bag(bag: BagFiles) -> Survey:
+    """Open the files until every topic that has messages was found."""
+    survey = Survey()
+    expected = None if bag.described is None else {k for k, d in bag.described.items() if d.count}
+    for file in bag.files:
+        with open_storage(file) as (storage, survey.storage):
+            counts = storage.counts() if bag.described is None else {}
+            for topic in storage.topics:
+                key = (topic.name, topic.type)
+                survey.topics.setdefault(key, topic)
+                survey.counts[key] = survey.counts.get(key, 0) + counts.get(topic.id, 0)
+            survey.cut = survey.cut or storage.cut
+        if expected is not None and expected <= set(survey.topics):
+            break
+    for key, described in (bag.described or {}).items():
+        if key in survey.topics:
+            survey.counts[key] = described.count
+            survey.topics[key] = replace(survey.topics[key], encoding=described.encoding)
+    return survey
+
+
+def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
+    """Return the Imu source that the user asks for, or the only one."""
+    candidates = _named(path, survey, wanted) if wanted else _candidates(survey)
+    if not candidates:
+        raise _no_imu(path, survey)
+    if len(candidates) > 1:
+        listed = ', '.join(f'{c.label} ({survey.counts[c.key]})' for c in candidates)
+        raise AllanError(
+            f'{path}: has {len(candidates)} Imu topics: {listed}: choose one with --topic'
+        )
+    (chosen,) = candidates
+    topic = survey.topics[chosen.key]
+    if topic.encoding not in ENCODINGS:
+        raise AllanError(
+            f'{path}: topic {chosen.label} is serialized as {topic.encoding!r}: only '
+            f'{" and ".join(ENCODINGS)} can be read; convert the bag with "ros2 bag convert"'
+        )
+    if not survey.counts[chosen.key]:
+        raise no_message(path, chosen)
+    return chosen
+
+
+def _plain(survey: Survey) -> list[ImuSource]:
+    return [ImuSource(key) for key in survey.topics if key[1] == IMU_TYPE]
+
+
+def _candidates(survey: Survey) -> list[ImuSource]:
+    """Return the Imu topics, else the Imus inside other messages; those with messages if any."""
+    sources = _plain(survey) or _nested(survey)
+    return [source for source in sources if survey.counts[source.key]] or sources
+
+
+def no_message(path: Path, source: ImuSource) -> AllanError:
+    return AllanError(
+        f'{path}: topic {source.label} has no message: check that the driver was running and '
+        'record again'
+    )
+
+
+def _named(path: Path, survey: Survey, wanted: str) -> list[ImuSource]:
+    """Return the one source with that name, which is a topic or topic:field."""
+    name, plain = wanted.lstrip('/'), _plain(survey)
+    there = [key for key in survey.topics if key[0].lstrip('/') == name.split(':')[0]]
+    fitting = [s for s in plain if s.label.lstrip('/') == name]
+    nested = [] if fitting else [s for s in _nested(survey) if s.key in there]
+    fitting += [s for s in nested if ':' not in name or s.label.lstrip('/') == name]
+    if len(fitting) == 1:
+        return fitting
+    if fitting:
+        labels = ', '.join(source.label for source in fitting)
+        problem = f'topic {wanted} contains several Imus: choose one of {labels}'
+    elif not there:
+        shown = survey.listed(source.key for source in plain) or survey.listed(survey.topics)
+        problem = f'has no topic {wanted}; it has {shown or "none"}: check --topic'
+    elif is_unknown(topic := survey.topics[there[0]]):
+        problem = (
+            f'topic {wanted} is of type {topic.type}, and the bag has no schema that '
+            'describes it: record it as mcap, which stores the schemas'
+        )
+    else:
+        problem = (
+            f'topic {wanted} is of type {topic.type}, which contains no sensor_msgs/Imu: '
+            'choose another with --topic'
+        )
+    raise AllanError(f'{path}: {problem}')
+
+
+def _nested(survey: Survey) -> list[ImuSource]:
+    """Return the Imus inside messages of other types."""
+    return [
+        ImuSource(key, path)
+        for key, topic in survey.topics.items()
+        if key[1] != IMU_TYPE and topic.schema
+        for path in imu_fields(topic)
+    ]
+
+
+def _no_imu(path: Path, survey: Survey) -> AllanError:
+    if not survey.topics and survey.cut:
+        return AllanError(
+            f'{path}: is truncated: {survey.cut.read} of {survey.cut.size} bytes could be read, '
+            'without a complete message: copy or record it again'
+        )
+    busiest = sorted(survey.topics, key=lambda key: -survey.counts.get(key, 0))
+    unknown = sum(is_unknown(topic) for topic in survey.topics.values())
+    schemas = f', {unknown} of them of unknown type without a schema' if unknown else ''
+    cut = f'; {survey.cut.read} of {survey.cut.size} bytes could be read' if survey.cut else ''
+    return AllanError(
+        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
+        f'{schemas}{cut}: record the topic of the IMU'
+    )
+
+
+MAX_DEPTH = 8
+"""Messages nested deeper than this are not searched."""
+
+STANDARD_PACKAGES = re.compile(
+    '(actionlib|diagnostic|geometry|map|nav|rosgraph|sensor|shape|std|stereo|tf2|trajectory|'
+    'unique_identifier|visualization)_msgs|builtin_interfaces|rcl_interfaces'
+)
+"""Packages of message types that need no schema."""
+
+IDL_SEPARATOR = '=' * 80 + '\n'
+
+
+def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
+    """Return the path of every Imu field in the topic's type; none without a usable schema.
+
+    Raises AllanError when the schema mentions an Imu, but ``rosbags`` is not installed.
+    """
+    definitions = definitions_of(topic)
+    return list(_search(topic.type, definitions, ())) if definitions else []
+
+
+def is_unknown(topic: Topic) -> bool:
+    """Return whether the content of the messages is unknown: no schema, no standard package."""
+    return not topic.schema and not STANDARD_PACKAGES.fullmatch(topic.type.split('/')[0])
+
+
+def _search(
+    name: str, definitions: dict[str, Any], above: tuple[str, ...]
+) -> list[tuple[str, ...]]:
+    from rosbags.interfaces import Nodetype
+
+    if name == IMU_TYPE:
+        return [above]
+    if name not in definitions or len(above) == MAX_DEPTH:
+        return []
+    found = []
+    for inside, (kind, inner) in definitions[name][1]:
+        if kind == Nodetype.NAME:
+            found += _search(inner, definitions, (*above, inside))
+    return found
+
+
+def definitions_of(topic: Topic) -> dict[str, Any]:
+    """Return the parsed schema of a topic; empty if it has none or it is invalid."""
+    if 'Imu' not in topic.schema:
+        return {}
+    typesys = optional_package('rosbags.typesys', f'reading an Imu inside {topic.type}')
+    definitions: dict[str, Any] = {}
+    try:
+        if topic.schema_format in ('ros2msg', 'ros1msg'):
+            definitions = dict(typesys.get_types_from_msg(topic.schema, topic.type))
+        elif topic.schema_format in ('ros2idl', 'omgidl'):
+            for part in topic.schema.split(IDL_SEPARATOR):
+                text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
+                if text.strip():
+                    definitions.update(typesys.get_types_from_idl(text))
+    except typesys.TypesysError:
+        return {}
+    return definitions
