@@ -32,7 +32,7 @@ from ..io.plot_style import PictureSettings, load_style
 from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
-from ..io.verdict import Verdict, verdict_of
+from ..io.verdict import WORDS, Verdict, verdict_of
 from .console import Console, coloured, painted
 from .options import Command, add_settings, settings_of
 from .tables import LEVEL_COLOURS, print_results
@@ -283,7 +283,7 @@ def check(args: argparse.Namespace) -> int:
     if console.json:
         console.document({'inputs': args.inputs, 'exit_code': code, **verdict.to_document()})
     elif not console.quiet:
-        word = 'failed' if code == EXIT_FAILED else verdict.level
+        word = WORDS['failed' if code == EXIT_FAILED else verdict.level].lower()
         line = f'{word}: {args.inputs[0]}: {verdict.summary}'
         print(painted(line, word, LEVEL_COLOURS[verdict.level], coloured(sys.stdout)))
         for reason in verdict.reasons if console.verbose else ():

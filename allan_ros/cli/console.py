@@ -22,7 +22,6 @@ from ..core.findings import Finding
 WIDTH = 100
 """Columns where there is no terminal and ``COLUMNS`` does not say."""
 
-
 LABEL = 30
 """Most characters of the label of a progress bar; a longer one loses its beginning."""
 
@@ -78,7 +77,6 @@ def _bar(total: int | None) -> Any:
 
 NARROWEST = 40
 """Columns below which text is not squeezed: the terminal breaks the lines then."""
-
 
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
 """ANSI colours (ECMA-48): cyan, yellow, red. They only repeat what the word says."""

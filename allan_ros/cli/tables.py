@@ -38,14 +38,12 @@ LEVEL_COLOURS: dict[Level, str] = {
 }
 """ANSI colours of the levels of a verdict: bold green, yellow, cyan, red."""
 
-
 HEADLINES: dict[LimitVerdict | None, str] = {
     'within': 'every stated limit is kept',
     'open': 'no limit is exceeded; some intervals contain the limit',
     'beyond': 'a limit is exceeded',
     None: 'it states no limit for what was measured',
 }
-
 
 LIMIT_DIGITS = 3
 """Significant digits of a limit, as in the tables of intervals."""
@@ -80,13 +78,15 @@ def _line(group: list[Comparison], stated: str, units: str) -> str:
 LABEL, GAP = 16, 2
 """Characters of the first column, and between the columns of two axes."""
 
-
 DEVIATION, NOTHING = 'deviation', '-'
 """Label of the last row, which is left out where the model describes every curve well."""
 
-
 MOST_FINDINGS, MOST_STEPS = 5, 4
 """Lines of findings that are shown unless all are asked for, and next steps."""
+
+
+CHANGES_NUMBERS = ('settled_part',)
+"""Notes that come first, because they say which part of the data the numbers are from."""
 
 
 def print_results(results: Results, verdict: Verdict, units: str, complete: bool = False) -> None:
@@ -149,7 +149,8 @@ def findings_lines(
             colour = SEVERITY_COLOURS[finding.severity]
             yield from (painted(lines[0], finding.severity, colour, colours), *lines[1:])
         return
-    shown = [finding for finding in findings if finding.severity != 'info']
+    shown = [f for f in findings if f.severity != 'info' or f.id in CHANGES_NUMBERS]
+    shown.sort(key=lambda f: f.id not in CHANGES_NUMBERS)
     notes = len(findings) - len(shown)
     if len(findings) <= MOST_FINDINGS:
         shown, notes = list(findings), 0

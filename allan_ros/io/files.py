@@ -264,7 +264,7 @@ def parse_yaml(text: str) -> Any:
 MAX_YAML_BYTES = 100_000
 """Largest size of a YAML file in bytes."""
 
-NEAREST, LISTED = 3, 8
+NEAREST, LISTED, CLOSE = 3, 8, 0.8
 """Names offered that resemble an unknown one; names listed where none resembles it."""
 
 
@@ -301,6 +301,9 @@ def config_file(kind: str, name: str, called: str) -> Path:
             found = folder / f'{name.lower()}.yaml'
             if found.is_file():
                 return found
+        same = [known for known in config_names(kind) if _plain(known) == _plain(name)]
+        if len(same) == 1:  # mpu6050 for mpu-6050
+            return config_file(kind, same[0], called)
     raise AllanError(
         f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
         'or give the path of a .yaml file'
@@ -325,13 +328,29 @@ def user_folder(kind: str) -> Path:
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    """Return the names that resemble the unknown one, else some of the known names."""
-    near = difflib.get_close_matches(name, names, NEAREST)
-    near = near or [known for known in names if name in known][:NEAREST]
+    """Return the names that the unknown one may be a misspelling of, else those of its family.
+
+    Digits may be missing; other digits are another model.
+    """
+    word = _plain(name)
+    digits = '.*'.join(re.findall(r'\d', name))
+    plain = {_plain(known): known for known in names}
+    close = difflib.get_close_matches(word, plain, NEAREST, CLOSE)
+    near = [known for key, known in plain.items() if word and key.startswith(word)]
+    near = near or [plain[key] for key in close if re.search(digits, key)]
     if near:
-        return f'did you mean {" or ".join(near)}'
-    more = f' (and {len(names) - LISTED} more)' if len(names) > LISTED else ''
-    return f'choose one of {", ".join(names[:LISTED])}{more}'
+        return f'did you mean {" or ".join(near[:NEAREST])}'
+    letters = re.match('[a-z]*', word)
+    start = letters[0] if letters else ''
+    family = [known for key, known in plain.items() if start and key.startswith(start)]
+    listed = family or names
+    more = f' (and {len(listed) - LISTED} more)' if len(listed) > LISTED else ''
+    return f'choose one of {", ".join(listed[:LISTED])}{more}'
+
+
+def _plain(name: str) -> str:
+    """Return a name without case, spaces and punctuation."""
+    return re.sub(r'[\W_]', '', name.lower())
 
 
 OWNER_BYTES = 20

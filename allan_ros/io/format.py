@@ -165,15 +165,16 @@ def _shown(unit: str) -> ShownUnit:
     return ShownUnit(unit, 1.0 / UNITS[unit].factor)
 
 
-def text_in_units(text: str, units: str) -> str:
-    """Return a message with its quantities in the units asked for.
+def text_in_units(text: str, units: str, typeset: bool = False) -> str:
+    """Return a message with its quantities in the units asked for, which may be typeset.
 
     Every number followed by a unit of a coefficient is converted, with the interval behind it.
 
     >>> text_in_units('N is 0.60 deg/sqrt(h) (0.59..0.61).', 'si')
     'N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774).'
     """
-    return _QUANTITY.sub(lambda match: _converted(match, units), text)
+    text = _QUANTITY.sub(lambda match: _converted(match, units), text)
+    return _UNIT.sub(lambda match: pretty_unit(match[0]), text) if typeset else text
 
 
 _NUMBER = r'-?\d+(?:\.\d+)?(?:e[-+]?\d+)?'
@@ -187,9 +188,13 @@ _OTHER_UNIT = {
 }
 """Units asked for -> unit of the other system -> the unit to show."""
 
+_NAMES = '|'.join(sorted(map(re.escape, UNITS), key=len, reverse=True))
+
+_UNIT = re.compile(rf'(?<=\d )({_NAMES})(?![\w/^(])')
+
 _QUANTITY = re.compile(
     rf'({_NUMBER})(?: to ({_NUMBER}))? '
-    rf'({"|".join(sorted(map(re.escape, UNITS), key=len, reverse=True))})(?![\w/^(])'
+    rf'({_NAMES})(?![\w/^(])'
     rf'(?: \(({_NUMBER})\.\.({_NUMBER})\))?'
 )
 

@@ -21,10 +21,8 @@ if TYPE_CHECKING:  # takes 0.3 s to import, and most commands draw nothing
 FORMATS = ('png', 'svg', 'pdf')
 """File formats of the plots."""
 
-
 PAGE_IN, COLUMN_IN = 7.16, 3.5
 """Widths in inches of a page and a column of the IEEE's journals."""
-
 
 STYLES: dict[str, dict[str, Any]] = {
     'page': {'figure.figsize': (PAGE_IN, 6.3)},
@@ -32,18 +30,14 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 """Styles of our own: as wide as a page, with the signal next to the curves, or as a column."""
 
-
 NARROW_IN = 5.0
 """A narrower picture has no room for the signal next to the curves."""
-
 
 FOOT_IN, LEFT_IN, MARGIN_IN = 0.45, 0.62, 0.12
 """Inches below the panels, left of the curves and at the right edge."""
 
-
 SMALL = 7.0
 """Font size of the legend in points: the least that journals accept."""
-
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
@@ -58,10 +52,8 @@ Colours are those of Okabe and Ito ("Color universal design", 2008), which the c
 apart; dashes keep a picture as legible in grey.
 """
 
-
 BELOW_CURVE = 0.2
 """A part is drawn where it is above this share of the lowest point of the curve."""
-
 
 RC: dict[str, Any] = {
     'font.size': 8.0,

@@ -51,18 +51,14 @@ from .signal import SignalSummary
 HATCHES = {True: '///', False: 3 * '\\'}
 """Hatching of excluded data, by whether the IMU moved."""
 
-
 VEIL = 0.75
 """Opacity of the ground over the signal that is left out."""
-
 
 CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
 """Least length in s, seconds in a unit, its name."""
 
-
 ABOVE_SIGNAL = 1.15
 """Margin around the used samples, relative to the largest; an excluded knock may exceed it."""
-
 
 STEPS = (1, 2, 5, 10)
 """Of ticks: numbers that are easy to count in."""
@@ -107,30 +103,23 @@ def draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> N
 HEAD_IN = 0.62
 """Inches above the panels."""
 
-
 LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
 """Inches of the legend next to the curves, and left of the signal."""
-
 
 TALLER_LEGEND_IN = 0.44
 """Inches of the legend above each panel of a narrow picture."""
 
-
 PROCESS_STYLE = ('0.5', (0, (2, 1)))
 """Colour and dashes of a Gauss-Markov process or a sinusoid."""
-
 
 LIMIT_ALPHA = 0.1
 """Opacity of the band that terms which are not resolved may fill, up to their upper limits."""
 
-
 LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
 """Line of the 95 % upper limit of a term that is not resolved."""
 
-
 PNG_DPI = 200
 """Dots per inch of the PNG: sharp on a page of print and on a screen."""
-
 
 PNG_LEVEL = 3
 """Of zlib: a third of the time of its default for a file that is 7 % larger."""

@@ -12,7 +12,7 @@ from ..core.compare import Comparison
 from ..core.findings import Finding, duration_text
 from ..core.fit.duration import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
-from .format import grouped, pretty_unit, shown_unit, significant
+from .format import grouped, shown_unit, significant
 from .results import Results
 
 Level = Literal['healthy', 'attention', 'unknown', 'failed']
@@ -165,7 +165,7 @@ def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Ite
         ratios = [c.at_least for c in group]
         times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
         limit = significant(max(c.limit for c in group) * unit.factor, 3)
-        shown = f'{limit} {pretty_unit(unit.name)}'
+        shown = f'{limit} {unit.name}'
         what = f'deviation at {significant(tau, 2)} s' if tau else term
         yield f'{what} of {where} (at least {" to ".join(times)} times {shown})'
 

@@ -65,7 +65,7 @@ def test_without_a_reference_or_enough_data_nothing_is_judged(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['check', str(recording)]) == 1
-    assert capsys.readouterr().out.startswith('unknown: ')
+    assert capsys.readouterr().out.startswith('not judged: ')
     short = tmp_path / 'short.npz'
     imu = np.random.default_rng(1).normal(size=(500, 7))
     imu[:, 0] = np.arange(500) / 100.0

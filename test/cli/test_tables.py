@@ -10,7 +10,7 @@ import pytest
 
 from allan_ros.cli.console import finding_lines
 from allan_ros.cli.tables import results_lines
-from allan_ros.core.findings import Finding
+from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results, headline
@@ -100,6 +100,15 @@ def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results
     complete = lines_of(results, 'si', 100, complete=True)
     assert sum(line.startswith('warning: ') for line in complete) == 8
     assert 'info: Note. Nothing.' in complete
+
+
+def test_a_part_that_is_left_out_is_named_first(small_results: Results) -> None:
+    warnings = tuple(Finding(f'w{i}', 'warning', f'{"abcdefgh"[i]}.', 'Do.') for i in range(8))
+    left_out = finding('settled_part', ('gyro_x',), early='1 h', what='drift', changes='K is less')
+    shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'si', 100)
+    first = next(i for i, line in enumerate(shown) if line.startswith(('info', 'warning')))
+    assert shown[first].startswith('info: gyro x: The first 1 h differ from the rest')
+    assert 'and 5 warnings: -v shows all, with remedies' in shown
 
 
 def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:

@@ -207,6 +207,19 @@ def test_a_product_that_carries_itself_is_refused(load, tmp_path):
         load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
 
 
+@pytest.mark.parametrize('name', ['mpu6050', 'MPU_6050', 'Mpu-6050'])
+def test_case_and_punctuation_of_a_name_do_not_matter(name):
+    assert load_sensor(name).name == 'MPU-6050'
+
+
+@pytest.mark.parametrize('name', ['mpu-6500', 'adis16405', 'bmi161'])
+def test_another_model_is_no_misspelling(name):
+    family = name.rstrip('0123456789')
+    with pytest.raises(AllanError, match=rf': choose one of {family}\S+, {family}') as error:
+        load_sensor(name)
+    assert 'did you mean' not in str(error.value)
+
+
 def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
     with pytest.raises(AllanError, match=r"no datasheet 'adis1647-3': did you mean adis16475-3"):
         load_sensor('adis1647-3')

@@ -64,7 +64,7 @@ def test_an_excess_fails_and_is_named(small_results: Results) -> None:
     verdict = verdict_of(small_results, against_itself(small_results, 0.5))
     assert verdict.level == 'failed'
     assert verdict.summary.startswith('Above May: N of gyro (at least 2 times 0.12')
-    assert 'deg' not in verdict.summary and '°/√h' in verdict.summary
+    assert '°' not in verdict.summary and 'deg/sqrt(h)' in verdict.summary
     assert not any('export' in step for step in verdict.next_steps)
 
 

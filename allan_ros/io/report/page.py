@@ -43,7 +43,6 @@ from .tables import (
 EARLIEST_S = 978_307_200
 """2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""
 
-
 NS = 10**9
 
 
@@ -140,7 +139,6 @@ SCRIPTS = (
 )
 """Files of this folder, in their order in the page."""
 
-
 ICONS = {
     'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
     'attention': '<path d="M12 6.5v7M12 17v.5"/>',
@@ -148,7 +146,6 @@ ICONS = {
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
 """Level -> its symbol, which repeats the meaning of the colour."""
-
 
 FOLDED = 3
 """More notes than this are folded away under their number."""
@@ -284,14 +281,14 @@ def _verdict_section(
     """Yield the verdict with N, B and K of every axis."""
     listed = {finding_text(f, results) for f in grouped(results.findings)}
     reasons = ''.join(
-        f'<li>{escape(reason)}</li>' for reason in verdict.reasons if reason not in listed
+        f'<li>{_text(reason)}</li>' for reason in verdict.reasons if reason not in listed
     )
-    steps = ''.join(f'<li>{escape(step)}</li>' for step in verdict.next_steps[:STEPS])
+    steps = ''.join(f'<li>{_text(step)}</li>' for step in verdict.next_steps[:STEPS])
     yield (
         f'<section id="verdict" class="{verdict.level}">'
         f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
         f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
-        f'<strong>{WORDS[verdict.level]}</strong><span>{escape(verdict.summary)}</span></p>'
+        f'<strong>{WORDS[verdict.level]}</strong><span>{_text(verdict.summary)}</span></p>'
     )
     yield '<div class="headline">'
     for sensor, axes in sensors.items():
@@ -300,6 +297,11 @@ def _verdict_section(
     if reasons:
         yield f'<div><h2>What the recording shows</h2><ul>{reasons}</ul></div>'
     yield f'<div><h2>What to do next</h2><ol>{steps}</ol></div></div></section>'
+
+
+def _text(text: str) -> str:
+    """Return the HTML of a sentence in both systems of units."""
+    return in_units(lambda units: escape(text_in_units(text, units, typeset=True)))
 
 
 def _findings_section(results: Results) -> Iterator[str]:
@@ -318,12 +320,11 @@ def _findings_section(results: Results) -> Iterator[str]:
 
 def _block(finding: Finding, results: Results) -> str:
     where = finding_text(finding, results)[: -len(finding.message)]
-    message = in_units(lambda units: escape(text_in_units(finding.message, units)))
     return (
         f'<div class="finding {finding.severity}">'
         f'<span class="severity">{finding.severity}</span>'
-        f'<div><p><b>{escape(where)}</b>{message}</p>'
-        f'<p class="remedy">{escape(finding.remedy)}</p></div></div>'
+        f'<div><p><b>{escape(where)}</b>{_text(finding.message)}</p>'
+        f'<p class="remedy">{_text(finding.remedy)}</p></div></div>'
     )
 
 

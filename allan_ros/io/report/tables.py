@@ -36,7 +36,6 @@ from ..results import Results
 SYSTEMS = ('datasheet', 'si')
 """The systems of units that the page offers."""
 
-
 TERM_NAMES = {
     'gyro': {
         'Q': 'quantization',
@@ -54,7 +53,6 @@ TERM_NAMES = {
     },
 }
 """sensor -> term -> its name in IEEE Std 952 and 1293."""
-
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict -> its symbol, which repeats the meaning of word and colour."""
