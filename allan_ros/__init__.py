@@ -16,10 +16,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import adev, analyze, compare, fit, inflate, merge, simulate
+    from .api import analyze, compare, inflate, merge, simulate
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
-    from .io.axis_result import AxisResult, Quantity
+    from .io.axis_result import AxisResult, Quantity, adev, fit
     from .io.documents import load
     from .io.results import Results
 
@@ -44,8 +44,7 @@ __all__ = [
 _HOME = {
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
-    'AxisResult': 'io.axis_result',
-    'Quantity': 'io.axis_result',
+    **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'io.axis_result'),
     'load': 'io.documents',
     'Results': 'io.results',
 }

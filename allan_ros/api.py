@@ -10,25 +10,29 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from .core.allan.curve import AxisCurve, allan_curve
-from .core.allan.engine import RunningAllan
 from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.fit import METHODS
-from .core.fit.curve_fit import fit_curve
-from .core.imu import AXES, ImuBatch, joined
-from .core.settings import SegmenterSettings, check, describe, parameter, settings_from
+from .core.imu import ImuBatch, joined
+from .core.settings import (
+    LIST,
+    PATH,
+    UNIT_SYSTEMS,
+    CheckedSettings,
+    SegmenterSettings,
+    describe,
+    expect,
+    parameter,
+    settings_from,
+)
 from .core.simulate import Faults, simulate_imu
-from .io.axis_result import AxisResult
 from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
-from .io.datasheets import load_sensor
+from .io.datasheets import check_margin, load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.readers.arrays import recording_in_memory, without_absent
 from .io.readers.recording import ReadOptions
@@ -47,7 +51,7 @@ from .io.user_files import stated_noise
 
 
 @dataclass(frozen=True)
-class ResultSettings:
+class ResultSettings(CheckedSettings):
     """How sums are fitted, compared and shown."""
 
     method: str = parameter(
@@ -57,7 +61,7 @@ class ResultSettings:
         choices=tuple(METHODS),
     )
     units: str = parameter(
-        'datasheet', 'Units shown: those of datasheets, or SI.', choices=('datasheet', 'si')
+        'datasheet', 'Units shown: those of datasheets, or SI.', choices=UNIT_SYSTEMS
     )
     export: tuple[str, ...] = parameter(
         (),
@@ -80,12 +84,6 @@ class ResultSettings:
         high=100.0,
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
-
-# --- from sums to results -------------------------------------------------------------------------
-
 
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
     """Fit the sums and compare them with the datasheet and the earlier run of the settings.
@@ -98,21 +96,21 @@ def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSetti
 
 
 def results_of(
-    path: str | os.PathLike[str],
+    path: Results | str | os.PathLike[str],
     method: str = 'gls',
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> Results:
-    """Return the results of a document, as `load` does, or of a recording, which is analyzed."""
+    """Return results, those of a document as `load` does, or those of a recording."""
+    expect((Results, *PATH), 'results or a path', source=path)
+    if isinstance(path, Results):
+        return path
     place = Path(path)
     is_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
     if is_folder or place.suffix.lower() == '.json':
         return load(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
     return analyse_recorded(recorded, method)
-
-
-# --- the public functions -------------------------------------------------------------------------
 
 
 def analyze(
@@ -181,114 +179,22 @@ def analyze(
     reading = replace(reading, rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit)
     segmenter = replace(segmenter, declared_rate=rate)
     ResultSettings(method=method, margin=margin)  # checks them before hours are read
+    expect(str, hardware_id=hardware_id)
+    expect(Integral, processes=processes)
+    if axes is not None:
+        expect((str, Sequence), 'a text or a list', axes=axes)
     if paths := _paths(source):
         jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in paths]
         several = min(processes, len(jobs)) > 1
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
         recorded = add_recordings(read)
-        return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
-    recording = recording_in_memory(source, reading, axes)
-    job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
-    recorded = read_recording(job, recording)
-    findings = without_absent(recorded.provenance.findings)
-    recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
+    else:
+        recording = recording_in_memory(source, reading, axes)
+        job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
+        recorded = read_recording(job, recording)
+        findings = without_absent(recorded.provenance.findings)
+        recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
     return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
-
-
-def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
-    """Return the overlapping Allan deviation with 68.3 % limits.
-
-    Parameters
-    ----------
-    samples : (n,) or (n, columns) array
-        Of any quantity, evenly spaced.
-    rate : float
-        Samples per second.
-
-    Raises
-    ------
-    AllanError
-        When there are fewer than two samples, or some are not finite.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import allan_ros as ar
-    >>> curve = ar.adev(np.random.default_rng(0).normal(size=1000), rate=10.0)
-    >>> [f'{tau:g} s: {value:.2f}' for tau, value in zip(curve.tau[:3], curve.adev)]
-    ['0.1 s: 0.97', '0.2 s: 0.69', '0.3 s: 0.57']
-    """
-    try:
-        values = np.asarray(samples, float)
-    except (TypeError, ValueError) as error:
-        raise AllanError(f'the samples are not numbers ({error}): give an array') from None
-    table = values[:, None] if values.ndim == 1 else values
-    if table.ndim != 2 or not (np.isfinite(rate) and rate > 0.0):
-        raise AllanError(
-            f'samples of shape {values.shape} at {rate} Hz: give (n,) or (n, columns) and a '
-            'positive rate'
-        )
-    if not np.isfinite(table).all():
-        bad = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
-        raise AllanError(f'{bad} of {len(table)} samples are NaN or infinite: remove them')
-    engine = RunningAllan(axes=tuple(f'column {i}' for i in range(table.shape[1])))
-    if len(table):
-        engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
-    engine.end_segment()
-    curve = allan_curve(engine.sums)
-    columns = (curve.adev, curve.ci_low, curve.ci_high)
-    deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in columns)
-    return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
-
-
-def fit(
-    curve: AxisCurve | tuple[ArrayLike, ArrayLike],
-    axis: str = 'gyro_x',
-    record: float | None = None,
-) -> AxisResult:
-    """Return the coefficients of an Allan curve that was computed elsewhere.
-
-    `analyze` gives better intervals, because it knows the covariance of the points.
-
-    Parameters
-    ----------
-    curve : AxisCurve or (tau, adev)
-        Averaging times in s and Allan deviations in SI.
-    axis : str
-        The axis, which decides the units.
-    record : float, optional
-        Length of the recording in s; by default nine times the longest averaging time.
-
-    Raises
-    ------
-    AllanError
-        When the axis is unknown, or the curve has too few points.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import allan_ros as ar
-    >>> tau = np.geomspace(0.1, 1000.0, 60)
-    >>> axis = ar.fit((tau, 1e-3 / np.sqrt(tau)), axis='accel_x')
-    >>> round(axis.N.value, 6), axis.N.unit
-    (0.001, 'm/s^2/sqrt(Hz)')
-    """
-    if axis not in AXES:
-        raise AllanError(f'axis {axis!r} is unknown: choose one of {", ".join(AXES)}')
-    if not isinstance(curve, AxisCurve):
-        tau, deviation = (np.asarray(values, float) for values in curve)
-        if tau.ndim != 1 or tau.shape != deviation.shape or not len(tau) or not (tau > 0.0).all():
-            raise AllanError(
-                f'tau of shape {tau.shape} and adev of shape {deviation.shape}: give two lists of '
-                'equal length, with positive tau'
-            )
-        unknown = np.full(len(tau), np.nan)
-        m = np.rint(tau / tau[0]).astype(np.int64)
-        curve = AxisCurve(m, tau, np.zeros(len(tau), np.int64), deviation, unknown, unknown)
-    elif curve.adev.ndim != 1:
-        raise AllanError('the curve has several columns: fit each one alone')
-    tau0 = float(curve.tau[0] / curve.m[0])
-    return AxisResult(tau0, fit_curve(curve.tau, curve.adev, record), curve, name=axis)
 
 
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:
@@ -324,6 +230,8 @@ def compare(
     labels: Sequence[str] = (),
     sensor: str | Sequence[str] = (),
     margin: float = MARGIN,
+    method: str = 'gls',
+    observer: Observer = Silent(),
 ) -> RunComparison:
     """Return which differences between runs are significant; the first run is the reference.
 
@@ -337,6 +245,13 @@ def compare(
         Datasheets to compare each run with.
     margin : float
         Fraction by which a complete interval must exceed the limit of a datasheet.
+    method : str
+        How sums and recordings are fitted; results are not fitted again.
+
+    Raises
+    ------
+    AllanError
+        When an input cannot be read, or there is nothing to compare.
 
     Examples
     --------
@@ -346,11 +261,23 @@ def compare(
     >>> ar.compare(quiet, noisy).differs
     True
     """
-    names = [f'{chr(ord("A") + i)}' for i in range(len(sources))]
-    runs = [s if isinstance(s, Results) else results_of(s) for s in sources]
-    paths = [name if isinstance(s, Results) else str(s) for s, name in zip(sources, names)]
+    ResultSettings(method=method)  # checks it
+    check_margin(margin)
+    expect(LIST, labels=labels)
+    if len(labels) > len(sources):
+        raise AllanError(f'{len(labels)} labels for {len(sources)} runs: give at most one per run')
+    expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
+    sensors = [sensor] if isinstance(sensor, PATH) else sensor
+    sheets = [load_sensor(str(name)) for name in sensors]
+    paths = [chr(ord('A') + i) if isinstance(s, Results) else str(s) for i, s in enumerate(sources)]
     names = [*labels, *labels_of(paths)[len(labels) :]]
-    sheets = [load_sensor(name) for name in ([sensor] if isinstance(sensor, str) else sensor)]
+    for name in names:
+        expect(str, label=name)
+        if names.count(name) > 1:
+            raise AllanError(f'two runs are called {name!r}: give each a label')
+    if len(sources) + len(sheets) < 2 or not sources:
+        raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
+    runs = (results_of(source, method, observer) for source in sources)
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
 
 
@@ -385,13 +312,10 @@ def inflate(
     >>> round(ar.inflate(off, on).axes['gyro_x'].white.factor, 1)
     2.0
     """
-    quiet = rest if isinstance(rest, Results) else results_of(rest, observer=observer)
-    if isinstance(running, Results):
-        loud = running
-    else:
-        still = SegmenterSettings(motion_gate=False)
-        loud = results_of(running, observer=observer, segmenter=still)
-    return inflation_of(quiet, loud, horizon)
+    expect(Real, horizon=horizon)
+    quiet = results_of(rest, observer=observer)
+    still = SegmenterSettings(motion_gate=False)
+    return inflation_of(quiet, results_of(running, 'gls', observer, still), horizon)
 
 
 def simulate(
@@ -434,6 +358,11 @@ def simulate(
     >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
     (7200, 6)
     """
+    expect(Real, hours=hours, rate=rate)
+    expect(Integral, seed=seed)
+    expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
+    if seed < 0:
+        raise AllanError(f'seed is {seed}: give a whole number of 0 or more')
     given = {'gyro': gyro, 'accel': accel}
     changes = {name: terms for name, terms in given.items() if terms}
     terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
@@ -460,6 +389,7 @@ def _paths(source: Any) -> list[str]:
 
 
 def _recorded(source: Results | str | os.PathLike[str]) -> RecordingSums:
+    expect((Results, *PATH), 'results or a path', source=source)
     if not isinstance(source, Results):
         return load_sums(source)
     if source.recorded is None:

@@ -13,7 +13,7 @@ a datasheet. The first run is what the others are compared with.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -24,14 +24,10 @@ from ..core.fit import METHODS, AxisFit
 from ..core.fit.curve_fit import fit_curve
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from ..io.comparison import (
-    Subject,
-    compare_runs,
     comparison_document,
     inflation_document,
     inflation_facts,
 )
-from ..io.datasheets import load_sensor
-from ..io.documents import labels_of
 from ..io.plot_style import PictureSettings, load_style
 from .console import Console, width
 from .options import Command, add_settings, add_units, settings_of
@@ -99,32 +95,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
-
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
     load_style(pictures.plot_style)
     if args.report and not args.output:
         raise AllanError('--report writes into the folder of -o: give one')
-    if not args.margin >= 0.0:
-        raise AllanError(f'--margin {args.margin:g}: give 0 or more')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
-    names = [text[len(SENSOR_PREFIX) :] for text in given] + args.sensor
-    datasheets = [load_sensor(name) for name in names]
-    paths = [text for text in args.inputs if text not in given]
-    if len(args.label) > len(paths):
-        raise AllanError(
-            f'{len(args.label)} --label for {len(paths)} runs: give at most one per run'
-        )
-    labels = [*args.label, *labels_of(paths)[len(args.label) :]]
-    if len(set(labels)) < len(labels):
-        raise AllanError(f'two runs are called {_twice(labels)!r}: name them with --label')
-    if len(paths) + len(datasheets) < 2 or not paths:
-        raise AllanError('give two runs, or a run and sensor:NAME: there is nothing to compare')
-    runs = [
-        Subject(label, api.results_of(path, args.method, console))
-        for label, path in zip(labels, paths)
-    ]
-    comparison = compare_runs(runs, datasheets, args.margin)
+    comparison = api.compare(
+        *(text for text in args.inputs if text not in given),
+        labels=args.label,
+        sensor=[text[len(SENSOR_PREFIX) :] for text in given] + args.sensor,
+        margin=args.margin,
+        method=args.method,
+        observer=console,
+    )
     if console.json:
         console.document(comparison_document(comparison))
     elif not (console.quiet and args.output):
@@ -134,13 +118,9 @@ def run(args: argparse.Namespace) -> int:
 
         written = write_comparison(args.output, comparison, args.units, pictures)
         if args.report:
-            written.append(write_overlay(args.output, runs, args.margin, args.units))
+            written.append(write_overlay(args.output, comparison.runs, args.margin, args.units))
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
-
-
-def _twice(labels: Sequence[str]) -> str:
-    return next(label for label in labels if labels.count(label) > 1)
 
 
 def add_inflate_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, TypeVar
 
-from .errors import AllanError
+from .errors import AllanError, one_line
 
 T = TypeVar('T')
 
@@ -49,17 +50,12 @@ def check(settings: Any) -> None:
     defaults = {f.name: f.default for f in fields(settings)}
     for name, info in describe(settings).items():
         value = getattr(settings, name)
-        if info.choices and value not in info.choices:
-            known = ', '.join(choice for choice in info.choices if choice)
-            raise AllanError(f'{name} is {value!r}: choose one of {known}')
+        if info.choices:
+            choose(info.choices, **{name: value})
         if info.auto and value == 'auto':
             object.__setattr__(settings, name, AUTO)
             continue
-        kind, expected = next(
-            (k for k in EXPECTED if isinstance(defaults[name], k[0])), (object, '')
-        )
-        if not isinstance(value, kind):
-            raise AllanError(f'{name} is {value!r:.100}: {expected} is expected')
+        expect(next(kind for kind in EXPECTED if isinstance(defaults[name], kind)), **{name: value})
         low = -math.inf if info.low is None else info.low
         high = math.inf if info.high is None else info.high
         if isinstance(value, (int, float)) and not low <= value <= high:
@@ -67,13 +63,36 @@ def check(settings: Any) -> None:
             raise AllanError(f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}')
 
 
-EXPECTED = (
-    (bool, 'True or False'),
-    (Real, 'a number'),
-    (str, 'a text'),
-    ((tuple, list), 'a list'),
-)
-"""Type of a default and of its values, and what it is called."""
+UNIT_SYSTEMS = ('datasheet', 'si')
+
+PATH, LIST = (str, os.PathLike), (tuple, list)
+
+EXPECTED: dict[Any, str] = {
+    bool: 'True or False',
+    Real: 'a number',
+    str: 'a text',
+    LIST: 'a list',
+    PATH: 'a path',
+    Integral: 'a whole number',
+}
+"""Type of a value, and what it is called; that of a setting is the first that its default has."""
+
+
+def expect(kind: Any, called: str = '', /, **values: object) -> None:
+    """Raise AllanError naming the first value that is not of the kind."""
+    for name, value in values.items():
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            shown = one_line(repr(value))
+            raise AllanError(f'{name} is {shown:.60}: {called or EXPECTED[kind]} is expected')
+
+
+def choose(choices: Collection[str], **values: object) -> None:
+    """Raise AllanError naming the first value that is none of the choices."""
+    for name, value in values.items():
+        if not isinstance(value, str) or value not in choices:
+            known = ', '.join(choice for choice in choices if choice)
+            shown = one_line(repr(value))
+            raise AllanError(f'{name} is {shown:.60}: choose one of {known}')
 
 
 def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:

@@ -257,7 +257,10 @@ def simulate_imu(
         raise AllanError(f'{len(gyro)} gyro and {len(accel)} accelerometer axes: give three each')
     n, tau0 = round(seconds * rate), 1.0 / rate
     axis_seeds, fault_seed = (s for s in np.random.SeedSequence(seed).spawn(2))
-    samples = np.empty((n, len(AXES)))
+    try:
+        samples = np.empty((n, len(AXES)))
+    except (MemoryError, ValueError) as error:
+        raise AllanError(f'{n:,} samples do not fit the memory: simulate less') from error
     for i, (axis_terms, axis_seed) in enumerate(zip(terms, axis_seeds.spawn(len(AXES)))):
         samples[:, i] = simulate_axis(n, tau0, axis_terms, np.random.default_rng(axis_seed))
     samples += np.asarray(mean, float)

@@ -1,28 +1,33 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The results of one axis: coefficients with units, the curve, and the selected model."""
+"""The curve of one axis and its results: coefficients with units, and the selected model."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..core.allan.curve import AllanCurve, AxisCurve
+from ..core.allan.curve import AllanCurve, AxisCurve, allan_curve
+from ..core.allan.engine import RunningAllan
 from ..core.allan.sums import AllanSums
+from ..core.errors import AllanError
 from ..core.filters.bias import TurnOnBias, turn_on_bias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis, sample_variance
 from ..core.filters.reductions import StateSpace
-from ..core.fit import AxisFit, Coefficient, NoiseModel, Processes
+from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
+from ..core.fit.curve_fit import fit_curve
 from ..core.fit.findings import rounding_step
 from ..core.fit.model import Status
 from ..core.fit.regions import ModelLine, Region, model_line, read_curve
-from ..core.imu import SI_UNITS, UNITS, sensor_of, to_si
+from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
+from ..core.settings import choose, expect
 from .format import ShownUnit, interval_text, value_text
 
 
@@ -65,6 +70,7 @@ class Quantity:
             When the unit is unknown, or of another quantity; it lists the units that fit.
         """
         si = UNITS[self.unit].si
+        expect(str, unit=unit)
         factor = to_si(1.0, self.unit, si) / to_si(1.0, unit, si)
         return replace(
             self,
@@ -118,6 +124,12 @@ class AxisResult:
     (True, False, True)
     >>> [one.horizon for one in axis.growth][:2]  # s
     [1.0, 10.0]
+    >>> axis.position_growth[0].std < axis.growth[0].std  # m and m/s after 1 s
+    True
+    >>> bool((axis.model_line().adev <= axis.model_line().upper).all())
+    True
+    >>> [q.unit for q in (axis.Q, axis.B, axis.K, axis.R)]
+    ['m/s', 'm/s^2', 'm/s^3/sqrt(Hz)', 'm/s^3']
     """
 
     tau0: float
@@ -200,16 +212,25 @@ class AxisResult:
 
     def quantity(self, term: str) -> Quantity:
         """Return the coefficient of a term (Q, N, B, K or R) in SI."""
+        choose(TERMS, term=term)
         c = self.fit.noise[term]
         value = c.value if c.status == 'estimated' else None
         return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
 
-    def part_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+    def _tau(self, m: ArrayLike) -> NDArray[np.float64]:
+        try:
+            return np.asarray(m, float) * self.tau0
+        except (TypeError, ValueError) as error:
+            raise AllanError(
+                f'm is {m!r:.60}: an array of averaging factors is expected'
+            ) from error
+
+    def part_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Return the deviation of each part of the selected model at averaging factors m, SI."""
-        parts = self.fit.selected.parts(m * self.tau0, self.tau0)
+        parts = self.fit.selected.parts(self._tau(m), self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
-    def limit_adev(self, m: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
+    def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Return the deviation of the terms outside the model at their 95 % upper limits, SI."""
         model = self.fit.selected.terms
         limits = {
@@ -217,7 +238,7 @@ class AxisResult:
             for term, c in self.fit.noise.items()
             if c.upper95 is not None and math.isfinite(c.upper95) and not getattr(model, term)
         }
-        parts = ProcessModel(NoiseTerms(**limits)).parts(m * self.tau0, self.tau0)
+        parts = ProcessModel(NoiseTerms(**limits)).parts(self._tau(m), self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def model_line(self) -> ModelLine:
@@ -227,9 +248,9 @@ class AxisResult:
             return ModelLine(np.zeros(0), np.zeros(0))
         return model_line(self.fit, self.tau0, curve.m, curve.adev, curve.ci_high)
 
-    def total_adev(self, m: NDArray[np.int64]) -> NDArray[np.float64]:
+    def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
         """Return the deviation of the selected model at averaging factors m, (factors,), SI."""
-        total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(m * self.tau0, self.tau0))
+        total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(self._tau(m), self.tau0))
         return total
 
 
@@ -254,3 +275,106 @@ def axis_results(
                 turn_on_bias(means[:, i]) if len(means) else None,
             )
             yield name, axis
+
+
+def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
+    """Return the overlapping Allan deviation with 68.3 % limits.
+
+    Parameters
+    ----------
+    samples : (n,) or (n, columns) array
+        Of any quantity, evenly spaced.
+    rate : float
+        Samples per second.
+
+    Raises
+    ------
+    AllanError
+        When there are fewer than two samples, or some are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> curve = ar.adev(np.random.default_rng(0).normal(size=1000), rate=10.0)
+    >>> [f'{tau:g} s: {value:.2f}' for tau, value in zip(curve.tau[:3], curve.adev)]
+    ['0.1 s: 0.97', '0.2 s: 0.69', '0.3 s: 0.57']
+    """
+    try:
+        values = np.asarray(samples, float)
+    except (TypeError, ValueError) as error:
+        raise AllanError(f'the samples are not numbers ({error}): give an array') from None
+    expect(Real, rate=rate)
+    table = values[:, None] if values.ndim == 1 else values
+    if table.ndim != 2 or not (np.isfinite(rate) and rate > 0.0):
+        raise AllanError(
+            f'samples of shape {values.shape} at {rate} Hz: give (n,) or (n, columns) and a '
+            'positive rate'
+        )
+    if not np.isfinite(table).all():
+        bad = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
+        raise AllanError(f'{bad} of {len(table)} samples are NaN or infinite: remove them')
+    engine = RunningAllan(axes=tuple(f'column {i}' for i in range(table.shape[1])))
+    if len(table):
+        engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
+    engine.end_segment()
+    curve = allan_curve(engine.sums)
+    columns = (curve.adev, curve.ci_low, curve.ci_high)
+    deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in columns)
+    return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
+
+
+def fit(
+    curve: AxisCurve | tuple[ArrayLike, ArrayLike],
+    axis: str = 'gyro_x',
+    record: float | None = None,
+) -> AxisResult:
+    """Return the coefficients of an Allan curve that was computed elsewhere.
+
+    `analyze` gives better intervals, because it knows the covariance of the points.
+
+    Parameters
+    ----------
+    curve : AxisCurve or (tau, adev)
+        Averaging times in s and Allan deviations in SI.
+    axis : str
+        The axis, which decides the units.
+    record : float, optional
+        Length of the recording in s; by default nine times the longest averaging time.
+
+    Raises
+    ------
+    AllanError
+        When the axis is unknown, or the curve has too few points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> tau = np.geomspace(0.1, 1000.0, 60)
+    >>> axis = ar.fit((tau, 1e-3 / np.sqrt(tau)), axis='accel_x')
+    >>> round(axis.N.value, 6), axis.N.unit
+    (0.001, 'm/s^2/sqrt(Hz)')
+    """
+    choose(AXES, axis=axis)
+    if record is not None:
+        expect(Real, record=record)
+    if not isinstance(curve, AxisCurve):
+        try:
+            tau, deviation = (np.asarray(values, float) for values in curve)
+        except (TypeError, ValueError) as error:
+            raise AllanError(
+                f'the curve is no pair of lists tau and adev ({error}): give these, or an AxisCurve'
+            ) from None
+        if tau.ndim != 1 or tau.shape != deviation.shape or not len(tau) or not (tau > 0.0).all():
+            raise AllanError(
+                f'tau of shape {tau.shape} and adev of shape {deviation.shape}: give two lists of '
+                'equal length, with positive tau'
+            )
+        unknown = np.full(len(tau), np.nan)
+        m = np.rint(tau / tau[0]).astype(np.int64)
+        curve = AxisCurve(m, tau, np.zeros(len(tau), np.int64), deviation, unknown, unknown)
+    elif curve.adev.ndim != 1:
+        raise AllanError('the curve has several columns: fit each one alone')
+    tau0 = float(curve.tau[0] / curve.m[0])
+    return AxisResult(tau0, fit_curve(curve.tau, curve.adev, record), curve, name=axis)

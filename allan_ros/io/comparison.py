@@ -15,7 +15,13 @@ from ..core.fields import plain
 from ..core.filters.noise_parameters import AxisInflation, measure_inflation
 from ..core.filters.reductions import Horizons
 from ..core.imu import SI_UNITS, sensor_of
-from .datasheets import Datasheet, DatasheetComparison, against_datasheet, comparison_to_document
+from .datasheets import (
+    Datasheet,
+    DatasheetComparison,
+    against_datasheet,
+    check_margin,
+    comparison_to_document,
+)
 from .documents import results_to_document
 from .format import significant
 from .results import Results
@@ -89,6 +95,7 @@ def compare_runs(
     runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
 ) -> RunComparison:
     """Compare each run with the first, and with each datasheet."""
+    check_margin(margin)
     if len(runs) + len(datasheets) < 2 or not runs:
         raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
     first, *others = runs

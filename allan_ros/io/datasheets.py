@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Literal
 
 from ..core.compare import Comparison, Verdict, compare_with_limits
@@ -25,6 +26,7 @@ from ..core.findings import Finding, finding
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
+from ..core.settings import expect
 from .files import config_file, config_names, read_yaml
 from .format import interval_text, shown_unit, significant, value_text
 
@@ -194,6 +196,13 @@ def against_datasheet(
         for axis, terms in noise.items()
     )
     return DatasheetComparison(datasheet, margin, tuple(c for of_axis in found for c in of_axis))
+
+
+def check_margin(margin: float) -> None:
+    """Raise AllanError unless the margin is a number of 0 or more."""
+    expect(Real, margin=margin)
+    if not margin >= 0.0:
+        raise AllanError(f'margin is {margin:g}: give 0 or more')
 
 
 def datasheet_findings(

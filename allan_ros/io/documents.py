@@ -29,6 +29,7 @@ from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from ..core.fit.regions import Region
 from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
+from ..core.settings import PATH, expect
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
@@ -151,6 +152,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     ...     ar.load(folder).samples == results.samples
     True
     """
+    expect(PATH, path=path)
     place = Path(path)
     if place.is_dir():
         has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()

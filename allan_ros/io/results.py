@@ -20,13 +20,14 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
-from ..core.settings import AUTO, settings_from
+from ..core.settings import AUTO, LIST, PATH, UNIT_SYSTEMS, choose, expect, settings_from
 from ..core.stream.health import sums_findings
 from .axis_result import AxisResult, axis_results
 from .datasheets import (
     Datasheet,
     DatasheetComparison,
     against_datasheet,
+    check_margin,
     datasheet_findings,
     load_sensor,
 )
@@ -76,6 +77,11 @@ class Results:
     >>> checked = results.compared(sensor='adis16475-3')
     >>> checked.comparisons[0].term, checked.comparisons[0].verdict
     ('N', 'within')
+    >>> sheet = checked.datasheet.datasheet
+    >>> results.against_datasheet(sheet, margin=0.2).comparisons == checked.comparisons
+    True
+    >>> results.measured['gyro_x'].curve is results['gyro_x'].curve
+    True
     >>> results.export('kalibr').splitlines()[-1]
     'update_rate: 50.0'
     """
@@ -139,7 +145,7 @@ class Results:
     def __getitem__(self, axis: str) -> AxisResult:
         try:
             return self.axes[axis]
-        except KeyError:
+        except (KeyError, TypeError):
             raise AllanError(
                 f'there is no axis {axis!r}: choose one of {", ".join(self.axes)}'
             ) from None
@@ -169,6 +175,7 @@ class Results:
             With axis, term, value, ci95_low, ci95_high, upper95, unit. A DataFrame if pandas is
             installed.
         """
+        choose(UNIT_SYSTEMS, units=units)
         rows = [_table_row(axis, term, units) for axis in self.axes.values() for term in TERMS]
         try:
             import pandas
@@ -194,10 +201,13 @@ class Results:
         """
         from .plots import draw_axes, sensor_figure
 
+        choose(UNIT_SYSTEMS, units=units)
         names = [name for name in self.axes if what in (name, sensor_of(name))]
         if not names:
             raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
         axes = {name: self.axes[name] for name in names}
+        if ax is not None and not hasattr(ax, 'loglog'):
+            raise AllanError(f'ax is {ax!r:.60}: a matplotlib Axes is expected')
         if ax is None:
             return sensor_figure(replace(self, axes=axes), sensor_of(names[0]), units=units)
         draw_axes(ax, axes, units)
@@ -220,8 +230,10 @@ class Results:
         from .exporters import ExportOptions, make_export, target_of
         from .files import write_atomic
 
+        expect(str, target=target)
         text = make_export(self, target, settings_from(ExportOptions, options)).text
         if path is not None:
+            expect(PATH, path=path)
             place = Path(path)
             write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
         return text
@@ -231,6 +243,7 @@ class Results:
         folder: str | os.PathLike[str],
         units: str = 'datasheet',
         targets: Sequence[str] = (),
+        **options: Any,
     ) -> list[Path]:
         """Write the files that `allan analyze -o` writes, which `load` reads; return their paths.
 
@@ -240,10 +253,17 @@ class Results:
         units : 'datasheet' or 'si'
         targets : sequence of str
             Names of `io.exporters.TARGETS` to write files for, in addition to Kalibr.
+        **options
+            Fields of `io.plot_style.PictureSettings`: ``plot_format=('svg',)``, ``plot_style``.
         """
+        from .plot_style import PictureSettings
         from .result_files import write_result_files
 
-        return write_result_files(folder, self, units=units, targets=targets)[1]
+        expect(PATH, folder=folder)
+        choose(UNIT_SYSTEMS, units=units)
+        expect(LIST, targets=targets)
+        pictures = settings_from(PictureSettings, options)
+        return write_result_files(folder, self, units=units, targets=targets, pictures=pictures)[1]
 
     def check(
         self,
@@ -283,6 +303,9 @@ class Results:
         """Return the same, compared with a datasheet and an earlier run, as `check` does."""
         from .documents import labels_of, load
 
+        expect((Results, *PATH), 'results or a path', baseline=baseline)
+        expect((Datasheet, *PATH), 'a datasheet or its name', sensor=sensor)
+        check_margin(margin)
         results = replace(self, margin=margin)
         if isinstance(baseline, Results):
             results = replace(results, baselines={'the earlier run': baseline})
@@ -291,7 +314,7 @@ class Results:
             results = replace(results, baselines={label: load(baseline)})
         if not sensor:
             return results
-        sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(sensor)
+        sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(str(sensor))
         return results.against_datasheet(sheet, margin)
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:

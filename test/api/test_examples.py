@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import inspect
 import re
 from pathlib import Path
 
@@ -36,3 +37,21 @@ def test_examples_run_as_written(name: str) -> None:
 @pytest.mark.parametrize('name', allan_ros.__all__)
 def test_every_public_object_has_an_example(name: str) -> None:
     assert '>>> ' in (getattr(allan_ros, name).__doc__ or '')
+
+
+def test_every_public_method_is_in_an_example() -> None:
+    classes = [c for name in allan_ros.__all__ if inspect.isclass(c := getattr(allan_ros, name))]
+    methods = {
+        name: member
+        for kind in classes
+        for name, member in vars(kind).items()
+        if name[0] != '_' and (isinstance(member, property) or inspect.isfunction(member))
+    }
+    functions = [getattr(allan_ros, name) for name in allan_ros.__all__]
+    examples = [
+        example.source
+        for one in (*functions, *methods.values())
+        for example in doctest.DocTestParser().get_examples(one.__doc__ or '')
+    ]
+    code = ''.join(examples)
+    assert [name for name in methods if not re.search(rf'\.{name}\b', code)] == []

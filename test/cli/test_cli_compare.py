@@ -74,9 +74,9 @@ def test_a_difference_fails_only_when_asked(analysed: Path, tmp_path: Path, caps
         (['{run}'], 'there is nothing to compare'),
         (['sensor:adis16475-3'], 'there is nothing to compare'),
         (['{run}', '{run}', '--label', 'x', '--label', 'x'], "two runs are called 'x'"),
-        (['{run}', '{run}', '--label', 'a', '--label', 'b', '--label', 'c'], '3 --label for 2'),
+        (['{run}', '{run}', '--label', 'a', '--label', 'b', '--label', 'c'], '3 labels for 2 runs'),
         (['{run}', 'sensor:none'], "no datasheet 'none'"),
-        (['{run}', '{run}', '--margin', '-1'], '--margin -1: give 0 or more'),
+        (['{run}', '{run}', '--margin', '-1'], 'margin is -1: give 0 or more'),
     ],
 )
 def test_what_cannot_be_compared_is_one_line(

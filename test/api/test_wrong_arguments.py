@@ -1,0 +1,92 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A wrong argument of any public function is one clear line of the package's error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import allan_ros as ar
+from allan_ros.core.settings import PATH, choose, expect
+
+SOURCE = 'source is {}: results or a path is expected'
+PAIR = ([1.0, 2.0], [1.0, 0.7])
+
+CALLS = [
+    (lambda r: ar.load(5), 'path is 5: a path is expected'),
+    (lambda r: ar.load(r), 'path is .*: a path is expected'),
+    (lambda r: ar.compare(r, 5), SOURCE.format(5)),
+    (lambda r: ar.compare(r, r, labels='abc'), "labels is 'abc': a list is expected"),
+    (lambda r: ar.compare(r, r, labels=[1, 2]), 'label is 1: a text is expected'),
+    (lambda r: ar.compare(r, r, labels=['a', 'a']), "two runs are called 'a': give each a label"),
+    (lambda r: ar.compare(r, r, labels=['a', 'b', 'c']), '3 labels for 2 runs: give at most one'),
+    (lambda r: ar.compare(r, r, sensor=5), 'sensor is 5: a datasheet or a list'),
+    (lambda r: ar.compare(r, r, margin='x'), "margin is 'x': a number is expected"),
+    (lambda r: ar.compare(r, r, margin=float('nan')), 'margin is nan: give 0 or more'),
+    (lambda r: ar.compare(r, r, method='x'), "method is 'x': choose one of gls"),
+    (lambda r: ar.compare(r), 'there is nothing to compare'),
+    (lambda r: ar.fit(3), 'the curve is no pair of lists tau and adev'),
+    (lambda r: ar.fit((1, 2, 3)), 'the curve is no pair of lists tau and adev'),
+    (lambda r: ar.fit('abc'), 'give these, or an AxisCurve'),
+    (lambda r: ar.fit(PAIR, axis=[]), r'axis is \[\]: choose one of gyro_x'),
+    (lambda r: ar.fit(PAIR, record='x'), "record is 'x': a number is expected"),
+    (lambda r: ar.simulate('a'), "hours is 'a': a number is expected"),
+    (lambda r: ar.simulate(0.01, None), 'rate is None: a number is expected'),
+    (lambda r: ar.simulate(True), 'hours is True: a number is expected'),
+    (lambda r: ar.simulate(0.01, seed=1.5), 'seed is 1.5: a whole number is expected'),
+    (lambda r: ar.simulate(0.01, seed=-1), 'seed is -1: give a whole number of 0 or more'),
+    (lambda r: ar.simulate(0.01, sensor=5), 'sensor is 5: a text is expected'),
+    (lambda r: ar.simulate(0.01, frame_id=5), 'frame_id is 5: a text is expected'),
+    (lambda r: ar.simulate(0.01, gyro=5), 'gyro is 5: an object is expected'),
+    (lambda r: ar.simulate(1e9), 'samples do not fit the memory: simulate less'),
+    (lambda r: ar.analyze(['a', 'b'], processes='x'), "processes is 'x': a whole number"),
+    (lambda r: ar.analyze(np.ones(9), rate=1, hardware_id=5), 'hardware_id is 5: a text'),
+    (lambda r: ar.analyze(np.ones(9), rate=1, axes=5), 'axes is 5: a text or a list'),
+    (lambda r: ar.analyze(np.ones(9), rate=1, method=[]), r'method is \[\]: choose one of gls'),
+    (lambda r: ar.adev([1.0, 2.0], rate='x'), "rate is 'x': a number is expected"),
+    (lambda r: ar.merge(5), SOURCE.format(5)),
+    (lambda r: ar.merge([r, r]), SOURCE.format('.*')),
+    (lambda r: ar.inflate(r, None), SOURCE.format('None')),
+    (lambda r: ar.inflate(r, r, horizon='x'), "horizon is 'x': a number is expected"),
+    (lambda r: r[[]], r'there is no axis \[\]: choose one of gyro_x'),
+    (lambda r: r.table('foo'), "units is 'foo': choose one of datasheet, si"),
+    (lambda r: r.plot(units=5), 'units is 5: choose one of datasheet, si'),
+    (lambda r: r.plot(ax=5), 'ax is 5: a matplotlib Axes is expected'),
+    (lambda r: r.export(5), 'target is 5: a text is expected'),
+    (lambda r: r.export('kalibr', 5), 'path is 5: a path is expected'),
+    (lambda r: r.save(None), 'folder is None: a path is expected'),
+    (lambda r: r.save('x', targets='kalibr'), "targets is 'kalibr': a list is expected"),
+    (lambda r: r.save('x', units='foo'), "units is 'foo': choose one of datasheet, si"),
+    (lambda r: r.save('x', plotformat=('svg',)), "'plotformat' is unknown: use plot_format"),
+    (lambda r: r.check([]), r'sensor is \[\]: a datasheet or its name is expected'),
+    (lambda r: r.check(baseline=5), 'baseline is 5: results or a path is expected'),
+    (lambda r: r.check('adis16475-3', margin=-1), 'margin is -1: give 0 or more'),
+    (lambda r: r['gyro_x'].N.to(5), 'unit is 5: a text is expected'),
+    (lambda r: r['gyro_x'].quantity('X'), "term is 'X': choose one of Q, N, B, K, R"),
+    (lambda r: r['gyro_x'].total_adev('x'), "m is 'x': an array of averaging factors"),
+]
+
+
+@pytest.mark.parametrize('call, message', CALLS, ids=[message[:30] for _, message in CALLS])
+def test_a_wrong_argument_is_one_clear_line(call, message, small_results, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ar.AllanError, match=message) as error:
+        call(small_results)
+    assert '\n' not in str(error.value) and len(str(error.value)) < 300
+    assert not list(tmp_path.iterdir())
+
+
+def test_averaging_factors_may_be_any_sequence(small_results):
+    axis = small_results['gyro_x']
+    assert (axis.total_adev([1, 2]) == axis.total_adev(np.array([1, 2]))).all()
+
+
+def test_kinds_and_choices():
+    expect(PATH, path=Path('x'))
+    expect(PATH, path='x')
+    choose(('', 'a'), name='')
+    with pytest.raises(ar.AllanError, match=r'name is 3: choose one of a, b$'):
+        choose(('', 'a', 'b'), name=3)
