@@ -20,7 +20,6 @@ from .core.fit import METHODS
 from .core.imu import ImuBatch, joined
 from .core.settings import (
     LIST,
-    PATH,
     UNIT_SYSTEMS,
     CheckedSettings,
     SegmenterSettings,
@@ -34,6 +33,7 @@ from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
 from .io.datasheets import check_margin, load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
+from .io.files import PATH
 from .io.readers.arrays import recording_in_memory, without_absent
 from .io.readers.recording import ReadOptions
 from .io.recorded import (

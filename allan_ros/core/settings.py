@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
@@ -65,14 +64,13 @@ def check(settings: Any) -> None:
 
 UNIT_SYSTEMS = ('datasheet', 'si')
 
-PATH, LIST = (str, os.PathLike), (tuple, list)
+LIST = (tuple, list)
 
 EXPECTED: dict[Any, str] = {
     bool: 'True or False',
     Real: 'a number',
     str: 'a text',
     LIST: 'a list',
-    PATH: 'a path',
     Integral: 'a whole number',
 }
 """Type of a value, and what it is called; that of a setting is the first that its default has."""

@@ -29,11 +29,11 @@ from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from ..core.fit.regions import Region
 from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
-from ..core.settings import PATH, expect
+from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
-from .files import read_json
+from .files import PATH, read_json
 from .readers.recording import SourceInfo
 from .recorded import Provenance, RecordingSums
 from .results import Results, analyse_recorded
@@ -152,7 +152,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     ...     ar.load(folder).samples == results.samples
     True
     """
-    expect(PATH, path=path)
+    expect(PATH, 'a path', path=path)
     place = Path(path)
     if place.is_dir():
         has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()

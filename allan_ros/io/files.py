@@ -26,6 +26,9 @@ import yaml
 
 from ..core.errors import AllanError
 
+PATH = (str, os.PathLike)
+"""Types of a path."""
+
 ABANDONED_S = 3600.0
 """A draft unchanged for an hour was left by a process that was killed."""
 

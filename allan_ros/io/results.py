@@ -20,7 +20,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
-from ..core.settings import AUTO, LIST, PATH, UNIT_SYSTEMS, choose, expect, settings_from
+from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..core.stream.health import sums_findings
 from .axis_result import AxisResult, axis_results
 from .datasheets import (
@@ -31,6 +31,7 @@ from .datasheets import (
     datasheet_findings,
     load_sensor,
 )
+from .files import PATH, write_atomic
 from .format import interval_text, pretty_unit, shown_unit, value_text
 from .recorded import Provenance, RecordingSums
 
@@ -228,12 +229,11 @@ class Results:
             Fields of `io.exporters.ExportOptions`, such as ``inflate=2``.
         """
         from .exporters import ExportOptions, make_export, target_of
-        from .files import write_atomic
 
         expect(str, target=target)
         text = make_export(self, target, settings_from(ExportOptions, options)).text
         if path is not None:
-            expect(PATH, path=path)
+            expect(PATH, 'a path', path=path)
             place = Path(path)
             write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
         return text
@@ -259,7 +259,7 @@ class Results:
         from .plot_style import PictureSettings
         from .result_files import write_result_files
 
-        expect(PATH, folder=folder)
+        expect(PATH, 'a path', folder=folder)
         choose(UNIT_SYSTEMS, units=units)
         expect(LIST, targets=targets)
         pictures = settings_from(PictureSettings, options)

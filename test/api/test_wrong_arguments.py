@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.core.settings import PATH, choose, expect
+from allan_ros.core.settings import choose, expect
+from allan_ros.io.files import PATH
 
 SOURCE = 'source is {}: results or a path is expected'
 PAIR = ([1.0, 2.0], [1.0, 0.7])
@@ -85,8 +86,8 @@ def test_averaging_factors_may_be_any_sequence(small_results):
 
 
 def test_kinds_and_choices():
-    expect(PATH, path=Path('x'))
-    expect(PATH, path='x')
+    expect(PATH, 'a path', path=Path('x'))
+    expect(PATH, 'a path', path='x')
     choose(('', 'a'), name='')
     with pytest.raises(ar.AllanError, match=r'name is 3: choose one of a, b$'):
         choose(('', 'a', 'b'), name=3)
