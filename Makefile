@@ -19,7 +19,7 @@ SITE := .venv-site
 # The type checker and the numpy whose types it reads are pinned, so that the result does not
 # depend on the Python or the numpy of the environment that runs the tests.
 LINT_PINS := mypy==2.4.1 ruff==0.17.5
-LINT_TYPES := numpy==2.4.6 rich==15.0.0
+LINT_TYPES := numpy==2.4.6 rich==15.0.0 hypothesis==6.170.15
 # What Ubuntu 22.04 (ROS 2 Humble) ships.
 FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.*
 

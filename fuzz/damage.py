@@ -13,14 +13,52 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-ODD_INTEGERS = (0, 1, 2, 127, 255, 256, 4096, 65535, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
+ODD_INTEGERS: tuple[int, ...] = (
+    0,
+    1,
+    2,
+    127,
+    255,
+    256,
+    4096,
+    65535,
+    2**24,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+)
 ODD_INTEGERS += (2**62, 2**63 - 1, 2**63, 2**64 - 1)
 """Lengths, counts and offsets at which programs often fail."""
 
-ODD_FLOATS = (0.0, -0.0, 5e-324, 1e-310, 1e-160, 1e-9, 9.80665, 1e18, 1e154, 1e300, 1.8e308)
+ODD_FLOATS: tuple[float, ...] = (
+    0.0,
+    -0.0,
+    5e-324,
+    1e-310,
+    1e-160,
+    1e-9,
+    9.80665,
+    1e18,
+    1e154,
+    1e300,
+    1.8e308,
+)
 ODD_FLOATS += (math.inf, math.nan)
 
-ODD_TEXTS = ('', '/', '..', '../../x', '\0', 'a\nb', '\x1b[2J', '\u202e', '\ud800', 'é', '{}', '%s')
+ODD_TEXTS: tuple[str, ...] = (
+    '',
+    '/',
+    '..',
+    '../../x',
+    '\0',
+    'a\nb',
+    '\x1b[2J',
+    '\u202e',
+    '\ud800',
+    'é',
+    '{}',
+    '%s',
+)
 ODD_TEXTS += ('a' * 2000, '𝄞' * 50, '=1+1', '<script>', "'; DROP TABLE topics; --")
 
 integers = st.sampled_from(ODD_INTEGERS) | st.integers(0, 2**64 - 1) | st.integers(0, 300)

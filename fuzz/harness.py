@@ -51,7 +51,7 @@ CURRENT = 'ALLAN_FUZZ_CURRENT'
 """Environment variable: file with the current input, in case the process dies."""
 
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-_FORBIDDEN = ('os.system', 'os.exec', 'os.posix_spawn', 'os.link', 'os.chmod')
+_FORBIDDEN: tuple[str, ...] = ('os.system', 'os.exec', 'os.posix_spawn', 'os.link', 'os.chmod')
 _FORBIDDEN += ('subprocess.Popen', 'socket.connect', 'socket.bind', 'pickle.find_class')
 _CHANGES = (
     'os.symlink',
@@ -259,9 +259,10 @@ def _round(
 
     try:
         test()
-    except Exception as error:
-        while getattr(error, 'exceptions', ()):  # a failure that is not reproducible is nested
-            error = error.exceptions[0]
+    except Exception as failure:
+        error: BaseException = failure
+        while nested := getattr(error, 'exceptions', ()):  # of a failure that is not reproducible
+            error = nested[0]
         where = f'{_place(error)}: {type(error).__name__}: {error!s:.200}'
         key = where.partition(':')[0] + type(error).__name__
         tally.crashes.setdefault(key, f'{where}\n  seed {number}, input {drawn!r:.2000}')

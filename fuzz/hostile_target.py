@@ -35,7 +35,15 @@ RLE_BYTES = 128 << 10
 
 KINDS = ('fifo', 'folder', 'zero', 'full', 'tty', 'memory', 'loop', 'gone')
 LINKS = {'zero': '/dev/zero', 'full': '/dev/full', 'tty': '/dev/tty', 'memory': '/proc/self/mem'}
-PLACES = ('a/metadata.yaml', 'a/a.mcap', 'a.mcap', 'b/b.db3', 'b/b.db3-wal', 'c.csv', 'c.npz')
+PLACES: tuple[str, ...] = (
+    'a/metadata.yaml',
+    'a/a.mcap',
+    'a.mcap',
+    'b/b.db3',
+    'b/b.db3-wal',
+    'c.csv',
+    'c.npz',
+)
 PLACES += ('c.npy', 'c.bag', 'c.ulg', 'c.mcap.zstd', 'c')
 
 

@@ -42,7 +42,7 @@ def _message(draw: Any) -> bytes:
     head = stamp + struct.pack(f'{order}I', len(frame)) + frame
     head += bytes(-len(head) % 8)
     numbers = draw(st.lists(floats, min_size=37, max_size=37) | st.just([0.0] * 37))
-    return bytes([0, order == '<', 0, 0]) + head + struct.pack(f'{order}37d', *numbers)
+    return b''.join([bytes([0, order == '<', 0, 0]), head, struct.pack(f'{order}37d', *numbers)])
 
 
 any_message = any_bytes(payloads('cdr', 2)) | _message()

@@ -39,8 +39,8 @@ def seeds() -> dict[str, dict[str, bytes]]:
     for name, (storage, compression) in FORMS.items():
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, 'run' if storage in ('mcap', 'sqlite3') else name)
-            how = {'storage': storage, 'compression': compression}
-            write_recording(path, [small_batch(SAMPLES)], **how)
+            batches = [small_batch(SAMPLES)]
+            write_recording(path, batches, storage=storage, compression=compression)
             files = path.iterdir() if path.is_dir() else [path]
             found[name] = {file.name: file.read_bytes() for file in files}
     return found

@@ -116,9 +116,10 @@ def build(plan: Plan) -> bytes:
             pairs = pairs[:-8] + _number('<Q', plan.index_offset)
         index = record(7, struct.pack('<HI', 1, len(pairs)) + pairs)
         right = (times[0], times[-1], len(out), len(chunk), 0)
-        forms = ('<Q', '<Q', '<Q', '<Q', '<I')
+        listed_forms = ('<Q', '<Q', '<Q', '<Q', '<I')
         body = b''.join(
-            _number(form, _or(odd, r)) for form, odd, r in zip(forms, plan.chunk_index, right)
+            _number(form, _or(odd, r))
+            for form, odd, r in zip(listed_forms, plan.chunk_index, right)
         )
         body += struct.pack('<Q', len(index)) + _text(plan.compression)
         indexes.append(record(8, body + struct.pack('<QQ', len(stored), len(inner))))
@@ -137,11 +138,11 @@ def _compressed(data: bytes, how: str) -> bytes:
     if how == 'zstd':
         import zstandard
 
-        return zstandard.ZstdCompressor().compress(data)
+        return bytes(zstandard.ZstdCompressor().compress(data))
     if how == 'lz4':
         import lz4.frame
 
-        return lz4.frame.compress(data)
+        return bytes(lz4.frame.compress(data))
     return data
 
 
@@ -185,7 +186,8 @@ def _planned(draw: Any) -> bytes:
         compression=draw(st.sampled_from(['', '', 'zstd', 'lz4'])),
         chunked=draw(st.integers(0, 4)) > 0,
         summary=draw(st.booleans()),
-        **({'type': 'a/msg/B', 'schema': NESTED_SCHEMA} if nested else {}),
+        type='a/msg/B' if nested else IMU_TYPE,
+        schema=NESTED_SCHEMA if nested else '',
     )
     odd: dict[str, Any] = {
         'message': any_bytes(payloads('cdr', 2)),
@@ -210,7 +212,8 @@ def _planned(draw: Any) -> bytes:
 
 @st.composite
 def _files(draw: Any) -> bytes:
-    return draw(_planned() if draw(st.integers(0, 2)) else any_bytes(seeds()))
+    data: bytes = draw(_planned() if draw(st.integers(0, 2)) else any_bytes(seeds()))
+    return data
 
 
 def check(data: bytes, folder: Path) -> bool:

@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,12 @@ GROWTH_BYTES = 300 << 20
 
 NODES = ('allan_monitor', 'allan_estimator')
 TEXT_TOPICS = ('/sums', '/allan_monitor/noise_model')
-PARAMETERS = ('estimator.growth', 'estimator.margin', 'estimator.method', 'publish.sums_period')
+PARAMETERS: tuple[str, ...] = (
+    'estimator.growth',
+    'estimator.margin',
+    'estimator.method',
+    'publish.sums_period',
+)
 PARAMETERS += ('input.stale_after', 'segmenter.max_bridge', 'segmenter.motion_ratio', 'relay.rate')
 PARAMETERS += ('checkpoint.path', 'checkpoint.period', 'input.topics', 'no.such', 'relay.inflate')
 
@@ -131,13 +136,16 @@ class Graph:
         """Raise unless both nodes publish diagnostics, use little memory and wrote no file."""
         began = time.monotonic()
         for name in NODES:
-            self._until(lambda n=name: self.heard.get(n, 0.0) > began, f'{name} is silent')
+            self._until(partial(self._heard_since, name, began), f'{name} is silent')
             grown = self._resident(name) - getattr(self, 'memory', {}).get(name, 1 << 40)
             if grown > GROWTH_BYTES:
                 raise BrokenRule(f'{name} has grown by {grown >> 20} MB')
         for path in Path(self.folder.name).rglob('*'):
             if path.suffix != '.log':
                 raise BrokenRule(f'a node wrote {path.name}')
+
+    def _heard_since(self, name: str, began: float) -> bool:
+        return self.heard.get(name, 0.0) > began
 
     def _until(self, holds: Callable[[], Any], otherwise: str) -> None:
         import rclpy

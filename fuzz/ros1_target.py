@@ -119,7 +119,8 @@ def seeds() -> tuple[bytes, ...]:
 @st.composite
 def _bags(draw: Any) -> bytes:
     if not draw(st.integers(0, 2)):
-        return draw(any_bytes(seeds()))
+        damaged: bytes = draw(any_bytes(seeds()))
+        return damaged
     values = (
         st.none()
         | st.binary(max_size=12)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
 
 from .damage import any_bytes, floats, signed, texts
 from .harness import Target
@@ -107,7 +108,9 @@ def boundaries(data: bytes) -> Iterator[int]:
     yield len(data)
 
 
-CELLS = st.none() | signed.map(lambda i: (i + 2**63) % 2**64 - 2**63) | floats | texts
+CELLS: SearchStrategy[Any] = (
+    st.none() | signed.map(lambda i: (i + 2**63) % 2**64 - 2**63) | floats | texts
+)
 CELLS |= st.binary(max_size=20) | any_bytes(payloads('cdr', 2))
 
 

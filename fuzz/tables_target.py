@@ -20,7 +20,11 @@ from .damage import any_bytes, signed, texts
 from .harness import Target
 from .reading import read_and_check, small_batch
 
-HEADERS = ('t,gx,gy,gz,ax,ay,az', 'stamp_ns;gyro_x;gyro_y;gyro_z', 'sec,nanosec,wx,wy,wz')
+HEADERS: tuple[str, ...] = (
+    't,gx,gy,gz,ax,ay,az',
+    'stamp_ns;gyro_x;gyro_y;gyro_z',
+    'sec,nanosec,wx,wy,wz',
+)
 HEADERS += (
     'Time [ms]\tax [g]\tay [g]\taz [g]',
     't [fortnights],gx,gy,gz',
@@ -28,7 +32,19 @@ HEADERS += (
     '"',
     'gx,gx',
 )
-CELLS = ('0', '1e308', '-1e308', '1e309', 'nan', 'inf', '-inf', '', ' ', '1e999999', '-1e-999999')
+CELLS: tuple[str, ...] = (
+    '0',
+    '1e308',
+    '-1e308',
+    '1e309',
+    'nan',
+    'inf',
+    '-inf',
+    '',
+    ' ',
+    '1e999999',
+    '-1e-999999',
+)
 CELLS += ('1_000', '٣', '0x10', '"', '"a\nb"', '9' * 400, '1e19', '--1', 'é', '\0', "'", '1,5')
 KINDS = ('<f8', '>f4', '<i8', '<u8', '<u1', '<f2', '<c16', '|O', '|S3', '<U4', '|V8', '<f16', '?')
 
@@ -62,7 +78,8 @@ def _csv(draw: Any) -> bytes:
     rows = draw(st.lists(row, max_size=6))
     comment = draw(st.sampled_from(['', '# frame_id: a\n', '# t gx\n', '#', '\ufeff']))
     end = draw(st.sampled_from(['\n', '\r\n', '\r', '\n\n']))
-    return (comment + end.join([header, *rows]) + end).encode('utf-8', 'surrogatepass')
+    text: str = comment + end.join([header, *rows]) + end
+    return text.encode('utf-8', 'surrogatepass')
 
 
 def _header(kind: str, fortran: str, shape: str) -> bytes:
@@ -82,7 +99,8 @@ def _npy(draw: Any) -> bytes:
         | st.sampled_from(['[7, 7]', '()', '(True, 7)', '(1e3, 7)', '(' * 300 + ')' * 300, '(7,'])
     )
     fortran = draw(st.sampled_from(['False', 'True', 'None', '1']))
-    return _header(kind, fortran, shape) + draw(st.binary(max_size=400))
+    data: bytes = draw(st.binary(max_size=400))
+    return _header(kind, fortran, shape) + data
 
 
 @st.composite

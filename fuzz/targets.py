@@ -10,7 +10,7 @@ from functools import partial
 
 from .harness import Target
 
-NAMES = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'losses', 'hostile', 'imu')
+NAMES: tuple[str, ...] = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'losses', 'hostile', 'imu')
 NAMES += ('documents', 'absurd', 'nodes')
 
 
