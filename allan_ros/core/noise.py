@@ -177,7 +177,7 @@ def gauss_markov_sums(
     return slope, step
 
 
-def sinusoid_avar(m: ArrayLike, frequency: float) -> NDArray[np.float64]:
+def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
     """Return the Allan variance of a sinusoid of unit amplitude, averaged over its phase.
 
     sin^4(pi f m) / (m sin(pi f))^2, IEEE Std 952-2020 annex C (sinusoidal noise), here for sums
@@ -187,15 +187,15 @@ def sinusoid_avar(m: ArrayLike, frequency: float) -> NDArray[np.float64]:
     ----------
     m : (factors,) array
         Averaging factors in samples.
-    frequency : float
+    frequency : float or array that broadcasts with m
         In cycles per sample.
 
     Returns
     -------
     (factors,) float64 array
     """
-    m = np.asarray(m, float)
-    return np.asarray(np.sin(np.pi * frequency * m) ** 4 / (m * np.sin(np.pi * frequency)) ** 2)
+    m, turn = np.asarray(m, float), np.pi * np.asarray(frequency, float)
+    return np.asarray(np.sin(turn * m) ** 4 / (m * np.sin(turn)) ** 2)
 
 
 @dataclass(frozen=True)

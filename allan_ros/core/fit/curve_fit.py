@@ -28,7 +28,7 @@ from .model import (
     avar_terms,
     coefficient_to_si,
 )
-from .processes import Extra, GaussMarkovTerm, columns_of, tangents_of
+from .processes import Extra, GaussMarkovTerm
 from .regions import largest_deviation, model_line
 from .search import Found, ProcessSearch
 from .solve import RIDGE, Whitening
@@ -85,18 +85,8 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     seconds = record or DEFAULT_RECORD * float(tau[-1])
     freedom = np.maximum(OVERLAPPING * (seconds / tau - 1.0), 1.0)
     relative = np.sqrt(2.0 / freedom + LEAST_ERROR**2)
-    nothing = np.zeros((0, len(RANDOM_TERMS)))
     pairs = np.zeros((10, len(m) * (len(m) + 1) // 2))
-    table = Table(
-        m,
-        np.round(freedom).astype(np.int64),
-        avar,
-        avar_terms(m),
-        pairs,
-        np.zeros(0),
-        nothing,
-        pairs,
-    )
+    table = Table(m, np.round(freedom).astype(np.int64), avar, avar_terms(m), pairs)
     model = avar
     found = Found((), np.zeros(len(RANDOM_TERMS)), math.inf)
     z = 0.0
@@ -110,7 +100,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
         found = five if z < Z_DETECT else search.search(found.extras)
         model = table.terms @ found.power[: len(RANDOM_TERMS)]
         if found.extras:
-            model = model + columns_of(table, found.extras) @ found.power[len(RANDOM_TERMS) :]
+            model = model + table.columns(found.extras) @ found.power[len(RANDOM_TERMS) :]
         model = np.maximum(model, np.finfo(float).tiny)
     return _axis_fit(table, found, whitening, z, relative, unit)
 
@@ -141,7 +131,7 @@ def _axis_fit(
     extras: tuple[Extra, ...] = found.extras
     columns = [table.terms]
     if extras:
-        columns += [columns_of(table, extras), tangents_of(table, extras)]
+        columns += [table.columns(extras), table.tangents(extras)]
     design = whitening.apply(np.column_stack(columns))
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0

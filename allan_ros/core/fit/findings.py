@@ -263,7 +263,10 @@ def _time_findings(
     found = []
     if {'K', 'R'} <= {t for t, c in fit.noise.items() if c.status == 'not_observable'}:
         held = selected.fit.options.table(
-            pooled, axis, selected.fit.power, np.zeros(len(pooled.segments))
+            pooled,
+            axis,
+            selected.fit.options.noise(selected.fit.power),
+            np.zeros(len(pooled.segments)),
         )
         if Score(held, K, selected.fit.power, selected.fit.options.misfit)(0.0) > Z_DETECT:
             found.append(finding('drift_not_separable', name))

@@ -70,7 +70,7 @@ def _fit_axis(
     if len(selected.fit.table.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(pooled, axis, constant)
     # With the tangents, uncertain correlation times and frequencies widen all intervals.
-    table = options.table(pooled, axis, power, tangents=True)
+    table = options.table(pooled, axis, options.noise(power), tangents=True)
     power = np.concatenate([power, np.zeros(table.terms.shape[1] - len(power))])
     sizes = range(table.noises + table.lines)
     terms = range(len(RANDOM_TERMS))

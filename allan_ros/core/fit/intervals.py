@@ -37,7 +37,7 @@ from .solve import (
     white_floor,
     with_floor,
 )
-from .table import PooledTable, Table, variances
+from .table import PooledTable, Table
 
 Z_TWO_SIDED = 1.96
 """Normal quantile of 97.5 %."""
@@ -344,7 +344,7 @@ def ramp_interval(
     tables = []
     for c in at:
         known = np.where(np.isnan(ignored), c, np.nan)
-        tables.append(fit.options.table(pooled, axis, fit.power, known))
+        tables.append(fit.options.table(pooled, axis, fit.options.noise(fit.power), known))
     below, middle, above = (table.avar for table in tables)
     slope, bend = (above - below) / 2.0, (above + below) / 2.0 - middle
     held = fit.power
@@ -355,8 +355,9 @@ def ramp_interval(
         less = replace(tables[1], avar=middle + slope * x + bend * x * x)
         held = solve(less, held, signed=fit.options.signed, misfit=fit.options.misfit)
         noise = fit.options.noise(with_floor(less, held))
-        free, effects = pooled.ramps(axis, noise, ignored)
-        r, sd = _mean(free[counted], (variances(effects) @ noise)[counted])
+        free, weights = pooled.ramps(axis, noise, ignored)
+        of_ramps = pooled.ramp_variance(weights, noise.times) @ noise.power
+        r, sd = _mean(free[counted], of_ramps[counted])
         return (r - c) / sd
 
     bound = np.inf

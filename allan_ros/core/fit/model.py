@@ -16,6 +16,7 @@ from ..findings import Finding
 from ..noise import NoiseTerms, ProcessModel, term_avar
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')

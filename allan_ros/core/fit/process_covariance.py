@@ -123,6 +123,13 @@ class _Segments:
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 
+    def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
+        """Return the mean number of samples after the last difference of segments of at least some
+        length."""
+        enough = (self.samples >= least[:, None]) * self.number
+        rest = np.mod(self.samples - reach[:, None], stride[:, None])
+        return np.asarray((rest * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
+
 
 class _Lags:
     """Quadrature over the lags of some pairs of factors."""
@@ -138,8 +145,13 @@ class _Lags:
         self.segments, self.stride_j = segments, stride_j
         self.plateau = segments.differences(2.0 * self.mj, stride_j)
         self.dense = self.mj < NODES * self.stride
-        # A segment has pairs of differences up to the lag of its samples less this.
-        self.less = self.far - stride_j * (1.0 - self.lost)
+        # A segment has pairs of differences up to the lag of its samples less this. Lags of one
+        # sign end with the last difference at m_i, those of the other with the last at m_j.
+        unused = [
+            segments.unused(2.0 * m, s, 2.0 * self.mj)
+            for m, s in ((self.mi, self.stride), (self.mj, stride_j))
+        ]
+        self.less = self.far - stride_j * (1.0 - self.lost) + (unused[0] + unused[1]) / 2.0
         self.end = segments.samples[-1] - self.less
 
     def pairs_at(self, u: Floats) -> Floats:

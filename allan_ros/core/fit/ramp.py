@@ -14,23 +14,74 @@ still linear in the variance coefficients, for any fixed weights and exactly:
     E V'_i = E V_i - sqrt2 m_i Cov(S_i, r) + m_i^2 Var(r) / 2
 
 where S_i is the mean of d/(sqrt2 m_i). `RampEffect` holds both, per unit coefficient.
+
+The phase of a Gauss-Markov process of unit variance has the generalised covariance
+-A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times that of white noise, plus
+an exponential part.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..allan.engine import PHASE_POINTS
 from ..allan.history import cell_step
-from ..allan.sums import counts, grid_for
-from .model import DIFFERENCE, RANDOM_TERMS, Floats, phase_covariance, walk_from_cubic
+from ..allan.sums import LENGTH_CLASS_RATIO, LengthClass, counts, grid_for, ols_ramp_weights
+from ..noise import gauss_markov_sums
+from .covariance import pair_sums
+from .model import (
+    DIFFERENCE,
+    RANDOM_TERMS,
+    WHITE,
+    Floats,
+    Ints,
+    phase_covariance,
+    walk_from_cubic,
+)
+
+N = RANDOM_TERMS.index('N')
 
 _FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)
 """Second differences of theta have the fourth difference of its covariance."""
+
+
+class Noise(NamedTuple):
+    """Variance coefficients q, w, b, k and those of Gauss-Markov processes, (4 + processes,), with
+    the correlation times of these in samples."""
+
+    power: Floats = WHITE
+    times: tuple[float, ...] = ()
+
+    def white(self) -> Floats:
+        """Return q, w, b, k of noise that is like this one over long times, none negative."""
+        power = np.maximum(self.power, 0.0)
+        four = power[: len(RANDOM_TERMS)].copy()
+        if self.times:
+            four[N] += power[len(RANDOM_TERMS) :] @ gauss_markov_sums(self.times)[0]
+        return four
+
+
+@dataclass(frozen=True)
+class RampEffect:
+    """Covariance of a ramp estimate with the signed means S_i, (noises, factors), and its variance,
+    (noises,), both per unit coefficient of the four terms and of the processes."""
+
+    cross: Floats
+    variance: Floats
+
+    def shift(self, m: Ints) -> Floats:
+        """Return what removing the ramp adds to the expected d^2/(2 m^2), (factors, noises).
+
+        -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
+        """
+        factor = m.astype(float)
+        added = np.outer(self.variance, factor**2 / 2.0) - np.sqrt(2.0) * factor * self.cross
+        return np.asarray(added.T)
 
 
 @dataclass(frozen=True)
@@ -46,60 +97,99 @@ class RampGeometry:
         Covariance at lag 0, 1, .. of the second differences of the phase, per unit coefficient.
     cross : (4, factors, points) float64 array
         Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit coefficient.
+    ends, shares : (factors, 6) float64 arrays
+        The covariance of S_i with a point at x is sum_e share_e F(end_e - x), F being the integral
+        of the covariance of the phase: the mean over the starts taken as an integral.
+    kinks : (factors, points) float64 array
+        What the covariance with white noise, which has a kink at lag 0, differs from that by.
     """
 
     points: int
     step: int
-    m: NDArray[np.int64]
+    m: Ints
     second_differences: Floats
     cross: Floats
+    ends: Floats
+    shares: Floats
+    kinks: Floats
+    stride: Ints
 
-    def best_weights(self, power: Floats) -> Floats | None:
+    def best_weights(self, noise: Noise) -> Floats | None:
         """Return the weights on the phase of the best estimate of r; None under three points."""
         z = self.points - 2
-        row = np.maximum(power, 0.0) @ self.second_differences
-        if z < 1 or not row[0] > 0.0:
+        if z < 1:
+            return None
+        rows = np.concatenate([self.second_differences, self._decay_differences(noise.times)])
+        row = np.maximum(noise.power, 0.0) @ rows
+        if not row[0] > 0.0:
             return None
         lag = np.abs(np.arange(z)[:, None] - np.arange(z))
         solution = np.linalg.solve(row[lag] / row[0], np.ones(z))
-        return self._on_phase(solution / solution.sum())
+        return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
-    def _on_phase(self, on_second: Floats) -> Floats:
-        """Convert weights on the second differences of the phase to weights on the phase."""
-        return np.asarray(np.convolve(on_second, DIFFERENCE) / float(self.step) ** 2)
+    def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
+        """Return the effect on the table of removing the ramp estimated with these weights.
 
-    def effect(self, weights: Floats) -> RampEffect:
-        """Return the effect on the table of removing the ramp estimated with these weights."""
-        on_second = _on_second_differences(weights)
+        Parameters
+        ----------
+        weights : (points,) float64 array
+        times : sequence of float
+            Correlation times, in samples, of processes that follow the four terms in the result.
+        """
+        cross = self.cross @ weights
+        if len(times):
+            cross = np.concatenate([cross, self._decay_cross(weights, times, cross[N])])
+        return RampEffect(cross, self.variance(weights, times))
+
+    def variance(self, weights: Floats, times: Sequence[float] | Floats = ()) -> Floats:
+        """Return the variance of the ramp estimated with these weights, (noises,)."""
+        on_second = np.cumsum(np.cumsum(weights))[:-2]
         # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
         lags = np.correlate(on_second, on_second, 'full')[len(on_second) - 1 :]
         lags[1:] *= 2.0
-        return RampEffect(self.cross @ weights, self.second_differences @ lags)
+        rows = [self.second_differences]
+        if len(times):
+            rows.append(self._decay_differences(times))
+        return np.asarray(np.concatenate(rows) @ lags)
 
+    def _decay_differences(self, times: Sequence[float] | Floats) -> Floats:
+        """Return `second_differences` of Gauss-Markov processes, (processes, points - 2)."""
+        slope, size = gauss_markov_sums(times)
+        lags = np.abs(np.arange(-2, max(self.points, 3))) * float(self.step)
+        decay = np.exp(-lags / np.reshape(times, (-1, 1)))
+        fourth = sum(
+            c * decay[:, n : n + self.points - 2] for n, c in enumerate(_FOURTH_DIFFERENCE)
+        )
+        return np.asarray(
+            np.outer(slope, self.second_differences[N]) - size[:, None] / 2.0 * fourth
+        )
 
-@dataclass(frozen=True)
-class RampEffect:
-    """Covariance of a ramp estimate with the signed means S_i (4, factors), and its variance (4,).
+    def _decay_cross(
+        self, weights: Floats, times: Sequence[float] | Floats, white: Floats
+    ) -> Floats:
+        """Return the covariances of S_i with a ramp estimate, (processes, factors).
 
-    Both per unit coefficient.
-    """
-
-    cross: Floats
-    variance: Floats
-
-
-def ramp_shift(m: NDArray[np.int64], effect: RampEffect) -> Floats:
-    """Return what removing the ramp adds to the expected d^2/(2 m^2), (factors, 4).
-
-    -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
-    """
-    m = m.astype(float)
-    return np.asarray((np.outer(effect.variance, m * m / 2.0) - np.sqrt(2.0) * m * effect.cross).T)
-
-
-def _on_second_differences(weights: Floats) -> Floats:
-    """Convert weights on the phase to weights on its second differences."""
-    return np.asarray(np.cumsum(np.cumsum(weights))[:-2])
+        The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
+        over the points x follows from the sums over the points before and after t, of the weights
+        and of the weights times an exponential, which are convolutions.
+        """
+        slope, size = gauss_markov_sums(times)
+        time = np.reshape(times, (-1, 1))
+        n = self.points
+        kernel = np.fft.rfft(np.exp(-np.arange(n) * self.step / time), 2 * n)
+        before = np.fft.irfft(kernel * np.fft.rfft(weights, 2 * n), 2 * n)[:, :n]
+        after = np.fft.irfft(kernel * np.fft.rfft(weights[::-1], 2 * n), 2 * n)[:, n - 1 :: -1]
+        t = self.ends.ravel()
+        cell = np.clip(np.floor(t / self.step).astype(np.int64), -1, n - 1)
+        past = np.maximum(t - cell * self.step, 0.0)
+        ahead = np.maximum((cell + 1) * self.step - t, 0.0)
+        value = np.pad(after, ((0, 0), (0, 1)))[:, cell + 1] * np.exp(-ahead / time)
+        value -= np.pad(before, ((0, 0), (1, 0)))[:, cell + 1] * np.exp(-past / time)
+        value *= np.repeat(_lattice_decay(time, self.stride), self.ends.shape[1], axis=1)
+        value += 2.0 * np.concatenate([[0.0], np.cumsum(weights)])[cell + 1]
+        part = (value.reshape(-1, *self.ends.shape) * self.shares).sum(axis=2)
+        smooth = np.outer(slope, white - self.kinks @ weights) - size[:, None] / 2.0 * time * part
+        return np.asarray(smooth + _kink_level(time, self.stride) * (self.kinks @ weights))
 
 
 @lru_cache(maxsize=80)
@@ -116,42 +206,179 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
         step = cell_step(samples, PHASE_POINTS)
     points = samples // step + 1
     m, stride = grid_for(samples)
+    count = counts(samples, m, stride)
     lags = np.arange(-2, max(points, 3), dtype=np.float64) * step
     second_differences = np.stack(
         [np.convolve(g, _FOURTH_DIFFERENCE, mode='valid') for g in phase_covariance(lags)]
-    )
-    cross = _cross(m, stride, counts(samples, m, stride), np.arange(points) * step)
-    return RampGeometry(points, step, m, second_differences[:, : points - 2], cross)
-
-
-def _cross(
-    m: NDArray[np.int64], stride: NDArray[np.int64], count: NDArray[np.int64], at: NDArray[np.int64]
-) -> Floats:
-    """Return the covariances of S_i with the phase ``at`` some samples, (4, factors, points).
-
-    The mean over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x): as the integral over
-    each start's s for the smooth G, start by start for white phase.
-    """
-    out = np.zeros((len(RANDOM_TERMS), len(m), len(at)))
-    end = (count - 1) * stride
+    )[:, : points - 2]
+    at = np.arange(points) * float(step)
+    ends, shares = _ends(samples)
+    cross = np.zeros((len(RANDOM_TERMS), len(m), points))
+    exact = np.zeros((len(m), points))
     for a, c in enumerate(DIFFERENCE):
-        start = at[None, :] - (a * m)[:, None]
-        met = (start >= 0) & (start <= end[:, None]) & (start % stride[:, None] == 0)
-        out[0] += c * met
-        half = stride / 2.0
-        upper, lower = (end + half)[:, None] - start, -half[:, None] - start
-        out[1:] += c * (_integral(upper, at[-1]) - _integral(lower, at[-1])) / stride[:, None]
-    return np.asarray(out / (np.sqrt(2.0) * m * count)[:, None])
+        start = at - (a * m)[:, None]
+        met = (start >= 0) & (start <= ((count - 1) * stride)[:, None])
+        cross[0] += c * (met & (start % stride[:, None] == 0))
+        # sum_k |k s - start| over 0 <= k < M
+        below = np.clip(start // stride[:, None] + 1, 0, count[:, None])
+        exact -= (
+            c
+            / 2.0
+            * (start * (2 * below - count[:, None]) - (stride[:, None] * below * (below - 1)))
+        )
+    norm = (np.sqrt(2.0) * m * count)[:, None]
+    cross[0] /= norm
+    for end, share in zip(ends.T, shares.T):
+        cross[1:] += share[:, None] * _integral(end[:, None] - at, at[-1], stride[:, None])
+    kinks = exact / norm - cross[N]
+    cross[N:] += np.multiply.outer([1.0, 0.0, 1.0 / 6.0], kinks)
+    return RampGeometry(points, step, m, second_differences, cross, ends, shares, kinks, stride)
 
 
-def _integral(t: Floats, unit: float) -> Floats:
+def _kink_level(time: Floats, stride: Ints) -> Floats:
+    """Return how much of the kink of white noise a process has for sums over a lattice.
+
+    The sum of exp(-|t|/T) over a lattice of step s is coth(s/2T), its integral 2T/s; for -|t|/2
+    they differ by s/12.
+    """
+    slope, size = (x.reshape(np.shape(time)) for x in gauss_markov_sums(np.ravel(time)))
+    half = stride / (2.0 * time)
+    large = np.maximum(half, 1e-3)
+    excess = np.where(half < 1e-3, half / 3.0, 1.0 / np.tanh(large) - 1.0 / large)
+    return np.asarray(slope - 6.0 * size / stride * excess)
+
+
+def _lattice_decay(time: Floats, stride: Ints) -> Floats:
+    """Return the sum of exp(-t/T) over the lattice beyond t, relative to its integral."""
+    half = np.minimum(stride / (2.0 * time), 300.0)
+    return np.asarray(half / np.sinh(half))
+
+
+def _ends(samples: int) -> tuple[Floats, Floats]:
+    """Return `RampGeometry.ends` and `RampGeometry.shares` of a segment.
+
+    The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) as the integral over each
+    start's s.
+    """
+    m, stride = grid_for(samples)
+    count = counts(samples, m, stride)
+    share = 1.0 / (np.sqrt(2.0) * m * count * stride)
+    ends = [(a * m + e) for a in range(3) for e in ((count - 0.5) * stride, -0.5 * stride)]
+    shares = [sign * c * share for c in DIFFERENCE for sign in (1.0, -1.0)]
+    return np.stack(ends, axis=1), np.stack(shares, axis=1)
+
+
+def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
     """Return the integrals from 0 to t of the generalised covariances of w, b and k, (3, ...).
 
-    Lags in the logarithm are taken in a unit: what that adds to G, a multiple of t^2, vanishes.
+    Less s^2/24 times their second derivative, which turns the integral into the sum over starts
+    (Euler-Maclaurin). Lags in the logarithm are taken in a unit: what that adds to G, a multiple of
+    t^2, vanishes.
     """
-    white = -t * np.abs(t) / 4.0
-    cube = t**3
-    with np.errstate(divide='ignore', invalid='ignore'):
-        log = np.where(t == 0.0, 0.0, np.log(np.abs(t) / unit))
-    flicker = cube * (log / 3.0 - 1.0 / 9.0) / (2.0 * np.pi)
-    return np.stack([white, flicker, walk_from_cubic(white, cube * np.abs(t) / 48.0)])
+    size, end = np.abs(t), stride**2 / 24.0
+    white = -t * size / 4.0 + end * np.where(t < 0.0, -0.5, 0.5)
+    log = np.log(np.maximum(size, 1e-9) / unit)
+    flicker = (t**3 * (log / 3.0 - 1.0 / 9.0) - end * t * (2.0 * log + 1.0)) / (2.0 * np.pi)
+    return np.stack(
+        [white, flicker, walk_from_cubic(white, t * size * (size**2 / 48.0 - end / 4.0))]
+    )
+
+
+@lru_cache(maxsize=256)
+def mean_covariances(samples: int, time: float) -> Floats:
+    """Return the covariances of S_i and S_j of a Gauss-Markov process of unit variance, (pairs,).
+
+    At the pairs i <= j of `numpy.triu_indices`. The double sum over starts is taken as a double
+    integral, which is minus the second antiderivative of the covariance of the phase between the
+    ends: -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T |t|).
+    """
+    slope, size = (float(x[0]) for x in gauss_markov_sums(time))
+    ends, shares = _ends(samples)
+    t = np.abs(ends.reshape(-1, 1) - ends.ravel())
+    stride = grid_for(samples)[1]
+    end = np.repeat(stride**2 / 24.0, ends.shape[1])
+    less = np.repeat(_lattice_decay(np.array(time), stride), ends.shape[1])
+    decay = time * np.exp(-t / time) * np.outer(less, less) + t
+    second = np.stack([t**3 / 12.0 - np.add.outer(end, end) * t / 2.0, size / 2.0 * time * decay])
+    full = (second.reshape(2, -1, *ends.shape) * shares).sum(axis=3)
+    full = (full.reshape(2, *ends.shape, -1) * shares[:, :, None]).sum(axis=2)
+    i, j = np.triu_indices(len(shares))
+    white, decay = full[:, i, j]
+    pairs = pair_sums(samples)
+    exact = pairs.singles[N] / (pairs.count[i].astype(float) * pairs.count[j])
+    level = _kink_level(np.array(time), stride)[i]
+    return np.asarray(slope * white + decay + level * (exact - white))
+
+
+# --- segments that are pooled by length -----------------------------------------------------------
+
+
+def fixed_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
+    """Return the effect of the least-squares ramp of a pooled segment; None where it has none."""
+    geometry = ramp_geometry(samples)
+    if geometry.points < 3:
+        return None
+    return geometry.effect(ols_ramp_weights(geometry.points, geometry.step), times)
+
+
+def pooled_shift(
+    classes: Sequence[LengthClass],
+    m: Ints,
+    stride: Ints,
+    count: Ints,
+    times: Sequence[float] | Floats = (),
+) -> Floats:
+    """Return what removing the ramps adds to the expected sums over the pooled differences.
+
+    Parameters
+    ----------
+    classes : sequence of LengthClass
+    m, stride, count : (factors,) int64 arrays
+        Averaging factors, samples between two starts, and differences of all pooled segments.
+    times : sequence of float
+        Correlation times of processes, in samples.
+
+    Returns
+    -------
+    (factors, 4 + processes) float64 array
+        Per unit coefficient, for sums of d^2/(2 m^2).
+    """
+    taken = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
+    number = np.zeros(len(m))
+    partly = np.zeros(len(m), np.int64)
+    for pool in classes:
+        mean, low, high = _lengths(pool)
+        whole = np.flatnonzero(2 * m <= low)
+        here = pool.count * _differences(pool, mean, m[whole], stride[whole])
+        number[whole] += here
+        taken[whole] += here[:, None] * _shift(round(mean), times)[whole]
+        partly[(2 * m > low) & (2 * m < high)] = round(mean)
+    for i in np.flatnonzero(partly):
+        rest = max(count[i] - number[i], 0.0)
+        number[i] += rest
+        taken[i] += rest * _shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
+    return np.asarray(taken * (count / np.maximum(number, 1.0))[:, None])
+
+
+def _lengths(pool: LengthClass) -> tuple[float, float, float]:
+    """Return the mean length of the segments of a class, and the bounds of their lengths."""
+    mean = pool.samples / pool.count
+    if pool.count == 1:
+        return mean, mean, mean
+    low = LENGTH_CLASS_RATIO ** np.floor(np.log(mean) / np.log(LENGTH_CLASS_RATIO))
+    return mean, min(low, mean), low * LENGTH_CLASS_RATIO
+
+
+def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Floats:
+    """Return how many differences a segment of a class has at the factors, on average."""
+    if pool.count == 1:
+        return counts(pool.samples, m, stride).astype(float)
+    # The mean of floor((n - 2 m)/s) + 1 over lengths n of any remainder.
+    return np.asarray((mean - 2 * m) / stride + (1.0 + 1.0 / stride) / 2.0)
+
+
+def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
+    """Return what removing the ramp of a segment adds to each difference, (factors, noises)."""
+    effect = fixed_effect(samples, times)
+    m = ramp_geometry(samples).m
+    return np.zeros((len(m), len(RANDOM_TERMS) + len(times))) if effect is None else effect.shift(m)

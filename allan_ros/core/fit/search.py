@@ -16,7 +16,7 @@ import numpy as np
 
 from .goodness import Z_FAIL
 from .model import RANDOM_TERMS, Floats
-from .processes import Extra, GaussMarkovTerm, SinusoidTerm, columns_of
+from .processes import Extra, GaussMarkovTerm, SinusoidTerm
 from .solve import B, K, Q, Whitening, nonnegative_least_squares
 from .table import Table
 
@@ -141,7 +141,7 @@ class ProcessSearch:
         """Return the whitened columns of some processes, (rows, processes)."""
         if not extras:
             return np.zeros((len(self._target), 0))
-        return self._to_white @ columns_of(self.table, extras)
+        return self._to_white @ self.table.columns(extras)
 
     def fitted(self, extras: Sequence[Extra]) -> Found:
         """Return the fit of some processes together with the four terms."""

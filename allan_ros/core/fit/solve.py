@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
 from ..errors import AllanError
-from .model import RANDOM_TERMS, WHITE, Floats
-from .processes import Extra, with_extras
+from .model import RANDOM_TERMS, Floats
+from .processes import Extra, correlation_times
+from .ramp import Noise
 from .table import EMPTY_ROW, PooledTable, Table
 
 RIDGE = 1e-12
@@ -361,16 +362,12 @@ class FitOptions:
         self,
         pooled: PooledTable,
         axis: int,
-        power: Floats,
+        noise: Noise,
         ramps: Floats | None = None,
         tangents: bool = False,
     ) -> Table:
-        """Return the table of an axis with the best ramps under these coefficients.
-
-        Parameters are those of `PooledTable.table` and, for ``tangents``, of `with_extras`.
-        """
-        table = pooled.table(axis, self.noise(power), ramps)
-        return with_extras(table.rows(table.m >= self.m_min), pooled, self.extras, tangents)
+        """Return the `PooledTable.table` of an axis with these processes and factors."""
+        return pooled.table(axis, noise, ramps, self.extras, self.m_min, tangents)
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -378,12 +375,10 @@ class FitOptions:
         every = range(len(RANDOM_TERMS) + len(self.extras))
         return tuple(c for c in every if self.walk or c != K)
 
-    def noise(self, power: Floats) -> Floats:
-        """Return q, w, b, k >= 0 of noise that is like the model's over long times."""
-        four: Floats = np.maximum(power[: len(RANDOM_TERMS)], 0.0)
-        for extra, p in zip(self.extras, power[len(RANDOM_TERMS) :]):
-            four[N] += p * extra.white()
-        return four
+    def noise(self, power: Floats) -> Noise:
+        """Return the noise of the model, without negative coefficients and sinusoids."""
+        times = correlation_times(self.extras)
+        return Noise(np.maximum(power[: len(RANDOM_TERMS) + len(times)], 0.0), times)
 
 
 @dataclass(frozen=True)
@@ -398,7 +393,7 @@ class PointFit:
     @property
     def ramp_variance(self) -> Floats:
         """Variance of the ramp of each kept segment, (segments,); 0 where it has none."""
-        return np.asarray(self.table.ramp_variance @ self.options.noise(self.power))
+        return np.asarray(self.table.ramp_variance @ self.options.noise(self.power).power)
 
 
 def point_fit(
@@ -416,9 +411,9 @@ def point_fit(
         Where to begin.
     """
     if power is None:
-        power = first_guess(pooled.table(axis, WHITE))
+        power = first_guess(pooled.table(axis))
     power = np.concatenate([power, np.zeros(len(RANDOM_TERMS) + len(options.extras) - len(power))])
-    table = options.table(pooled, axis, power)
+    table = options.table(pooled, axis, options.noise(power))
     for _ in range(RAMP_ROUNDS):
         new = solve(
             table, power, columns=options.columns, signed=options.signed, misfit=options.misfit
@@ -427,5 +422,5 @@ def point_fit(
         power = new
         if settled:
             break
-        table = options.table(pooled, axis, power)
+        table = options.table(pooled, axis, options.noise(power))
     return PointFit(power, table, options)

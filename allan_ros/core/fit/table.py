@@ -10,41 +10,91 @@ leaves both moments exact (module `ramp`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.sums import (
-    LENGTH_CLASS_RATIO,
-    AllanSums,
-    LengthClass,
-    SegmentRecord,
-    allan_variance,
-    counts,
-    ols_ramp_weights,
-)
+from ..allan.sums import AllanSums, SegmentRecord, allan_variance
+from ..noise import gauss_markov_sums, sampled_gauss_markov_avar, sinusoid_avar
 from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, filled_white, pair_sums
-from .model import RANDOM_TERMS, WHITE, Floats, avar_terms
+from .model import RANDOM_TERMS, Floats, Ints, avar_terms
 from .process_covariance import process_pairs, process_squares
-from .ramp import RampEffect, RampGeometry, ramp_geometry, ramp_shift
+from .processes import Extra, GaussMarkovTerm, correlation_times, line_rest, line_scatter
+from .ramp import (
+    Noise,
+    RampEffect,
+    RampGeometry,
+    fixed_effect,
+    mean_covariances,
+    pooled_shift,
+    ramp_geometry,
+)
 
-Ints = NDArray[np.int64]
-
+N = RANDOM_TERMS.index('N')
 
 ROUNDING = 1e-12
 """Fraction of the variance below which the rest, without the ramp, is rounding."""
-
 
 EMPTY_ROW = 1e-6
 """A factor whose differences keep less than this part of their variance without the ramp is left
 out: a record of two differences is mostly its own ramp."""
 
-
 KEPT_PROCESS_SQUARES = 16
 """Sets of correlation times whose covariance is kept."""
+
+SHARED = 24
+"""Correlation times per octave at which covariances are computed: 1.5 % off at most."""
+
+SHAPE_STEP = 1.02
+"""Ratio of the two shapes whose difference is the derivative of a column."""
+
+SHIFTS_PER_OCTAVE = 4
+"""Correlation times at which `DriftShift` is computed; it is interpolated to 1e-4 of it."""
+
+SHORTEST_SHIFT = 0.25
+"""Shortest of these correlation times, in samples."""
+
+
+class DriftShift:
+    """What removing the ramps adds to the expected table of Gauss-Markov processes.
+
+    Over the long-term level of the process it is a smooth function of the logarithm of the
+    correlation time: it is computed once at `SHIFTS_PER_OCTAVE` and interpolated by cubics.
+
+    Parameters
+    ----------
+    samples : int
+        Length of the longest segment: the longest correlation time.
+    compute : callable
+        Returns it at some correlation times, (factors, processes).
+    """
+
+    def __init__(self, samples: int, compute: Callable[[Floats], Floats]) -> None:
+        self._samples, self._compute = samples, compute
+
+    @cached_property
+    def _values(self) -> Floats:
+        octaves = max(np.log2(self._samples / SHORTEST_SHIFT), 1.0)
+        steps = np.arange(-1, int(octaves * SHIFTS_PER_OCTAVE) + 3)
+        times = SHORTEST_SHIFT * 2.0 ** (steps / SHIFTS_PER_OCTAVE)
+        return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
+
+    def __call__(self, times: Floats) -> Floats:
+        """Return it for processes of unit variance, (factors, processes)."""
+        u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
+        at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
+        x = np.maximum(u - at, 0.0)
+        weights = (
+            -x * (x - 1.0) * (x - 2.0) / 6.0,
+            (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
+            -(x + 1.0) * x * (x - 2.0) / 2.0,
+            (x + 1.0) * x * (x - 1.0) / 6.0,
+        )
+        out = sum(w * self._values[:, at + n] for n, w in enumerate(weights))
+        return np.asarray(out * gauss_markov_sums(times)[0])
 
 
 @dataclass(frozen=True)
@@ -58,18 +108,16 @@ class Table:
     avar : (factors,) float64 array
         Allan variance of the samples less the ramps.
     terms : (factors, 4) float64 array
-        Its expectation for unit q, w, b, k; further columns where terms were added.
-    squares : (10, pairs) float64 array
-        Its covariance for the products of coefficients `TERM_PAIRS`, at pairs i <= j.
+        Its expectation for unit q, w, b, k; further columns where processes were added.
+    squares : (products, pairs) float64 array
+        Its covariance for the products of coefficients `TERM_PAIRS` and `process_pairs`, at pairs
+        i <= j.
     ramps : (segments,) float64 array
         The ramp taken out of each kept segment, per sample; 0 where none could be estimated.
-    ramp_variance : (segments, 4) float64 array
+    ramp_variance : (segments, noises) float64 array
         Its variance per unit coefficient.
-    ramp_squares : (10, pairs) float64 array
-        The part of ``squares`` that removing the ramps has added.
     noises : int
-        Columns that scatter: the four terms and Gauss-Markov processes. ``squares`` has their
-        products.
+        Columns that scatter: the four terms and Gauss-Markov processes.
     line_scatter : (lines, noises) float64 array
         For each sinusoid, whose columns follow, the variance of its squared amplitude over the
         squared amplitude, per unit variance of each noise. Further columns only shift the
@@ -77,8 +125,9 @@ class Table:
     line_rest : (2, lines, factors) float64 array
         The other variance of ``avar`` that a sinusoid causes, independent at each factor: over its
         squared amplitude and w, and over its squared amplitude squared.
-    filled : (factors,) float64 array
-        What interpolated samples have added to the column of white noise.
+    drift_shift : callable or None
+        Returns what removing the ramps adds to the columns of Gauss-Markov processes at some
+        factors and correlation times, (factors, processes); None for nothing.
     """
 
     m: Ints
@@ -86,18 +135,42 @@ class Table:
     avar: Floats
     terms: Floats
     squares: Floats
-    ramps: Floats
-    ramp_variance: Floats
-    ramp_squares: Floats
+    ramps: Floats = field(default_factory=lambda: np.zeros(0))
+    ramp_variance: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
     noises: int = len(RANDOM_TERMS)
     line_scatter: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
     line_rest: Floats = field(default_factory=lambda: np.zeros((2, 0, 0)))
-    filled: Floats | float = 0.0
+    drift_shift: Callable[[Ints, Floats], Floats] | None = None
 
     @property
     def lines(self) -> int:
         """How many sinusoids there are."""
         return len(self.line_scatter)
+
+    def columns(self, extras: Sequence[Extra]) -> Floats:
+        """Return the expectation for processes of unit variance or amplitude, (factors, ...)."""
+        drift = np.array([isinstance(e, GaussMarkovTerm) for e in extras], bool)
+        shapes = np.array([e.shape for e in extras])
+        out = np.empty((len(self.m), len(extras)))
+        if drift.any():
+            out[:, drift] = sampled_gauss_markov_avar(self.m, shapes[drift])
+            if self.drift_shift is not None:
+                out[:, drift] += self.drift_shift(self.m, shapes[drift])
+        if not drift.all():
+            out[:, ~drift] = sinusoid_avar(self.m[:, None], shapes[~drift])
+        return out
+
+    def tangents(self, extras: Sequence[Extra]) -> Floats:
+        """Return the derivatives of `columns` by the logarithms of the shapes.
+
+        Free multiples of them make intervals of the other columns account for uncertain shapes.
+        """
+        half = SHAPE_STEP**0.5
+        above, below = (
+            self.columns([replace(e, shape=e.shape * factor) for e in extras])
+            for factor in (half, 1.0 / half)
+        )
+        return np.asarray((above - below) / np.log(SHAPE_STEP))
 
     def covariance(self, power: Floats) -> Floats:
         """Return the covariance of ``avar`` under these coefficients, (factors, factors).
@@ -106,9 +179,8 @@ class Table:
         and with that at its aliases where not every start is used (``line_rest``).
         """
         p = np.maximum(power, 0.0)
-        pairs = (*TERM_PAIRS, *process_pairs(self.noises - len(RANDOM_TERMS)))
-        packed = np.array([p[a] * p[b] for a, b in pairs]) @ self.squares
-        covariance = packed[_packing(len(self.m))]
+        a, b = _products(self.noises - len(RANDOM_TERMS))
+        covariance = ((p[a] * p[b]) @ self.squares)[_packing(len(self.m))]
         for k, scatter in enumerate(self.line_scatter, start=self.noises):
             column = self.terms[:, k]
             covariance += p[k] * (scatter @ p[: self.noises]) * np.outer(column, column)
@@ -116,7 +188,7 @@ class Table:
             covariance[np.diag_indices_from(covariance)] += p[k] * (
                 p[N] * of_noise + p[k] * of_itself
             )
-        return covariance
+        return np.asarray(covariance)
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
         """Return the table of some of its factors."""
@@ -128,9 +200,7 @@ class Table:
             avar=self.avar[keep],
             terms=self.terms[keep],
             squares=self.squares[:, keep[i] & keep[j]],
-            ramp_squares=self.ramp_squares[:, keep[i] & keep[j]],
             line_rest=self.line_rest[:, :, keep] if self.lines else self.line_rest,
-            filled=self.filled if isinstance(self.filled, float) else self.filled[keep],
         )
 
 
@@ -142,6 +212,13 @@ def _packing(size: int) -> Ints:
     at[i, j] = at[j, i] = np.arange(len(i))
     at.flags.writeable = False
     return at
+
+
+@lru_cache(maxsize=8)
+def _products(processes: int) -> tuple[Ints, Ints]:
+    """Return the products of coefficients in a covariance: of the terms, then with processes."""
+    a, b = np.array((*TERM_PAIRS, *process_pairs(processes))).T
+    return a, b
 
 
 @dataclass(frozen=True)
@@ -170,34 +247,22 @@ class _Part:
         at = i * factors - i * (i - 1) // 2 + (j - i)
         return cls(number, pairs, ramp_geometry(samples, step), at)
 
-    def add(self, squares: Floats) -> None:
-        """Add its pair sums to the pooled ones, (10, pairs), before its ramps are removed."""
-        squares[:, self.at] += self.number * self.pairs.squares
+    def ramp_squares(self, effect: RampEffect, times: Sequence[float]) -> Floats:
+        """Return what removing its ramps adds to the pooled sums over pairs, (products, pairs).
 
-    def add_ramp(self, effect: RampEffect, terms: Floats, ramp_squares: Floats) -> None:
-        """Add what removing its ramps does to the expectation, (factors, 4), and pair sums."""
-        m = self.pairs.m
-        shift = ramp_shift(m, effect)
-        terms[: len(m)] += (self.number * self.pairs.count)[:, None] * shift
-        self.add_ramp_squares(effect, ramp_squares)
-
-    def add_ramp_squares(self, effect: RampEffect, ramp_squares: Floats) -> None:
-        """Add what removing its ramps does to the pooled pair sums, (10, pairs)."""
+        d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is the
+        same for all starts when r is the best estimate, and near it for any good one.
+        """
+        i, j = np.triu_indices(len(self.pairs.m))
         m = self.pairs.m.astype(float)
-        # d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is
-        # the same for all starts when r is the best estimate, and near it for any good one.
-        i, j = np.triu_indices(len(m))
+        number = self.pairs.count[i].astype(float) * self.pairs.count[j]
+        processes = [mean_covariances(self.pairs.samples, time) for time in times]
+        mean = np.stack([*(self.pairs.singles / number), *processes])
         less = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
-        less -= effect.variance[:, None] * (m[i] * m[j] / 2.0)
-        pairs = self.pairs.count[i].astype(float) * self.pairs.count[j]
-        single = self.pairs.singles
-        for n, (a, b) in enumerate(TERM_PAIRS):
-            twice = 2.0 if a == b else 4.0
-            change = pairs * less[a] * less[b] - less[a] * single[b] - less[b] * single[a]
-            ramp_squares[n, self.at] += self.number * twice * change
-
-
-N = RANDOM_TERMS.index('N')
+        rest = less - effect.variance[:, None] * (m[i] * m[j] / 2.0) - mean
+        a, b = _products(len(times))
+        twice = np.where(a == b, 2.0, 4.0)[:, None]
+        return np.asarray(self.number * twice * number * (rest[a] * rest[b] - mean[a] * mean[b]))
 
 
 class PooledTable:
@@ -209,26 +274,38 @@ class PooledTable:
         self.m = sums.m
         self.terms = avar_terms(self.m)
         self._kept = [_Part.of(s.samples, 1, factors, s.phase_step) for s in sums.segments]
+        self._pooled = [
+            _Part.of(round(c.samples / c.count), c.count, factors) for c in sums.classes
+        ]
         self._filled = filled_white(self.m, sums.filled, max(sums.samples, 1))
+        i, j = np.triu_indices(factors)
+        self._pair_counts = sums.count[i].astype(float) * sums.count[j]
+        squares = np.zeros((len(TERM_PAIRS), len(i)))
+        for part in (*self._kept, *self._pooled):
+            squares[:, part.at] += part.number * part.pairs.squares
+        self._squares: dict[tuple[float, ...], Floats] = {}
+        self._squares[()] = self._with_pooled_ramps(squares, ())
         self._pooled_sums = sums.sum_sq.copy()
-        self._pooled_squares = np.zeros((len(TERM_PAIRS), factors * (factors + 1) // 2))
-        self._pooled_ramp_squares = np.zeros_like(self._pooled_squares)
-        self._process_squares: dict[tuple[float, ...], Floats] = {}
-        pooled = sums.count.copy()
+        for pool in sums.classes:
+            self._pooled_sums[: len(pool.ramp_correction)] += pool.ramp_correction
+        self._pooled_count = sums.count.copy()
         for part in self._kept:
-            part.add(self._pooled_squares)
-            pooled[: len(part.pairs.m)] -= part.pairs.count
-        for length_class in sums.classes:
-            self._pool(length_class, factors)
-        self._pooled_terms = pooled_shift(sums.classes, self.m, sums.stride, pooled)
+            self._pooled_count[: len(part.pairs.m)] -= part.pairs.count
+        self._pooled_terms = self._pooled_shift(())
+        longest = max((s.samples for s in self.segments), default=1)
+        self._pooled_drifts = DriftShift(longest, lambda t: self._pooled_shift(t)[:, 4:])
 
-    def _pool(self, pool: LengthClass, factors: int) -> None:
-        part = _Part.of(round(pool.samples / pool.count), pool.count, factors)
-        effect = fixed_effect(part.pairs.samples)
-        part.add(self._pooled_squares)
-        if effect is not None:
-            part.add_ramp_squares(effect, self._pooled_ramp_squares)
-        self._pooled_sums[: len(pool.ramp_correction)] += pool.ramp_correction
+    def _with_pooled_ramps(self, squares: Floats, times: tuple[float, ...]) -> Floats:
+        """Add, in place, what removing the ramps of pooled segments does to the last products."""
+        for part in self._pooled:
+            effect = fixed_effect(part.pairs.samples, times)
+            if effect is not None:
+                squares[:, part.at] += part.ramp_squares(effect, times)[-len(squares) :]
+        return squares
+
+    def _pooled_shift(self, times: Sequence[float] | Floats) -> Floats:
+        sums = self.sums
+        return pooled_shift(sums.classes, self.m, sums.stride, self._pooled_count, times)
 
     @property
     def segments(self) -> Sequence[SegmentRecord]:
@@ -239,185 +316,169 @@ class PooledTable:
         """Return whether the samples of an axis are constant or a straight line, to rounding."""
         if not np.any(self.sums.avar[:, axis] > 0.0):
             return True
-        table = self.table(axis, WHITE)
+        table = self.table(axis)
         raw = self.sums.avar[np.isin(self.m, table.m), axis]
         return not np.any(table.avar > ROUNDING * raw)
 
     def ramps(
-        self, axis: int, power: Floats, known: Floats
-    ) -> tuple[Floats, list[RampEffect | None]]:
-        """Return the ramp of each kept segment, and the effect of its estimation.
+        self, axis: int, noise: Noise, known: Floats | None = None
+    ) -> tuple[Floats, list[Floats | None]]:
+        """Return the ramp of each kept segment, and the weights on its phase that estimate it.
 
         Parameters
         ----------
         axis : int
-        power : (4,) float64 array
-            The noise that the weights of the ramps are made for.
-        known : (segments,) float64 array
+        noise : Noise
+            That the weights are made for.
+        known : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
         """
+        known = np.full(len(self._kept), np.nan) if known is None else known
         found = np.where(np.isfinite(known), known, 0.0)
-        effects: list[RampEffect | None] = []
+        every: list[Floats | None] = []
         for s, (part, record) in enumerate(zip(self._kept, self.segments)):
-            weights = None if np.isfinite(known[s]) else part.geometry.best_weights(power)
-            effects.append(None if weights is None else part.geometry.effect(weights))
+            weights = None if np.isfinite(known[s]) else part.geometry.best_weights(noise)
+            every.append(weights)
             if weights is not None:
                 found[s] = weights @ record.phase[:, axis]
-        return found, effects
+        return found, every
 
-    def table(self, axis: int, power: Floats, ramps: Floats | None = None) -> Table:
-        """Return the table of one axis, with the best ramps under these coefficients.
+    def ramp_variance(
+        self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
+    ) -> Floats:
+        """Return the variance of each ramp per unit coefficient, (segments, noises); 0 where it
+        is known or cannot be estimated."""
+        out = np.zeros((len(weights), len(RANDOM_TERMS) + len(times)))
+        for s, (part, w) in enumerate(zip(self._kept, weights)):
+            if w is not None:
+                out[s] = part.geometry.variance(w, times)
+        return out
+
+    def _effects(
+        self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
+    ) -> list[tuple[_Part, RampEffect]]:
+        """Return the kept segments with estimated ramps and the effects of removing these."""
+        return [
+            (part, part.geometry.effect(w, times))
+            for part, w in zip(self._kept, weights)
+            if w is not None
+        ]
+
+    def table(
+        self,
+        axis: int,
+        noise: Noise = Noise(),
+        ramps: Floats | None = None,
+        extras: Sequence[Extra] = (),
+        m_min: int = 1,
+        tangents: bool = False,
+    ) -> Table:
+        """Return the table of one axis, with the best ramps under some noise.
 
         Parameters
         ----------
         axis : int
             Position among the axes of the sums.
-        power : (4,) float64 array
-            The noise that the weights of the ramps are made for; white noise if all are 0, as
-            where a sinusoid describes the complete curve.
+        noise : Noise
+            That the weights of the ramps are made for; white noise if it is 0, as where a sinusoid
+            describes the complete curve.
         ramps : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
+        extras : sequence of Extra
+            Processes whose columns are added, Gauss-Markov processes before sinusoids.
+        m_min : int
+            Smallest averaging factor.
+        tangents : bool
+            Whether to add the derivatives of these columns by the logarithm of their shapes.
         """
-        power = power if np.any(power > 0.0) else WHITE
+        noise = noise if np.any(noise.power > 0.0) else Noise()
+        found, weights = self.ramps(axis, noise, ramps)
+        times = correlation_times(extras)
+        # Rounded, so that nearby correlation times share their sums.
+        near = tuple(2.0 ** (round(np.log2(t) * SHARED) / SHARED) for t in times)
+        squares = self._process_squares(near).copy()
+        for part, effect in self._effects(weights, near):
+            squares[:, part.at] += part.ramp_squares(effect, near)
         sum_sq = self._pooled_sums[:, axis].copy()
-        terms, ramp_squares = self._pooled_terms.copy(), self._pooled_ramp_squares.copy()
-        known = np.full(len(self._kept), np.nan) if ramps is None else ramps
-        found, effects = self.ramps(axis, power, known)
-        for part, record, r, effect in zip(self._kept, self.segments, found, effects):
-            if effect is not None:
-                part.add_ramp(effect, terms, ramp_squares)
+        for part, record, r in zip(self._kept, self.segments, found):
             m2 = part.pairs.m.astype(float) ** 2
-            sum_sq[: len(m2)] += (
-                -2.0 * r * m2 * record.signed[:, axis] + part.pairs.count * (m2 * r) ** 2
-            )
-        count, number = self.sums.count.astype(float), self._pair_counts
-        expected = self.terms + terms / count[:, None]
-        filled = self._filled[:, axis] if self.sums.filled.any() else 0.0
-        expected[:, N] += filled
+            signed = record.signed[:, axis]
+            sum_sq[: len(m2)] += -2.0 * r * m2 * signed + part.pairs.count * (m2 * r) ** 2
+        count = self.sums.count[:, None]
+        terms = self.terms + (self._pooled_terms + self._kept_shift(weights, ())) / count
+        if self.sums.filled.any():
+            terms[:, N] += self._filled[:, axis]
+
+        def shift(times: Floats) -> Floats:
+            added = self._pooled_drifts(times) if self._pooled else 0.0
+            return np.asarray((added + self._kept_shift(weights, times)[:, 4:]) / count)
+
+        smooth = DriftShift(self.sums.segments[0].samples if self.segments else 1, shift)
         table = Table(
             self.m,
             self.sums.count,
             allan_variance(sum_sq[:, None], self.m, self.sums.count)[:, 0],
-            expected,
-            (self._pooled_squares + ramp_squares) / number,
+            terms,
+            squares / self._pair_counts,
             found,
-            variances(effects),
-            ramp_squares / number,
-            filled=filled,
+            self.ramp_variance(weights, times),
+            len(RANDOM_TERMS) + len(times),
+            drift_shift=lambda m, t: smooth(t)[np.searchsorted(self.m, m)],
         )
-        return table.rows(_informative(table, self.terms, power))
+        table = table.rows((self.m >= m_min) & _informative(table, self.terms, noise.white()))
+        if not extras:
+            return table
+        exact = replace(table, drift_shift=lambda m, t: shift(t)[np.searchsorted(self.m, m)])
+        columns = [table.terms, exact.columns(extras)]
+        if tangents:
+            columns.append(exact.tangents(extras))
+        lines = extras[len(times) :]
+        samples, stride = self.sums.samples, self.sums.stride[np.isin(self.m, table.m)]
+        return replace(
+            table,
+            terms=np.column_stack(columns),
+            line_scatter=line_scatter(samples, times, lines),
+            line_rest=line_rest(table.m, stride, table.count, samples, len(self.segments), lines),
+        )
 
-    @property
-    def _pair_counts(self) -> Floats:
-        """Products of the numbers of differences at the pairs of factors i <= j."""
-        count = self.sums.count.astype(float)
-        i, j = np.triu_indices(len(count))
-        return np.asarray(count[i] * count[j])
+    def _kept_shift(
+        self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
+    ) -> Floats:
+        """Return what removing the ramps of the kept segments adds to the sums of d^2/(2 m^2),
+        (factors, noises)."""
+        out = np.zeros((len(self.m), len(RANDOM_TERMS) + len(times)))
+        for part, effect in self._effects(weights, times):
+            m, count = part.pairs.m, part.pairs.count
+            out[: len(m)] += part.number * count[:, None] * effect.shift(m)
+        return out
 
-    def process_squares(self, times: tuple[float, ...], keep: NDArray[np.bool_]) -> Floats:
-        """Return the covariance of some factors for products with Gauss-Markov processes.
+    def _process_squares(self, times: tuple[float, ...]) -> Floats:
+        """Return the sums over pairs for the products of terms and processes, (products, pairs).
 
-        Parameters
-        ----------
-        times : tuple of float
-            Correlation times in samples. The sums for the last few are kept.
-        keep : (factors,) bool array
-            Which factors of the grid.
-
-        Returns
-        -------
-        (products, pairs) float64 array
-            For the `process_pairs`, the ramps left in.
+        The ramps of the kept segments are left in. The sums for the last few sets of correlation
+        times, in samples, are kept.
         """
-        if times not in self._process_squares:
-            while len(self._process_squares) >= KEPT_PROCESS_SQUARES:
-                del self._process_squares[next(iter(self._process_squares))]
+        if times not in self._squares:
+            while len(self._squares) > KEPT_PROCESS_SQUARES:
+                del self._squares[list(self._squares)[1]]
             lengths = [(float(n), count) for n, count in self.sums.length_histogram]
-            squares = process_squares(self.m, self.sums.stride, lengths, times)
-            self._process_squares[times] = squares / self._pair_counts
-        i, j = np.triu_indices(len(self.m))
-        return self._process_squares[times][:, keep[i] & keep[j]]
+            added = process_squares(self.m, self.sums.stride, lengths, times)
+            self._squares[times] = self._with_pooled_ramps(added, times)
+        four = self._squares[()]
+        return np.concatenate([four, self._squares[times]]) if times else four
 
 
 def clear_cache() -> None:
     """Clear the tables kept by record length: some 20 MB, computed again in 0.2 s."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
+    mean_covariances.cache_clear()
 
 
-def variances(effects: Sequence[RampEffect | None]) -> Floats:
-    """Return the variance of each ramp per unit coefficient, (segments, 4); 0 where it has none."""
-    none = np.zeros(len(RANDOM_TERMS))
-    return np.array([none if e is None else e.variance for e in effects]).reshape(-1, len(none))
-
-
-def _informative(table: Table, whole: Floats, power: Floats) -> NDArray[np.bool_]:
+def _informative(table: Table, complete: Floats, power: Floats) -> NDArray[np.bool_]:
     """Return which factors keep enough variance after the ramps are removed."""
-    p = np.maximum(power, 0.0)
-    keep = (table.count > 0) & (table.terms @ p > EMPTY_ROW * (whole @ p))
-    diagonal = np.diag(table.covariance(power))
-    return np.asarray(keep & (diagonal > (EMPTY_ROW * (whole @ p)) ** 2))
-
-
-def pooled_shift(classes: Sequence[LengthClass], m: Ints, stride: Ints, count: Ints) -> Floats:
-    """Return what removing the ramps adds to the expected sums over the pooled differences.
-
-    Parameters
-    ----------
-    classes : sequence of LengthClass
-    m, stride, count : (factors,) int64 arrays
-        Averaging factors, samples between two starts, and differences of all pooled segments.
-
-    Returns
-    -------
-    (factors, 4) float64 array
-        Per unit coefficient, for sums of d^2/(2 m^2).
-    """
-    taken = np.zeros((len(m), len(RANDOM_TERMS)))
-    number = np.zeros(len(m))
-    partly = np.zeros(len(m), np.int64)
-    for pool in classes:
-        mean, low, high = _lengths(pool)
-        whole = np.flatnonzero(2 * m <= low)
-        here = pool.count * _differences(pool, mean, m[whole], stride[whole])
-        number[whole] += here
-        taken[whole] += here[:, None] * _shift(round(mean))[whole]
-        partly[(2 * m > low) & (2 * m < high)] = round(mean)
-    for i in np.flatnonzero(partly):
-        rest = max(count[i] - number[i], 0.0)
-        number[i] += rest
-        taken[i] += rest * _shift(max(int(partly[i]), 2 * int(m[i])))[i]
-    return np.asarray(taken * (count / np.maximum(number, 1.0))[:, None])
-
-
-def fixed_effect(samples: int) -> RampEffect | None:
-    """Return the effect of the least-squares ramp of a pooled segment; None where it has none."""
-    geometry = ramp_geometry(samples)
-    if geometry.points < 3:
-        return None
-    return geometry.effect(ols_ramp_weights(geometry.points, geometry.step))
-
-
-def _lengths(pool: LengthClass) -> tuple[float, float, float]:
-    """Return the mean length of the segments of a class, and the bounds of their lengths."""
-    mean = pool.samples / pool.count
-    if pool.count == 1:
-        return mean, mean, mean
-    low = LENGTH_CLASS_RATIO ** np.floor(np.log(mean) / np.log(LENGTH_CLASS_RATIO))
-    return mean, min(low, mean), low * LENGTH_CLASS_RATIO
-
-
-def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Floats:
-    """Return how many differences a segment of a class has at the factors, on average."""
-    if pool.count == 1:
-        return counts(pool.samples, m, stride).astype(float)
-    # The mean of floor((n - 2 m)/s) + 1 over lengths n of any remainder.
-    return np.asarray((mean - 2 * m) / stride + (1.0 + 1.0 / stride) / 2.0)
-
-
-def _shift(samples: int) -> Floats:
-    """Return what removing the ramp of a segment adds to each difference, (its factors, 4)."""
-    m, effect = ramp_geometry(samples).m, fixed_effect(samples)
-    if effect is None:
-        return np.zeros((len(m), len(RANDOM_TERMS)))
-    return ramp_shift(m, effect)
+    p = np.zeros(table.noises)
+    p[: len(power)] = np.maximum(power, 0.0)
+    keep = (table.count > 0) & (table.terms @ p[: len(power)] > EMPTY_ROW * (complete @ power))
+    diagonal = np.diag(table.covariance(p))
+    return np.asarray(keep & (diagonal > (EMPTY_ROW * (complete @ power)) ** 2))

@@ -9,8 +9,7 @@ import pytest
 
 from allan_ros.core.allan.sums import LENGTH_CLASS_RATIO, LengthClass, counts, grid_for
 from allan_ros.core.fit.model import avar_terms
-from allan_ros.core.fit.ramp import ramp_geometry, ramp_shift
-from allan_ros.core.fit.table import fixed_effect, pooled_shift
+from allan_ros.core.fit.ramp import fixed_effect, pooled_shift, ramp_geometry
 
 POWER = np.array([0.0, 1.0, 0.01, 1e-4])
 """A walk that rules from 100 samples on."""
@@ -45,7 +44,7 @@ def one_by_one(lengths, m, stride):
         number += count
         if effect is not None:
             own = ramp_geometry(int(n)).m
-            shift[: len(own)] += count[: len(own), None] * ramp_shift(own, effect)
+            shift[: len(own)] += count[: len(own), None] * effect.shift(own)
     return shift, number
 
 
