@@ -20,7 +20,7 @@ from typing import Any
 
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
-from ..core.fit.duration import ADVISED_TERMS
+from ..core.fit.reading import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
 from ..io.files import write_atomic
 from ..io.format import known_numbers, markdown_rows, shown_unit, value_text

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtr, fdtrc, fdtri, ndtr
 
 from .allan.curve import CI_LEVEL, AxisCurve
-from .fit.model import TERMS, Coefficient
+from .fit.model import TERMS, Z_95, Coefficient
 
 MARGIN = 0.2
 """Tolerance above a limit: typical figures of a datasheet are those of the median unit, and noise
@@ -37,9 +37,6 @@ rises some percent with temperature."""
 
 FAMILY_ERROR = 0.05
 """Probability that runs of equal noise differ in any one of all comparisons made at once."""
-
-Z_TWO_SIDED, Z_ONE_SIDED = 1.96, 1.645
-"""Normal quantiles of the 95 % intervals and upper limits that coefficients carry."""
 
 TAU_RATIO = 4.0
 """Ratio of neighboring averaging times: closer ones share most of their samples."""
@@ -302,7 +299,7 @@ def _of_estimates(
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
     up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
     facing = down if log_ratio > 0.0 else up
-    z = abs(log_ratio) * Z_TWO_SIDED / facing if facing > 0.0 else math.inf * bool(log_ratio)
+    z = abs(log_ratio) * Z_95 / facing if facing > 0.0 else math.inf * bool(log_ratio)
     interval = _exp(log_ratio - down), _exp(log_ratio + up)
     return _exp(log_ratio), interval, min(2.0 * float(ndtr(-z)), 1.0)
 
@@ -325,22 +322,22 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
     """Return the p value where one run has an estimate and the other only a limit.
 
     z is where the lower limit of the estimate, exp(-z s) times it, meets the upper limit of the
-    other, sqrt(z/1.645) times its 95 % one: variances, not deviations, have normal errors, and an
+    other, sqrt(z/1.96) times its 95 % one: variances, not deviations, have normal errors, and an
     estimate of 0 has the largest limit. If neither limit fails at z the two differ; each fails with
     probability Phi(-z), and either run could have been the one with the estimate: 4 Phi(-z).
     """
     value, low, _ = a
-    scale = _width(value, low, a) / Z_TWO_SIDED
+    scale = _width(value, low, a) / Z_95
 
     def apart(z: float) -> bool:
-        return value * math.exp(-z * scale) > limit * math.sqrt(z / Z_ONE_SIDED)
+        return value * math.exp(-z * scale) > limit * math.sqrt(z / Z_95)
 
     near, far = 0.0, FARTHEST_Z
     for _ in range(MEETING_STEPS):
         middle = (near + far) / 2.0
         near, far = (middle, far) if apart(middle) else (near, middle)
     # Below the quantile of the limit itself it is not known how the limit moves.
-    return min(4.0 * float(ndtr(-near)), 1.0) if near >= Z_ONE_SIDED else 1.0
+    return min(4.0 * float(ndtr(-near)), 1.0) if near >= Z_95 else 1.0
 
 
 class _Interpolated:

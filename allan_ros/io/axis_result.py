@@ -24,7 +24,7 @@ from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.curve_fit import fit_curve
 from ..core.fit.findings import rounding_step
 from ..core.fit.model import Status
-from ..core.fit.regions import ModelLine, Region, model_line, read_curve
+from ..core.fit.reading import ModelLine, Region, model_line, read_curve
 from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect

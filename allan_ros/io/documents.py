@@ -27,7 +27,7 @@ from ..core.fields import Fields, plain
 from ..core.filters.bias import TurnOnBias
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
-from ..core.fit.regions import Region
+from ..core.fit.reading import Region
 from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from ..core.compare import Comparison
 from ..core.findings import Finding, duration_text
-from ..core.fit.duration import ADVISED_TERMS, longest_recommended, recommended_duration
+from ..core.fit.reading import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
 from .format import grouped, shown_unit, significant
 from .results import Results

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from ..errors import AllanError
-from ..fit.model import AxisFit
+from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
 from .growth import drift_model, predicted_growth
-from .noise_parameters import NORMAL_LIMIT
 from .reductions import state_space
 
 Floats = NDArray[np.float64]
@@ -38,9 +37,6 @@ LONGEST_S = 1e6
 
 KEPT_MEANS = 600
 """Means of an axis that a changed model starts from."""
-
-NORMAL_95 = 1.959963984540054
-"""Standard deviations within which 95 % of the errors lie."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,7 @@ class BiasEstimate:
     @property
     def ci95(self) -> tuple[float, float]:
         """95 % interval."""
-        half = NORMAL_95 * self.std
+        half = Z_95 * self.std
         return self.value - half, self.value + half
 
 
@@ -110,10 +106,10 @@ class BiasModel(NamedTuple):
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
         if ramp.status == 'estimated':
-            low, high = ramp.ci95 or (0.0, 2e3 * NORMAL_95 * value)  # no interval: a vague prior
-            error = (high - low) / (2.0 * NORMAL_95)
+            low, high = ramp.ci95 or (0.0, 2e3 * Z_95 * value)  # no interval: a vague prior
+            error = (high - low) / (2.0 * Z_95)
         else:
-            error = max(limit - value, 0.0) / NORMAL_LIMIT
+            error = max(limit - value, 0.0) / Z_95
         std = math.hypot(value, error)
         return cls(fit.selected, std if math.isfinite(std) else 0.0)
 
@@ -275,7 +271,7 @@ class BiasTracker:
             model = self._models[axis]
             tolerance = self._tolerance.get(axis.split('_', 1)[0], 0.0)
             if not tolerance:
-                tolerance = 2.0 * NORMAL_95 * steady_filter(model).estimate().std
+                tolerance = 2.0 * Z_95 * steady_filter(model).estimate().std
             within = time_within(model, tolerance)
             self._facts[axis] = (optimal_window(model.processes), within, tolerance)
         return AxisBias(bias.estimate(), kept[-1][0], *self._facts[axis])
@@ -324,7 +320,7 @@ def time_within(model: BiasModel, tolerance: float) -> float:
         raise AllanError(f'the tolerance is {tolerance:g}: give a number above 0')
     bias = steady_filter(model)
     after = np.concatenate([[0.0], np.geomspace(1.0, LONGEST_S, 120)])
-    kept = [t for t in after if NORMAL_95 * bias.estimate(float(t)).std <= tolerance]
+    kept = [t for t in after if Z_95 * bias.estimate(float(t)).std <= tolerance]
     return float(max(kept, default=0.0))
 
 

@@ -31,14 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..fit.model import AxisFit, Coefficient
+from ..fit.model import Z_95, AxisFit, Coefficient
 from ..imu import AXES, SENSORS
 from ..noise import ProcessModel
 from .growth import drift_model, has_drift, has_intervals, interval_models
 from .reductions import Horizons, Reduction, States, reduce_model
-
-NORMAL_LIMIT = 1.6448536269514722
-"""Standard deviations below which 95 % of the errors lie."""
 
 RULES = ('worst', 'mean', 'each')
 """Value of a sensor with three axes: the largest, the root mean square, or three values."""
@@ -213,7 +210,7 @@ def expected_variance(coefficient: Coefficient) -> float:
     Estimate and 95 % limit of the square give a normal distribution, which is truncated at 0.
     """
     mean, limit = (coefficient.value or 0.0) ** 2, coefficient.upper95 or 0.0
-    error = (limit**2 - mean) / NORMAL_LIMIT
+    error = (limit**2 - mean) / Z_95
     if not 0.0 < error < math.inf:
         return mean
     x = mean / error

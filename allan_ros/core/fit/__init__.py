@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
 
 from ..allan.sums import AllanSums
 from ..errors import AllanError
@@ -39,7 +38,7 @@ METHODS = {
     'relative': 'nonnegative least squares on relative residuals: no intervals',
     'paper': 'plain least squares over groups that do not overlap, as Cong et al. 2019',
 }
-"""method -> what it does. Each is the module of that name here, with ``fit_<name>(sums)``."""
+"""method -> what it does."""
 
 
 def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = None) -> NoiseModel:
@@ -63,9 +62,13 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
     if method not in METHODS:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
     # A method is imported when it is used: they are slow to load, and most runs use one.
-    fit = getattr(import_module(f'.{method}', __name__), f'fit_{method}')
-    model: NoiseModel = fit(sums, like) if method == 'gls' else fit(sums)
-    return model
+    if method == 'gls':
+        from .gls import fit_gls
+
+        return fit_gls(sums, like)
+    from .least_squares import fit_paper, fit_relative
+
+    return (fit_paper if method == 'paper' else fit_relative)(sums)
 
 
 def clear_cache() -> None:

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import AllanError
+from .intervals import Z_DETECT
 from .model import (
     RANDOM_TERMS,
     TERMS,
+    Z_95,
     AxisFit,
     Coefficient,
     Floats,
@@ -29,7 +31,7 @@ from .model import (
     coefficient_to_si,
 )
 from .processes import Extra, GaussMarkovTerm
-from .regions import largest_deviation, model_line
+from .reading import largest_deviation, model_line
 from .search import Found, ProcessSearch
 from .solve import RIDGE, Whitening
 from .table import Table
@@ -50,8 +52,6 @@ FINE = 1000
 """Units of time in the shortest averaging time: there, samples and continuous time are the same."""
 
 LEAST_POINTS = 6
-
-Z_TWO_SIDED, Z_ONE_SIDED, Z_DETECT = 1.96, 1.645, 2.33
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
@@ -150,7 +150,7 @@ def _axis_fit(
         if power <= 0.0:
             continue
         errors = deviation[[four + k, four + number + k]] / power
-        of_size, of_shape = np.exp(np.minimum(Z_TWO_SIDED * errors, math.log(100.0)))
+        of_size, of_shape = np.exp(np.minimum(Z_95 * errors, math.log(100.0)))
         amplitude, half = math.sqrt(power), math.sqrt(float(of_size))
         ends = (amplitude / half, amplitude * half)
         low, high = extra.shape / float(of_shape), extra.shape * float(of_shape)
@@ -171,10 +171,10 @@ def _axis_fit(
 
 def _coefficient(term: str, power: float, deviation: float, unit: float) -> Coefficient:
     """Return a term in SI units: a value with its interval, or an upper limit."""
-    upper = coefficient_to_si(term, max(power, 0.0) + Z_ONE_SIDED * deviation, unit)
+    upper = coefficient_to_si(term, max(power, 0.0) + Z_95 * deviation, unit)
     if power < Z_DETECT * deviation or power <= 0.0:
         value = coefficient_to_si(term, power, unit) or None
         return Coefficient(value, None, upper, 'not_observable')
-    low, high = power - Z_TWO_SIDED * deviation, power + Z_TWO_SIDED * deviation
+    low, high = power - Z_95 * deviation, power + Z_95 * deviation
     ends = (coefficient_to_si(term, low, unit), coefficient_to_si(term, high, unit))
     return Coefficient(coefficient_to_si(term, power, unit), ends)

@@ -13,11 +13,10 @@ import numpy as np
 from ..allan.curve import AllanCurve
 from ..findings import Finding, duration_text, finding
 from ..imu import SI_UNITS, sensor_of
-from .duration import recommended_duration
 from .goodness import few_averages
 from .intervals import Z_DETECT, RampInterval, Score
 from .model import AxisFit, Floats, NoiseModel, Sinusoid
-from .regions import largest_deviation, model_line
+from .reading import largest_deviation, model_line, recommended_duration
 from .select import Selection
 from .solve import K, N, Q
 from .table import PooledTable

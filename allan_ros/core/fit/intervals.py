@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from .model import RANDOM_TERMS, Floats
+from .model import RANDOM_TERMS, Z_95, Floats
 from .solve import (
     NO_MISFIT,
     RIDGE,
@@ -38,14 +38,6 @@ from .solve import (
     with_floor,
 )
 from .table import PooledTable, Table
-
-Z_TWO_SIDED = 1.96
-"""Normal quantile of 97.5 %."""
-
-
-Z_ONE_SIDED = 1.645
-"""Normal quantile of 95 %: for the upper limit of a term that is not resolved."""
-
 
 Z_DETECT = 2.33
 """Normal quantile of 99 %: a term that is 0 is resolved by mistake in 1 % of records."""
@@ -176,14 +168,14 @@ def coefficient_interval(
     middle = power[term] if power[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
         known = [(0.0, z_zero), (middle, score(middle))]
-        reach = Z_TWO_SIDED * score.deviation
-        high = cross(score, -Z_TWO_SIDED, known, middle + reach, np.inf)
-        low = cross(score, Z_TWO_SIDED, known, middle - reach, 0.0)
+        reach = Z_95 * score.deviation
+        high = cross(score, -Z_95, known, middle + reach, np.inf)
+        low = cross(score, Z_95, known, middle - reach, 0.0)
         return CoefficientInterval(z_zero, low, high, high)
     # An estimate below zero counts as zero: the limit is then that of the length of the record.
     known = [(0.0, max(z_zero, 0.0))]
-    reach = middle + Z_ONE_SIDED * deviation
-    upper = cross(lambda c: score(c, 0.0), -Z_ONE_SIDED, known, reach, np.inf)
+    reach = middle + Z_95 * deviation
+    upper = cross(lambda c: score(c, 0.0), -Z_95, known, reach, np.inf)
     return CoefficientInterval(z_zero, 0.0, upper, upper)
 
 
@@ -286,7 +278,7 @@ def process_intervals(fit: PointFit, table: Table) -> Floats:
     deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
     powers = np.maximum(power[first - processes : first], np.finfo(float).tiny)
     relative = deviation[-2 * processes :].reshape(2, processes) / powers
-    reach = Z_TWO_SIDED * np.minimum(relative, WIDEST_SHAPE)
+    reach = Z_95 * np.minimum(relative, WIDEST_SHAPE)
     return np.asarray(np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))))
 
 
@@ -365,10 +357,10 @@ def ramp_interval(
         most = fit.power.copy()
         most[K] = max(walk, most[K])
         bound = _mean(ramps, replace(fit, power=most).ramp_variance[counted])[1]
-    reach, half = Z_TWO_SIDED * bound, Z_TWO_SIDED * deviation
+    reach, half = Z_95 * bound, Z_95 * deviation
     start = [(0.0, z(0.0)), (value, z(value))]
-    low = cross(z, Z_TWO_SIDED, start, value - half, value - reach)
-    high = cross(z, -Z_TWO_SIDED, start, value + half, value + reach)
+    low = cross(z, Z_95, start, value - half, value - reach)
+    high = cross(z, -Z_95, start, value + half, value + reach)
     observable = abs(value) > Z_DETECT_RAMP * bound or abs(start[0][1]) > Z_DETECT_RAMP
     return RampInterval(value, low, high, observable, shared)
 

@@ -70,6 +70,15 @@ def coefficient_to_si(term: str, power: float, tau0: float) -> float:
     return math.sqrt(max(power, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])
 
 
+Z_95 = 1.96
+"""Normal quantile of 97.5 %: of both ends of a 95 % interval, and of a 95 % upper limit.
+
+The same data decide whether a term gets an interval or a limit. With 1.645, the quantile of 95 %, a
+term near the threshold would miss in 5 % of records below and in 2.5 % above. With one quantile a
+limit is the upper end of the interval that begins at 0, as in the unified intervals of Feldman &
+Cousins (Phys. Rev. D 57, 1998) for estimates of 0 and above."""
+
+
 TERMS = ('Q', 'N', 'B', 'K', 'R')
 """Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
 
@@ -88,7 +97,7 @@ class Coefficient:
     ci95 : (low, high) or None
         95 % interval; None where the method gives none.
     upper95 : float or None
-        95 % upper limit: what is known of a term that is not observable.
+        95 % upper limit of a term that is not observable: the upper end of the interval from 0.
     status : 'estimated' or 'not_observable'
     sign : int
         Sign of the ramp (R only), else 0.
@@ -257,9 +266,9 @@ def _is_likely(term: str, c: Coefficient) -> bool:
         return True
     if term not in 'BK' or c.value is None or c.upper95 is None:
         return False
-    # The limit of the square is 1.645 standard deviations above its estimate. An estimate above its
-    # own limit, from a few seconds of data, contradicts the interval: the limit holds.
-    return c.value < c.upper95 and 1.645 * c.value**2 > c.upper95**2 - c.value**2
+    # The limit of the square is `Z_95` standard deviations above its estimate. An estimate above
+    # its own limit, from a few seconds of data, contradicts the interval: the limit holds.
+    return c.value < c.upper95 and Z_95 * c.value**2 > c.upper95**2 - c.value**2
 
 
 @dataclass(frozen=True)

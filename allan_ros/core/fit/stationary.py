@@ -22,6 +22,7 @@ from ..errors import AllanError
 from ..findings import Finding, duration_text, finding
 from ..imu import SENSORS, sensor_of, to_datasheet
 from . import TERMS, Coefficient, NoiseModel, fit_noise
+from .model import Z_95
 
 LEAST_REST = 0.4
 """The settled part is used if at least this fraction of the samples remains: half after the sensor
@@ -224,14 +225,14 @@ def _widened(model: NoiseModel, axis: str, term: str, scatter: float) -> NoiseMo
         return model
     if noise.ci95 is not None and value and noise.ci95[0] <= value <= noise.ci95[1]:
         low, high = (
-            value * math.exp(sign * math.hypot(math.log(end / value), 1.96 * scatter))
+            value * math.exp(sign * math.hypot(math.log(end / value), Z_95 * scatter))
             if end > 0.0
             else 0.0
             for sign, end in zip((-1.0, 1.0), noise.ci95)
         )
         noise = replace(noise, ci95=(low, high))
     if limit is not None:
-        noise = replace(noise, upper95=limit * math.exp(1.645 * scatter))
+        noise = replace(noise, upper95=limit * math.exp(Z_95 * scatter))
     axes = {**model.axes, axis: replace(fit, noise={**fit.noise, term: noise})}
     return replace(model, axes=axes)
 

@@ -59,8 +59,8 @@ def fit_with_ramp(ramp: Coefficient) -> AxisFit:
 
 
 def test_a_ramp_below_the_limit_stays_possible():
-    # an estimate of 1e-8 and a limit of 1e-8 + 1.645 * 3e-8
-    hidden = Coefficient(1e-8, None, 1e-8 + 1.6448536 * 3e-8, 'not_observable')
+    # an estimate of 1e-8 and a limit of 1e-8 + 1.96 * 3e-8
+    hidden = Coefficient(1e-8, None, 1e-8 + 1.96 * 3e-8, 'not_observable')
     model = BiasModel.of_fit(fit_with_ramp(hidden))
     assert model.slope_std == pytest.approx(math.hypot(1e-8, 3e-8), rel=1e-6)
     assert model.processes.terms.R == 0.0

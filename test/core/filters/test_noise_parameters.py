@@ -163,8 +163,8 @@ def test_drift_that_is_quick_counts_as_white_and_k_as_its_limit() -> None:
 
 
 def test_the_expected_variance_lies_between_estimate_and_limit() -> None:
-    # with an estimate of 0 the limit is 1.645 standard deviations, the mean of half a normal 0.798
-    assert expected_variance(hidden(1e-5)) == pytest.approx(0.79788 / 1.64485 * 1e-10, rel=1e-4)
+    # with an estimate of 0 the limit is 1.96 standard deviations, the mean of half a normal 0.798
+    assert expected_variance(hidden(1e-5)) == pytest.approx(0.79788 / 1.96 * 1e-10, rel=1e-4)
     known = Coefficient(0.9e-5, None, 1e-5, 'not_observable')
     assert expected_variance(known) == pytest.approx(0.81e-10, rel=1e-2)
     assert expected_variance(Coefficient(None, None, None, 'not_observable')) == 0.0

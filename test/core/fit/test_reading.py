@@ -8,7 +8,7 @@ import pytest
 from allan_ros.core.allan.curve import AllanCurve
 from allan_ros.core.allan.sums import grid_for
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
-from allan_ros.core.fit.regions import curve_slopes, read_curve
+from allan_ros.core.fit.reading import curve_slopes, read_curve
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import NoiseTerms, term_avar
 
