@@ -133,7 +133,7 @@ def _packed(values: NDArray[Any]) -> str:
 
 
 def _unpacked(fields: Fields, key: str, most: int, former: str) -> NDArray[Any]:
-    """Return the numbers of a packed text, at most so many.
+    """Return the at most ``most`` numbers of a packed text.
 
     Texts of former versions are not compressed, of numbers of the type ``former``.
     """

@@ -51,8 +51,9 @@ _HISTORY = 2 * LEVEL_FACTORS[-1]
 
 @dataclass
 class _LevelSums:
-    """Sums of squared second differences of one level: by bin of the age of their start and by
-    period (of every second octave, by row of the factor), and over groups, (factors, axes) each.
+    """Sums of squared second differences of one level, (factors, axes) in each bin by age.
+
+    Beside them the sums by period, of the rows of every second octave, and those over groups.
     """
 
     bins: dict[int, Floats]
@@ -78,8 +79,7 @@ class _LevelSums:
 class _Level:
     """Phase at every 2^j-th sample of the open segment, and its sums of squares so far.
 
-    ``points[:, :_HISTORY]`` are the last points of the previous block, if there is one; ``fill``
-    points that are not summed yet follow.
+    ``points`` are the last `_HISTORY` of the previous block, if any, and ``fill`` not summed yet.
     """
 
     def __init__(self, level: int, axes: int, offset: int) -> None:
@@ -173,7 +173,7 @@ class _Level:
     def _pieces(
         self, first: int, number: int, piece: Callable[[int], tuple[int, int]]
     ) -> list[tuple[int, int, int]]:
-        """Divide differences as `_by_bin`; ``piece`` returns the key of an age and its end."""
+        """Split differences as `_by_bin`; ``piece`` returns the key of an age and where it ends."""
         found = []
         low = 0
         while low < number:
@@ -204,10 +204,9 @@ def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
 
 
 class _SparsePhase:
-    """The phase of a segment at ages that are multiples of a step, a power of two.
+    """The phase of a segment, which begins at the age ``offset``, at multiples of a step.
 
-    The step doubles whenever the last age reaches ``points`` steps; ``offset`` is the age of the
-    first sample of the segment.
+    The step, a power of two, doubles whenever the last age reaches ``points`` steps.
     """
 
     def __init__(self, axes: int, points: int, offset: int = 0) -> None:
@@ -233,8 +232,7 @@ class OpenSegment:
         self.reference = reference[:, None].copy()
         self.start_ns = self.last_ns = start_ns
         self.samples = 0
-        # The phase at level 0 is counted from ``base``, where its block begins: with small numbers
-        # the rounding of a running sum of 1e8 samples stays small too.
+        # of the phase at level 0, which begins at 0 in each block: rounding stays small
         self.base = np.zeros((axes, 1))
         self.theta = np.zeros(axes)
         self.levels = [_Level(0, axes, offset)]
@@ -288,7 +286,8 @@ class OpenSegment:
 
     def sums(self, identity: ImuIdentity, axes: tuple[str, ...]) -> AllanSums:
         """Return the sums of the segment as if it ended here; the state does not change."""
-        m, stride = grid_for(self.samples)
+        n = self.samples
+        m, stride = grid_for(n)
         shape = (len(m), len(axes))
         bins: dict[int, Floats] = {}
         groups, signed = np.zeros(shape), np.zeros(shape)
@@ -312,20 +311,18 @@ class OpenSegment:
         sum_sq = sum((bins[index] for index in sorted(bins)), np.zeros(shape))
         bottom = self.levels[0]
         phase, step = self.coarse.extended(bottom.waiting(), self.base, bottom.summed)
-        record = SegmentRecord(
-            self.start_ns, self.samples, signed, phase.T.copy(), step, self.offset
-        )
+        record = SegmentRecord(self.start_ns, n, signed, phase.T.copy(), step, self.offset)
         history = History.of_segment(self._bins(bins, m, stride), self._recording(by_period))
         return AllanSums(
             identity,
             axes,
-            counts(self.samples, m, stride),
+            counts(n, m, stride),
             sum_sq,
-            counts(self.samples, m, m),
+            counts(n, m, m),
             groups,
             (record,),
             elapsed_ns=self.last_ns - self.start_ns,
-            intervals=self.samples - 1,
+            intervals=n - 1,
             history=history,
         )
 
@@ -334,10 +331,9 @@ class OpenSegment:
         for index in sorted(squares):
             ages = np.array([[edge_age(index)], [edge_age(index + 1)]])
             count = np.diff(starts_before(ages, m, stride, self.offset, self.samples), axis=0)[0]
-            some = int(np.flatnonzero(count)[-1]) + 1 if count.any() else 0
-            if some:
-                no_ramp = np.zeros((0, len(self.theta)))
-                yield AgeBin(index, count[:some], squares[index][:some], (), no_ramp)
+            count = np.trim_zeros(count, 'b')
+            if len(count):
+                yield AgeBin(index, count, squares[index][: len(count)], (), squares[index][:0])
 
     def _recording(self, by_period: list[PeriodSums]) -> Recording:
         """Return the means by cell and the sums of squares by period of this segment."""

@@ -79,7 +79,7 @@ def edge_age(index: int) -> int:
 
 
 def cell_step(length: int, cells: int) -> int:
-    """Return the smallest power of two that divides a length into fewer than so many cells."""
+    """Return the smallest power of two that divides a length into fewer than ``cells`` cells."""
     return 1 << (length // cells).bit_length()
 
 
@@ -110,7 +110,7 @@ def period_begins(length: int, begin: int = 0) -> Ints:
 
 
 def starts_before(ages: Ints, m: Ints | int, stride: Ints | int, offset: int, samples: int) -> Ints:
-    """Return how many second differences of a segment start before some ages.
+    """Return how many second differences of a segment start before given ages.
 
     ``m`` and ``stride`` (averaging factor, samples between two starts) broadcast with ``ages``;
     ``offset`` is the age of the first of the ``samples`` of the segment.
@@ -256,12 +256,12 @@ class Recording(ByValue):
         return 4 ** np.arange(self.level_count.shape[1])
 
     def cells(self, first: int, last: int | None = None) -> Recording:
-        """Return the same with some of its cells alone; periods and length stay."""
+        """Return the recording with only some of its cells; periods and length stay."""
         number, means = self.cell_samples[first:last], self.cell_means[first:last]
         return replace(self, cell_samples=number, cell_means=means)
 
     def coarser(self, cells: int, begins: Ints) -> Recording:
-        """Return the same in fewer cells than so many, and in longer periods."""
+        """Return the recording in fewer than ``cells`` cells, and in longer periods."""
         step = max(cell_step(self.length, cells), self.step)
         number, means = self.cell_samples, self.cell_means
         if step > self.step:
@@ -280,7 +280,7 @@ class Recording(ByValue):
         )
 
     def summary(self) -> Recording:
-        """Return the same in few cells and periods, as kept of each of several recordings."""
+        """Return the recording in few cells and periods, as kept when several are added."""
         period = cell_step(self.length, MERGED_PERIODS)
         return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
 
@@ -334,7 +334,7 @@ class History(ByValue):
 
     @property
     def ages(self) -> tuple[int, ...]:
-        """Ages in samples at which a bin begins and that have something on both sides."""
+        """Ages in samples at which a bin begins, with data on both sides."""
         return tuple(edge_age(b.index) for b in self.bins[1:])
 
     @property
@@ -420,7 +420,7 @@ def _first_edge(length: int) -> int:
 
 
 def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type: ignore[type-arg]
-    """Return the sums of rows that begin at some ages, over longer periods."""
+    """Return rows that begin at the ages ``begins``, summed over longer periods."""
     rows, first = np.unique(np.searchsorted(coarser, begins, 'right') - 1, return_index=True)
     out = np.zeros((len(coarser), *values.shape[1:]), values.dtype)
     if len(rows):

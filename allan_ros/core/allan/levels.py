@@ -106,7 +106,7 @@ WhiteLevel = tuple[int, Floats, Ints]
 
 
 def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
-    """Return the levels of so many parts of each recording (0: of its periods) by axis.
+    """Return the white noise of ``parts`` parts of each recording (0: of its periods) by axis.
 
     Axes without white noise are left out.
     """

@@ -55,7 +55,7 @@ class CellMeans:
 
     @classmethod
     def even(cls, recording: Recording, most: int) -> CellMeans:
-        """Return the means of stretches of equal length, at most so many."""
+        """Return the means of at most ``most`` stretches of equal length."""
         width = 1
         while len(recording.cell_samples) > most * width:
             width *= 2
@@ -150,7 +150,7 @@ def _model(begin: tuple[float, ...], end: tuple[float, ...]) -> VarianceModel:
 
 
 def clear_cache() -> None:
-    """Clear the models of recent stretches, some 4 MB."""
+    """Clear the cached models, about 4 MB."""
     _model.cache_clear()
     _null_model.cache_clear()
 
@@ -187,8 +187,7 @@ class Likelihood:
 def likelihood(
     values: Floats, units: Sequence[Floats], variances: Floats, effects: Floats | None = None
 ) -> Likelihood:
-    """Return the likelihood of contrasts for given variances, maximized over the amplitudes of the
-    effects.
+    """Return the likelihood of contrasts for given variances and the best amplitudes of effects.
 
     Parameters
     ----------

@@ -210,7 +210,7 @@ class RecentNoise:
 
 
 def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
-    """Return the recent and the former noise of each axis; nothing while there is too little data.
+    """Return the recent and the former noise of each axis; {} without enough data.
 
     The recent window of ``window_s`` seconds ends with the latest recording.
     """

@@ -297,7 +297,7 @@ def _advance(bias: BiasFilter, last: int | None, end: int, value: float) -> None
 
 
 def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
-    """Return the averaging time in s whose mean predicts the bias best; ``longest`` if it is that.
+    """Return the averaging time in s, at most ``longest``, whose mean predicts the bias best.
 
     White noise requires long averages, drift short ones.
     """
@@ -325,7 +325,7 @@ def time_within(model: BiasModel, tolerance: float) -> float:
 
 
 def steady_filter(model: BiasModel, seconds: float = 3600.0) -> BiasFilter:
-    """Return a filter after that many seconds of zero means, which gives the expected intervals."""
+    """Return a filter after ``seconds`` of zero means, which gives the expected intervals."""
     bias = BiasFilter(model, period=10.0 * MEAN_S)
     for _ in range(round(seconds / bias.period)):
         bias.update(0.0)

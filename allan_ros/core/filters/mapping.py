@@ -42,7 +42,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {'sqrt': math.sqrt, 'abs': abs, 'max
 
 
 class Expression:
-    """One formula, checked when it is made: `AllanError` if it is more than arithmetic.
+    """One formula; `AllanError` if it is more than arithmetic.
 
     >>> Expression('sqrt(3/4) * N / sqrt(h)').value({'N': 2.0, 'h': 3.0})
     1.0
@@ -228,8 +228,7 @@ def propose(
 def narrow_enough(
     proposals: Sequence[Proposal], ratio: float
 ) -> tuple[list[Proposal], dict[str, str]]:
-    """Return the proposals whose interval is narrower than the ratio, and why others are
-    withheld."""
+    """Return the proposals with an interval within ``ratio``, and why the others are withheld."""
     ready = [p for p in proposals if p.ratio <= ratio]
     waiting = {
         p.name: f'between {p.low:.3g} and {p.high:.3g}: set once this is within a factor of '

@@ -282,7 +282,7 @@ def madgwick_gain(model: ProcessModel, horizon: float) -> float:
 
 
 SAMPLE_WINDOW_S = 1.0
-"""`sample_variance` is about the mean of at most so long: slower noise counts as bias."""
+"""Longest window of `sample_variance`: slower noise counts as bias."""
 
 Variances = tuple[float, float, float]
 """Of x, y and z, in the squared unit of the samples."""

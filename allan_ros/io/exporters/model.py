@@ -326,7 +326,7 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
 
 
 def divided(factor: float) -> Convert:
-    """Return the conversion to a unit of so many SI units."""
+    """Return the conversion to a unit that equals ``factor`` SI units."""
     return lambda value, rate: value / factor
 
 
