@@ -172,24 +172,15 @@ class ByValue:
 
 @dataclass(frozen=True, eq=False)
 class AgeBin(ByValue):
-    """Sums of the second differences that start in one range of ages.
+    """Sums of the second differences that start in one range of ages."""
 
-    Attributes
-    ----------
-    index : int
-        It begins at ``edge_age(index)`` and ends where the next one of the history begins.
-    count, sum_sq : (factors,) int64 and (factors, axes) float64 arrays
-        As in `AllanSums`.
-    pooled : tuple of (class index, segments, samples)
-        The segments that begin here and are kept only by their length class.
-    ramp : (factors, axes) float64 array
-        What these segments contributed to the ramp corrections of their classes.
-    """
-
-    index: int
+    index: int  # it begins at ``edge_age(index)`` and ends where the next one of the history begins
+    # (factors,) and (factors, axes), as in `AllanSums`
     count: Ints
     sum_sq: Floats
+    # the segments that begin here and are kept only by their length class
     pooled: tuple[PooledCount, ...]
+    # (factors, axes) what these segments contributed to the ramp corrections of their classes
     ramp: Floats
 
     def __add__(self, other: AgeBin) -> AgeBin:
@@ -205,37 +196,20 @@ class AgeBin(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Recording(ByValue):
-    """Means and levels of one recording by age.
+    """Means and levels of one recording by age."""
 
-    Attributes
-    ----------
-    start_ns : int
-        Stamp of its first sample.
-    length, samples : int
-        Sample periods from the first to the last sample, and samples in its segments.
-    step : int
-        Length of a cell in samples, a power of two.
-    cell_samples : (cells,) int64 array
-        Samples used of each cell, 0 in gaps.
-    cell_means : (cells, axes) float64 array
-        Mean of these samples less ``reference``; 0 where there are none.
-    reference : (axes,) float64 array
-        First sample of the recording.
-    period_begin : (periods,) int64 array
-        Ages at which the periods begin, see `period_begins`.
-    level_count, level_sum_sq : (periods, levels) int64 and (periods, levels, axes) float64 arrays
-        Second differences that start in each period at the factors 1, 4, 16 ..., and the sum of
-        their squares.
-    """
-
-    start_ns: int
+    start_ns: int  # stamp of its first sample
+    # sample periods from the first to the last sample, and samples in its segments
     length: int
     samples: int
-    step: int
-    cell_samples: Ints
+    step: int  # length of a cell in samples, a power of two
+    cell_samples: Ints  # (cells,) samples used of each cell, 0 in gaps
+    # (cells, axes) mean of these samples less ``reference``; 0 where there are none
     cell_means: Floats
-    reference: Floats
-    period_begin: Ints
+    reference: Floats  # (axes,) first sample of the recording
+    period_begin: Ints  # (periods,) ages at which the periods begin, see `period_begins`
+    # (periods, levels) and (periods, levels, axes): number of second differences that start in each
+    # period at the factors 1, 4, 16 ..., and sum of their squares
     level_count: Ints
     level_sum_sq: Floats
 
@@ -310,20 +284,12 @@ class Recording(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class History(ByValue):
-    """Sums by age of one recording, or of several added age by age.
+    """Sums by age of one recording, or of several added age by age."""
 
-    Attributes
-    ----------
-    first : int
-        Index of the lowest edge that is kept: everything younger is in the bin of index 0.
-    bins : tuple of AgeBin
-        By index; bins without a difference are left out.
-    recordings : tuple of Recording
-        The latest and the 31 longest others, longest first, of ``recording_count``.
-    """
-
+    # index of the lowest edge that is kept: everything younger is in the bin of index 0
     first: int = 1
-    bins: tuple[AgeBin, ...] = ()
+    bins: tuple[AgeBin, ...] = ()  # by index; bins without a difference are left out
+    # the latest and the 31 longest others, longest first, of ``recording_count``
     recordings: tuple[Recording, ...] = ()
     recording_count: int = 0
 

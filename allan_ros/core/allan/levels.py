@@ -49,25 +49,14 @@ EXCESS_PROBABILITY = 1e-3
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of the white noise of one axis between parts.
+    """Scatter of the white noise of one axis between parts."""
 
-    Attributes
-    ----------
-    parts : int
-        How many are compared.
-    low, high : float
-        Smallest and largest deviation of a part, relative to that of all.
-    scatter : float
-        Standard deviation of the logarithm of the true deviations of the parts.
-    probability : float
-        Of such differences if there are none.
-    """
-
-    parts: int
+    parts: int  # how many are compared
+    # smallest and largest deviation of a part, relative to that of all
     low: float
     high: float
-    scatter: float
-    probability: float
+    scatter: float  # standard deviation of the logarithm of the true deviations of the parts
+    probability: float  # of such differences if there are none
 
 
 def level_changes(recordings: Sequence[Recording], age: int = 0) -> dict[int, Scatter]:

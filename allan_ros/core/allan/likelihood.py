@@ -31,18 +31,12 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class CellMeans:
-    """Means of consecutive stretches of one recording.
+    """Means of consecutive stretches of one recording."""
 
-    Attributes
-    ----------
-    begin, end : (stretches,) float64 array
-        In cells since the start of the recording.
-    means : (stretches, axes) float64 array
-    """
-
+    # (stretches,) in cells since the start of the recording
     begin: Floats
     end: Floats
-    means: Floats
+    means: Floats  # (stretches, axes)
 
     @classmethod
     def of(cls, recording: Recording, growth: int = GROWTH) -> CellMeans:
@@ -162,26 +156,13 @@ def variance_model(means: CellMeans) -> VarianceModel:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """A maximum of the likelihood of contrasts with normal distribution.
+    """A maximum of the likelihood of contrasts with normal distribution."""
 
-    Attributes
-    ----------
-    value : float
-        Twice the log likelihood, up to a constant.
-    variances : (components,) float64 array
-    whitening : (contrasts, contrasts) float64 array
-        W with W C W' = 1.
-    residual : (contrasts,) float64 array
-        Whitened contrasts less their mean.
-    amplitudes : (effects,) float64 array
-        Of the effects on the mean.
-    """
-
-    value: float
-    variances: Floats
-    whitening: Floats
-    residual: Floats
-    amplitudes: Floats
+    value: float  # twice the log likelihood, up to a constant
+    variances: Floats  # (components,)
+    whitening: Floats  # (contrasts, contrasts) W with W C W' = 1
+    residual: Floats  # (contrasts,) whitened contrasts less their mean
+    amplitudes: Floats  # (effects,) of the effects on the mean
 
 
 def likelihood(

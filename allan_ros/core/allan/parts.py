@@ -191,22 +191,14 @@ in 2e7, which allows for all times and axes that are tested."""
 
 @dataclass(frozen=True)
 class RecentNoise:
-    """Deviations of one axis in the recent time and before.
+    """Deviations of one axis in the recent time and before."""
 
-    Attributes
-    ----------
-    before, recent : AllanCurve
-        Of this axis alone, at the same averaging times.
-    since_s : float or None
-        How long ago the last step of the level was, in s; None if there was none.
-    tau : float or None
-        Averaging time in s at which the step is most significant.
-    """
-
+    # of this axis alone, at the same averaging times
     before: AllanCurve
     recent: AllanCurve
+    # how long ago the last step of the level was, in s; None if there was none
     since_s: float | None
-    tau: float | None
+    tau: float | None  # averaging time in s at which the step is most significant
 
 
 def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:

@@ -49,20 +49,13 @@ BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
 
 @dataclass(frozen=True)
 class SpectrumSums:
-    """Sums of periodograms of one sensor, an addable value.
-
-    Attributes
-    ----------
-    axes : tuple of str
-    power : (LEVELS, BLOCK/2 + 1, axes) float64 array
-        Sum of the one-sided periodograms of each level, per sample of that level.
-    blocks : (LEVELS,) int64 array
-        Number of blocks of each level.
-    """
+    """Sums of periodograms of one sensor, an addable value."""
 
     axes: tuple[str, ...]
+    # (LEVELS, BLOCK/2 + 1, axes) sum of the one-sided periodograms of each level, per sample of
+    # that level
     power: Floats
-    blocks: NDArray[np.int64]
+    blocks: NDArray[np.int64]  # (LEVELS,) number of blocks of each level
 
     def __add__(self, other: SpectrumSums) -> SpectrumSums:
         if self.axes != other.axes:
@@ -72,19 +65,12 @@ class SpectrumSums:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """One-sided power spectral density of all axes, with 68.3 % limits.
-
-    Attributes
-    ----------
-    axes : tuple of str
-    frequency : (points,) float64 array
-        In Hz, evenly spaced on a logarithmic scale where there are enough bins.
-    psd, low, high : (points, axes) float64 arrays
-        In the squared unit of the samples per Hz.
-    """
+    """One-sided power spectral density of all axes, with 68.3 % limits."""
 
     axes: tuple[str, ...]
+    # (points,) in Hz, evenly spaced on a logarithmic scale where there are enough bins
     frequency: Floats
+    # (points, axes) in the squared unit of the samples per Hz
     psd: Floats
     low: Floats
     high: Floats

@@ -53,30 +53,15 @@ INVISIBLE = 1.0
 
 @dataclass(frozen=True)
 class EarlyPart:
-    """An early part of a recording that differs from the rest.
+    """An early part of a recording that differs from the rest."""
 
-    Attributes
-    ----------
-    kind : 'warm_up' or 'early_drift'
-        A mean that settles, or a larger random walk.
-    axes : tuple of int
-        Positions of the axes on which it is significant.
-    amplitudes : (axes,) float64 array
-        Change of the mean by warming up, for all axes; 0 for early drift.
-    decay : float
-        Correlation time or duration of the warm-up in samples; the age itself for early drift.
-    excess : float
-        Twice the log likelihood ratio beyond its threshold.
-    age : int
-        Age in samples from which it has no effect.
-    """
-
-    kind: str
-    axes: tuple[int, ...]
-    amplitudes: Floats
+    kind: str  # 'warm_up': a mean that settles, or 'early_drift': a larger random walk
+    axes: tuple[int, ...]  # positions of the axes on which it is significant
+    amplitudes: Floats  # (axes,) change of the mean by warming up, for all axes; 0 for early drift
+    # correlation time or duration of the warm-up in samples; the age itself for early drift
     decay: float
-    excess: float
-    age: int
+    excess: float  # twice the log likelihood ratio beyond its threshold
+    age: int  # age in samples from which it has no effect
 
 
 @dataclass(frozen=True)
@@ -236,27 +221,15 @@ def _invisible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> fl
 
 @dataclass(frozen=True)
 class BiasSteps:
-    """Steps of the bias of one axis.
-
-    Attributes
-    ----------
-    axis : int
-    ages : tuple of float
-        Of the steps, in samples, largest likelihood first.
-    sizes : (steps,) float64 array
-        In the unit of the samples.
-    walk_before, walk_after : float
-        Variance of the random walk per sample without and with the steps.
-    excess : float
-        Twice the log likelihood ratio beyond its threshold.
-    """
+    """Steps of the bias of one axis."""
 
     axis: int
-    ages: tuple[float, ...]
-    sizes: Floats
+    ages: tuple[float, ...]  # of the steps, in samples, largest likelihood first
+    sizes: Floats  # (steps,) in the unit of the samples
+    # variance of the random walk per sample without and with the steps
     walk_before: float
     walk_after: float
-    excess: float
+    excess: float  # twice the log likelihood ratio beyond its threshold
 
 
 MOST_STEPS = 8

@@ -75,30 +75,16 @@ variance, which a fit takes, stay within the range of normal numbers."""
 
 @dataclass(frozen=True, eq=False)
 class SegmentRecord(ByValue):
-    """Data of one segment from which its ramp is estimated, in addition to its part of the sums.
+    """Data of one segment from which its ramp is estimated, in addition to its part of the sums."""
 
-    Attributes
-    ----------
-    start_ns : int
-        Stamp of its first sample.
-    samples : int
-        Number of samples.
-    signed : (factors, axes) float64 array
-        Sum of d for the first factors of the grid (those with m <= samples/2).
-    phase : (points, axes) float64 array
-        Phase at sample 0, ``phase_step``, 2 ``phase_step`` ... : at most 128 points.
-    phase_step : int
-        Samples between two phase points, a power of two.
-    age : int
-        Sample periods since the first sample of the recording.
-    """
-
-    start_ns: int
-    samples: int
+    start_ns: int  # stamp of its first sample
+    samples: int  # number of samples
+    # (factors, axes) sum of d for the first factors of the grid (those with m <= samples/2)
     signed: Floats
+    # (points, axes) phase at sample 0, ``phase_step``, 2 ``phase_step`` ... : at most 128 points
     phase: Floats
-    phase_step: int
-    age: int = 0
+    phase_step: int  # samples between two phase points, a power of two
+    age: int = 0  # sample periods since the first sample of the recording
 
     @cached_property
     def order(self) -> tuple[int, int, int]:
@@ -137,23 +123,15 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LengthClass(ByValue):
-    """Segments of one length within 10 %, pooled.
+    """Segments of one length within 10 %, pooled."""
 
-    Attributes
-    ----------
-    index : int
-        floor(log(samples) / log(1.1)).
-    count, samples : int
-        Number of segments, and of samples in all of them.
-    ramp_correction : (factors, axes) float64 array
-        Correction that removes the ramps of these segments from the sums of d^2:
-        sum over segments of -2 m^2 r D + M m^4 r^2, with r = `SegmentRecord.ols_ramp`, D the
-        signed sum and M the count of the segment (the square of d - r m^2, less d^2).
-    """
-
-    index: int
+    index: int  # floor(log(samples) / log(1.1))
+    # number of segments, and of samples in all of them
     count: int
     samples: int
+    # (factors, axes) correction that removes the ramps of these segments from the sums of d^2: sum
+    # over segments of -2 m^2 r D + M m^4 r^2, with r = `SegmentRecord.ols_ramp`, D the signed sum
+    # and M the count of the segment (the square of d - r m^2, less d^2)
     ramp_correction: Floats
 
     @classmethod

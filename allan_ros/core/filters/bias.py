@@ -84,17 +84,10 @@ class BiasEstimate:
 
 
 class BiasModel(NamedTuple):
-    """What is known about the bias of one axis before it is measured.
-
-    Attributes
-    ----------
-    processes : ProcessModel
-    slope_std : float
-        Standard deviation of a constant slope of the bias, per s; 0 for none.
-    """
+    """What is known about the bias of one axis before it is measured."""
 
     processes: ProcessModel
-    slope_std: float = 0.0
+    slope_std: float = 0.0  # standard deviation of a constant slope of the bias, per s; 0 for none
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
@@ -199,25 +192,14 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class AxisBias:
-    """The present bias of one axis.
+    """The present bias of one axis."""
 
-    Attributes
-    ----------
-    estimate : BiasEstimate
-        Of the 10 s after the latest mean.
-    end_ns : int
-        Time of the latest mean.
-    optimal_s, within_s : float
-        As of `optimal_window` and `time_within`.
-    tolerance : float
-        In the unit of the samples.
-    """
-
-    estimate: BiasEstimate
-    end_ns: int
+    estimate: BiasEstimate  # of the 10 s after the latest mean
+    end_ns: int  # time of the latest mean
+    # as of `optimal_window` and `time_within`
     optimal_s: float
     within_s: float
-    tolerance: float
+    tolerance: float  # in the unit of the samples
 
 
 class BiasTracker:

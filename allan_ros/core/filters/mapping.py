@@ -108,70 +108,40 @@ RATE = 'f'
 
 @dataclass(frozen=True)
 class FilterParameter:
-    """One parameter of a filter.
+    """One parameter of a filter."""
 
-    Attributes
-    ----------
-    name : str
-        As the node declares it.
-    sensor : 'gyro' or 'accel'
-    expression : Expression
-        In the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants. In an
-        expression with K, N and K are those of the reduction of the selected model.
-    rule : str
-        One of `RULES`; 'each' makes an array of three.
-    limits : (low, high)
-        Range that the filter accepts; a value outside is moved to the limit.
-    """
-
-    name: str
-    sensor: str
+    name: str  # as the node declares it
+    sensor: str  # 'gyro' or 'accel'
+    # in the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants. In an
+    # expression with K, N and K are those of the reduction of the selected model.
     expression: Expression
-    rule: str = 'worst'
+    rule: str = 'worst'  # one of `RULES`; 'each' makes an array of three
+    # range that the filter accepts; a value outside is moved to the limit
     limits: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
 class FilterMapping:
-    """The parameters of one kind of filter.
-
-    Attributes
-    ----------
-    name : str
-    parameters : tuple of FilterParameter
-    constants : mapping of name to float
-        Constants of the expressions.
-    horizon : float
-        Longest time in s that the filter integrates without correction: upper end of the horizons
-        of the reduction.
-    """
+    """The parameters of one kind of filter."""
 
     name: str
     parameters: tuple[FilterParameter, ...]
-    constants: Mapping[str, float] = field(default_factory=dict)
+    constants: Mapping[str, float] = field(default_factory=dict)  # constants of the expressions
+    # longest time in s that the filter integrates without correction: upper end of the horizons of
+    # the reduction
     horizon: float = 30.0
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A value for a parameter.
-
-    Attributes
-    ----------
-    name : str
-    values : tuple of float
-        One, or three with the rule 'each'.
-    low, high : float
-        95 % interval; of the axis whose interval is widest, where there are three.
-    limited : bool
-        Whether a value was moved to a limit of the parameter.
-    """
+    """A value for a parameter."""
 
     name: str
-    values: tuple[float, ...]
+    values: tuple[float, ...]  # one, or three with the rule 'each'
+    # 95 % interval; of the axis whose interval is widest, where there are three
     low: float
     high: float
-    limited: bool = False
+    limited: bool = False  # whether a value was moved to a limit of the parameter
 
     @property
     def ratio(self) -> float:

@@ -50,28 +50,16 @@ Ends = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Level:
-    """Level of one noise term on one axis, in SI.
+    """Level of one noise term on one axis, in SI."""
 
-    Attributes
-    ----------
-    axis, term : str
-        The term is N, B, K or R, or 'sigma' of a Gauss-Markov process.
-    value : float
-        Finite and above 0: the estimate, or the 95 % upper limit where there is none.
-    ci95 : (low, high) or None
-        Interval of an estimate, where the method gives one.
-    is_limit : bool
-        Whether the value is only an upper limit.
-    raised_from : float or None
-        The coefficient (0 where it is not resolved), if the value was raised to bound the growth of
-        the error.
-    """
-
+    # the term is N, B, K or R, or 'sigma' of a Gauss-Markov process
     axis: str
     term: str
-    value: float
-    ci95: tuple[float, float] | None = None
-    is_limit: bool = False
+    value: float  # finite and above 0: the estimate, or the 95 % upper limit where there is none
+    ci95: tuple[float, float] | None = None  # interval of an estimate, where the method gives one
+    is_limit: bool = False  # whether the value is only an upper limit
+    # the coefficient (0 where it is not resolved), if the value was raised to bound the growth of
+    # the error
     raised_from: float | None = None
 
     @property

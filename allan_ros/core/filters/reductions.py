@@ -203,25 +203,16 @@ class Horizons(NamedTuple):
 
 @dataclass(frozen=True)
 class Reduction:
-    """A noise model with the states of a filter.
+    """A noise model with the states of a filter."""
 
-    Attributes
-    ----------
-    states : one of `STATES`
-    white, walk : float
-        N and K; K is 0 where the states have no walk, or nothing drifts.
-    gauss_markov : tuple of (sigma, tau)
-    horizons : Horizons
-        Where the growth that the filter predicts bounds that of the complete model.
-    ratio : (low, high)
-        Least and largest ratio of predicted growth to that of the complete model over the horizons.
-    """
-
-    states: States
+    states: States  # one of `STATES`
+    # N and K; K is 0 where the states have no walk, or nothing drifts
     white: float
     walk: float
-    gauss_markov: Processes
+    gauss_markov: Processes  # tuple of (sigma, tau)
+    # where the growth that the filter predicts bounds that of the complete model
     horizons: Horizons
+    # least and largest ratio of predicted growth to that of the complete model over the horizons
     ratio: tuple[float, float]
 
     @property

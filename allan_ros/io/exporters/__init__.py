@@ -133,29 +133,16 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class Entry:
-    """One key of a file.
+    """One key of a file."""
 
-    Attributes
-    ----------
-    path : tuple of str
-        The key, after the keys of the mappings that contain it.
-    value : Value
-    words : str
-        Origin of the number: unit, formula, axis, interval. '' for what is not measured.
-    is_limit : bool
-        Whether the number comes from a 95 % upper limit.
-    keep : bool
-        Whether to leave the value in the user's own file alone, because it is not measured.
-    findings : tuple of Finding
-        What the user should know about it.
-    """
-
-    path: tuple[str, ...]
+    path: tuple[str, ...]  # the key, after the keys of the mappings that contain it
     value: Value
+    # origin of the number: unit, formula, axis, interval. '' for what is not measured
     words: str = ''
-    is_limit: bool = False
+    is_limit: bool = False  # whether the number comes from a 95 % upper limit
+    # whether to leave the value in the user's own file alone, because it is not measured
     keep: bool = False
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # what the user should know about it
 
     @property
     def key(self) -> str:
@@ -164,26 +151,15 @@ class Entry:
 
 
 class Row(NamedTuple):
-    """One key of a file and the quantity that it holds.
-
-    Attributes
-    ----------
-    key : str
-    sensor : 'gyro' or 'accel', or '-' for both
-    what : str
-        N or K; sigma, tau or driving (the density sigma sqrt(2/tau)) of the Gauss-Markov bias;
-        turn_on; common_tau of all axes; rate; topic; zero.
-    unit : str
-        One of `model.QUANTITIES` for N and K, or a unit.
-    limits : (low, high) or None
-        Range that the filter accepts.
-    """
+    """One key of a file and the quantity that it holds."""
 
     key: str
-    sensor: str
+    sensor: str  # 'gyro' or 'accel', or '-' for both
+    # N or K; sigma, tau or driving (the density sigma sqrt(2/tau)) of the Gauss-Markov bias;
+    # turn_on; common_tau of all axes; rate; topic; zero
     what: str
-    unit: str = ''
-    limits: tuple[float, float] | None = None
+    unit: str = ''  # one of `model.QUANTITIES` for N and K, or a unit
+    limits: tuple[float, float] | None = None  # range that the filter accepts
 
 
 def rows(table: str) -> tuple[Row, ...]:
@@ -221,54 +197,27 @@ class Form:
 
 @dataclass(frozen=True)
 class Target:
-    """A filter, simulator or calibration tool.
+    """A filter, simulator or calibration tool."""
 
-    Attributes
-    ----------
-    file_name : str
-        Name of its file in a folder of results.
-    convention : str
-        Convention of the numbers, and the source file of the target that shows it.
-    form : Form
-    rows : tuple of Row
-        The keys of the file.
-    parent : tuple of str
-        The mappings that contain the keys.
-    fixed : mapping of key to value
-        Required keys that are not measured; in the user's own file they stay.
-    notes : tuple of str
-        Further facts for the user of this file.
-    entries : callable or None
-        Yields the entries from the noise, for files that a table cannot describe.
-    three : bool
-        Whether the file takes three numbers per sensor.
-    rate_hz : float or None
-        The filter's own rate; None where it steps with the samples.
-    horizon_s : float
-        Default upper end of the horizons of the reduction, in s.
-    walk : bool
-        Whether the target has a random walk of the bias, and so takes N from the same reduction.
-    bound : bool
-        Whether the reduction bounds the error growth, as a filter needs it; a simulator gets the
-        closest one.
-    exact : bool
-        Whether N is for the midpoint rule, and `ExportOptions.exact` applies.
-    """
-
-    file_name: str
-    convention: str
+    file_name: str  # name of its file in a folder of results
+    convention: str  # convention of the numbers, and the source file of the target that shows it
     form: Form
-    rows: tuple[Row, ...] = ()
-    parent: tuple[str, ...] = ()
+    rows: tuple[Row, ...] = ()  # the keys of the file
+    parent: tuple[str, ...] = ()  # the mappings that contain the keys
+    # required keys that are not measured; in the user's own file they stay
     fixed: Mapping[str, Value] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # further facts for the user of this file
+    # yields the entries from the noise, for files that a table cannot describe
     entries: Callable[[FilterNoise], Iterable[Entry]] | None = None
-    three: bool = False
-    rate_hz: float | None = None
-    horizon_s: float = VIO_HORIZON_S
+    three: bool = False  # whether the file takes three numbers per sensor
+    rate_hz: float | None = None  # the filter's own rate; None where it steps with the samples
+    horizon_s: float = VIO_HORIZON_S  # default upper end of the horizons of the reduction, in s
+    # whether the target has a random walk of the bias, and so takes N from the same reduction
     walk: bool = True
+    # whether the reduction bounds the error growth, as a filter needs it; a simulator gets the
+    # closest one
     bound: bool = True
-    exact: bool = False
+    exact: bool = False  # whether N is for the midpoint rule, and `ExportOptions.exact` applies
 
 
 @dataclass(frozen=True)

@@ -70,25 +70,14 @@ def _refuse(constant: str) -> None:
 
 @dataclass(frozen=True)
 class LineForm(Form):
-    """One line per entry.
+    """One line per entry."""
 
-    Attributes
-    ----------
-    line : str
-        `str.format` template of key and value.
-    comment : str
-        Start of a comment line.
-    before, after : str
-        Further text around the lines.
-    literal : callable
-        From a value to the text of the language.
-    """
-
-    line: str
-    comment: str = '#'
+    line: str  # `str.format` template of key and value
+    comment: str = '#'  # start of a comment line
+    # further text around the lines
     before: str = ''
     after: str = ''
-    literal: Callable[[Value], str] = repr
+    literal: Callable[[Value], str] = repr  # from a value to the text of the language
 
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
         comments = ''.join(f'{self.comment} {line}\n' for line in header)
