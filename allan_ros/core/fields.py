@@ -123,8 +123,9 @@ class Fields:
 
     def quantity(self, unit: str) -> float:
         """Return this ``{value, unit}`` in another unit."""
+        value, stated = self.number('value'), self.text('unit')
         with located(self.where):
-            return to_si(self.number('value'), self.text('unit'), unit)
+            return to_si(value, stated, unit)
 
     def optional_number(self, key: str, least: float = -MAX_FLOAT) -> float | None:
         return None if self._document.get(key) is None else self.number(key, least)

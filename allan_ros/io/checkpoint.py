@@ -30,16 +30,8 @@ class Checkpoint:
     written until it is moved away, or until its IMU is back. Only regular files are read, renamed
     or replaced; a folder, FIFO or device at the path is left alone.
 
-    Attributes
-    ----------
-    sums : tuple of AllanSums
-        Content of the file; empty if there is no usable one.
-    provenance : Provenance
-        Provenance of the sums.
-    loaded : Finding or None
-        What was wrong with the file.
-    refused : Finding or None
-        Why nothing is written now.
+    ``sums`` and ``provenance`` are the content of the file, ``loaded`` is what was wrong with it,
+    and ``refused`` why nothing is written now.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -72,22 +64,13 @@ class Checkpoint:
         return total
 
     def save(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> None:
-        """Write the sums, unless there are none or the file must be left alone.
-
-        Raises
-        ------
-        AllanError
-            When the file cannot be written.
-        """
+        """Write the sums, unless there are none or the file must be left alone."""
         if sums and self.refused is None:
             write_atomic(self.path, to_json(sums_file_to_document(sums, provenance)))
             self._holds = sums, provenance
 
     def try_to_write(self) -> None:
-        """Check now, not at the first period, whether the folder can be written.
-
-        Raises AllanError when it cannot.
-        """
+        """Check now, not at the first period, whether the folder can be written."""
         write_atomic(self._trial, '')
         self._trial.unlink(missing_ok=True)
 
@@ -97,10 +80,7 @@ class Checkpoint:
             remove_drafts(path, older_s=0.0)
 
     def set_aside(self) -> Path:
-        """Start again: rename the file, if any, to ``<name>.previous`` and return that path.
-
-        Raises AllanError when it cannot be renamed.
-        """
+        """Start again: rename the file, if any, to ``<name>.previous`` and return that path."""
         previous = self.path.with_name(f'{self.path.name}.previous')
         if self.path.exists():
             self._rename(previous)

@@ -61,18 +61,9 @@ class Pair:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Several runs, their differences, and their comparisons with datasheets.
+    """Several runs, the differences of the others from the first, and every run with datasheets.
 
-    Attributes
-    ----------
-    runs : tuple of Subject
-        The first is what the others are compared with.
-    pairs : tuple of Pair
-        One for each other run.
-    datasheets : tuple of (label, DatasheetComparison)
-        The comparison of every run with every datasheet.
-    family_error : float
-        Probability of any false detection among all differences.
+    ``family_error`` is the probability of any false detection among all differences.
     """
 
     runs: tuple[Subject, ...]
@@ -266,14 +257,8 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 class Inflation:
     """The noise of an IMU at rest with motors on, over that with motors off.
 
-    Attributes
-    ----------
-    axes : mapping of axis name to AxisInflation
-        N and K of the reductions, and their factors.
-    comparison : RunComparison
-        Ratio of the Allan deviations at each averaging time, with intervals.
-    horizons : Horizons
-        Range over which N and K bound the growth of the error.
+    For each axis N and K, which bound the growth of the error over the horizons, and their factors;
+    the comparison has the ratios of the Allan deviations with intervals.
     """
 
     axes: dict[str, AxisInflation]

@@ -64,16 +64,9 @@ instability -> what its value may be -> the factor that makes it N or B, and a n
 
 @dataclass(frozen=True)
 class Source:
-    """Where figures come from.
+    """Where figures come from: a document, its number and revision, and the manufacturer's page.
 
-    Attributes
-    ----------
-    title, revision, url : str
-        The document, its number and revision, and the manufacturer's page; '' where not known.
-    seen : str
-        Whether the document itself was read, or ``via``, which quotes it; '' where not known.
-    via : str
-        The document that was read instead, if not the original.
+    ``seen`` tells whether the document itself was read, or ``via``, which quotes it.
     """
 
     title: str
@@ -88,20 +81,10 @@ class Source:
 
 @dataclass(frozen=True)
 class Limit:
-    """The limit of one term by a datasheet, in SI.
+    """The limit of one term in SI, and the number and unit that the datasheet states.
 
-    Attributes
-    ----------
-    value : float
-        The coefficient of the sensor must not lie above it.
-    stated : str
-        The number and unit of the datasheet.
-    note : str
-        How the limit follows from the stated number; '' where that is obvious.
-    condition : str
-        Condition of the number: typical, range, bandwidth; '' where none is stated.
-    source : str
-        Key of its source.
+    ``note`` tells how one follows from the other, ``condition`` is that of the number (typical,
+    range, bandwidth), ``source`` the key of its source; '' where there is none.
     """
 
     value: float
@@ -117,15 +100,10 @@ class Datasheet:
 
     Attributes
     ----------
-    name, maker : str
-    sources : mapping of key to Source
-        The documents of the numbers.
     limits : mapping of axis name to term ('N', 'B') to Limit
         Only what the sources state.
     range, lsb : mapping of axis name to float
         Full scale and step of the values in rad/s and m/s^2, where stated.
-    remark : str
-        Further remarks for the user, or ''.
     carries : str
         Name of the sensor in it, whose figures these are; '' for a sensor itself.
     """
@@ -156,15 +134,9 @@ VERDICT_TEXT: dict[Verdict, str] = {'within': 'within', 'open': 'not settled', '
 
 @dataclass(frozen=True)
 class DatasheetComparison:
-    """All coefficients that a datasheet has a limit for.
+    """All coefficients that a datasheet has a limit for, by axis, then term.
 
-    Attributes
-    ----------
-    datasheet : Datasheet
-    margin : float
-        Fraction by which a complete 95 % interval must lie above a limit to be beyond it.
-    comparisons : tuple of Comparison
-        By axis, then term.
+    A complete 95 % interval must lie above a limit by the margin, a fraction, to be beyond it.
     """
 
     datasheet: Datasheet

@@ -79,10 +79,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
 
 
 def results_from_document(document: object, where: str = 'results') -> Results:
-    """Return the results of a document of `results_to_document`.
-
-    Raises AllanError naming the field that is missing or wrong, or the version that is not known.
-    """
+    """Return the results of a document of `results_to_document`."""
     fields = Fields(document, where)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
@@ -119,10 +116,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
 def sums_file_from_document(
     document: object, where: str = 'sums'
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
-    """Return the sums and provenance of a document of `sums_file_to_document`.
-
-    Raises AllanError naming the field that is missing or wrong, or the version that is not known.
-    """
+    """Return the sums and provenance of a document of `sums_file_to_document`."""
     fields = Fields(document, where)
     fields.schema(SUMS_SCHEMA)
     return (
@@ -168,20 +162,14 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
 
 
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
-    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
-
-    Raises AllanError when the file is missing or is no such document.
-    """
+    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis."""
     path = file_in(path, SUMS)
     sums, provenance = sums_file_from_document(read_json(path), path)
     return RecordingSums(path, sums, provenance)
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return the path itself, or if it is a folder the file of that name in it.
-
-    Raises AllanError when the folder has no such file.
-    """
+    """Return the path itself, or if it is a folder the file of that name in it."""
     if not Path(path).is_dir():
         return str(path)
     inside = Path(path) / name

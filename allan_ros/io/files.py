@@ -75,9 +75,6 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file atomically: neither a reader nor a crash leaves or sees a part of it.
 
     The content is written to a draft in the same folder, synced to the disk and renamed.
-
-    Raises AllanError when the path is no regular file, the folder is missing or not writable, or
-    the disk is full.
     """
     write_together(Path(path).parent, {Path(path).name: content})
 
@@ -122,10 +119,7 @@ def write_together(
 
 
 def check_replaceable(path: Path) -> None:
-    """Do nothing if a file may be written or renamed to the path.
-
-    Raises AllanError when a folder, FIFO, device or socket, or a link to one, is there.
-    """
+    """Do nothing if a file may be written or renamed to the path."""
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise _not_regular(path)
@@ -178,11 +172,7 @@ def to_json(document: Mapping[str, Any]) -> str:
 
 
 def parse_json(text: str, where: str) -> object:
-    """Return the value of a JSON text.
-
-    Raises AllanError when it is too long, too deep or not JSON; NaN and infinity, half surrogates
-    and numbers beyond the bounds are rejected.
-    """
+    """Return the value of a JSON text; NaN, infinity and half surrogate pairs are rejected."""
     if len(text) > MAX_BYTES:
         raise AllanError(
             f'{where}: has more than {MAX_BYTES} bytes: it is not a document of allan_ros'
@@ -197,10 +187,7 @@ def parse_json(text: str, where: str) -> object:
 
 
 def read_json(path: str | os.PathLike[str]) -> object:
-    """Return the value of a JSON file.
-
-    Raises AllanError when it is missing, or `parse_json` rejects it.
-    """
+    """Return the value of a JSON file."""
     path = Path(path)
     try:
         text = read_bounded(path, MAX_BYTES).decode('utf-8')
@@ -248,13 +235,7 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a YAML (or JSON) text.
-
-    Raises
-    ------
-    yaml.YAMLError
-        When it is invalid, nests too deep, or has merge keys.
-    """
+    """Return the value of a YAML (or JSON) text; yaml.YAMLError where it is not accepted."""
     loader = _Loader(text)
     try:
         return loader.get_single_data()
@@ -272,10 +253,7 @@ NEAREST, LISTED, CLOSE = 3, 8, 0.8
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the content of a small YAML (or JSON) file.
-
-    Raises AllanError when it cannot be read or parsed, or is over 100 kB.
-    """
+    """Return the content of a small YAML (or JSON) file."""
     try:
         return parse_yaml(read_bounded(path, MAX_YAML_BYTES).decode('utf-8'))
     except OSError as error:
@@ -291,11 +269,7 @@ def config_names(kind: str) -> list[str]:
 
 
 def config_file(kind: str, name: str, called: str) -> Path:
-    """Return the file of that name, or the path that was given.
-
-    Raises AllanError when there is none of that name; ``called`` names the kind of file in the
-    message.
-    """
+    """Return the file of that name, or the path that was given."""
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
         return path.expanduser()
@@ -316,18 +290,14 @@ def config_file(kind: str, name: str, called: str) -> Path:
 def config_folders(kind: str) -> list[Path]:
     """Return the search path of a kind of files; the first match wins.
 
-    The user's own folder, then ``config/<kind>`` of the checkout or of the installed package.
+    The user's own folder (XDG Base Directory, 0.8), then ``config/<kind>`` of the checkout or of
+    the installed package.
     """
-    here = Path(__file__).resolve()
-    checkout = here.parents[2] / 'config' / kind
-    installed = [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
-    return [folder for folder in (user_folder(kind), checkout, *installed) if folder.is_dir()]
-
-
-def user_folder(kind: str) -> Path:
-    """Return where the user's own files of a kind are looked for (XDG Base Directory, 0.8)."""
     home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
-    return Path(home) / 'allan_ros' / kind
+    here = Path(__file__).resolve()
+    folders = [Path(home) / 'allan_ros' / kind, here.parents[2] / 'config' / kind]
+    folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
+    return [folder for folder in folders if folder.is_dir()]
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
@@ -376,11 +346,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Acquire the lock. Return '' on success, else the owner.
-
-        Raises AllanError when the folder is missing or not writable, or the lock file is no regular
-        file.
-        """
+        """Acquire the lock. Return '' on success, else the owner."""
         while self._handle is None:
             handle = self._open_mark()
             if not _try_to_lock(handle):

@@ -66,19 +66,9 @@ class Provenance:
 class RecordingSums:
     """The sums of one or more recordings of one IMU, and what a report shows about them.
 
-    Attributes
-    ----------
-    name : str
-        For messages: the path of the first recording.
-    sums : tuple of AllanSums
-        One with all axes, or one per sensor where the sensors have different rates.
-    provenance : Provenance
-    signals : tuple of SignalEnvelope
-        One per recording; empty unless the report context was requested.
-    spectra : tuple of SpectrumSums
-        Those of ``sums``, in the same order; empty unless requested.
-    temperatures : tuple of TemperatureTrace or None
-        Those of ``signals``, in the same order.
+    The sums are one with all axes, or one per sensor where these have different rates, each with
+    its spectrum. There is a signal and a temperature for each recording. Spectra, signals and
+    temperatures are empty unless they were asked for. The name is the path of the first recording.
     """
 
     name: str
@@ -276,8 +266,6 @@ def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
 
     They are added from the earliest to the latest, so the sums do not depend on the order in which
     the recordings are given.
-
-    Raises AllanError when one is of another IMU than the first, or was given twice.
     """
     return reduce(add, sorted(recordings, key=_start_ns))
 

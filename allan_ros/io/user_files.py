@@ -108,8 +108,6 @@ def stated_noise(
 
     The limits of a datasheet are N and B. Changes (axis or sensor -> term -> value) are in
     datasheet units.
-
-    Raises AllanError when nothing is stated, or what is stated is impossible.
     """
     noise = {axis: NoiseTerms() for axis in AXES}
     if spec:
