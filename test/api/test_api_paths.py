@@ -4,14 +4,18 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import allan_ros as ar
 from allan_ros.api import load, load_sums, results_of
 from allan_ros.core.errors import AllanError
 from allan_ros.io.documents import results_to_document, sums_file_to_document
 from allan_ros.io.files import to_json
+from allan_ros.io.recorded import ReadJob, read_in_processes
 from allan_ros.io.results import Results
 
 
@@ -47,3 +51,29 @@ def test_a_folder_without_documents_is_refused(tmp_path: Path) -> None:
         load(tmp_path)
     with pytest.raises(AllanError, match=r'no sums\.json in this folder'):
         load_sums(tmp_path)
+
+
+def test_paths_are_read_alone_together_and_in_processes(tmp_path: Path) -> None:
+    paths = []
+    for seed in (1, 2):
+        batch = ar.simulate(hours=0.02, rate=50, seed=seed)
+        paths.append(tmp_path / f'{seed}.npz')
+        np.savez(paths[-1], imu=np.column_stack([batch.stamps_ns * 1e-9, batch.samples]))
+    one = ar.analyze(paths[0])
+    both = ar.analyze(paths)
+    assert (one.samples, both.samples) == (3600, 7200)
+    assert repr(ar.analyze(paths, processes=2)) == repr(both)
+    assert ar.compare(one, paths[0]).runs[1].results.samples == one.samples
+
+
+def test_a_worker_that_dies_is_reported(tmp_path: Path) -> None:
+    jobs = [ReadJob(_Deadly(f'{i}')) for i in range(2)]  # type: ignore[arg-type]
+    with pytest.raises(AllanError, match='one of 2 processes died, perhaps for lack of memory'):
+        list(read_in_processes(jobs, 2))
+
+
+class _Deadly(str):
+    """A path that ends the process that receives it."""
+
+    def __reduce__(self) -> tuple[object, tuple[int]]:
+        return os._exit, (1,)

@@ -50,6 +50,25 @@ def test_a_file_with_a_header(tmp_path, capsys):
     assert 'N rad/s/sqrt(Hz)    0.001000' in capsys.readouterr().out
 
 
+def test_published_values_too_large_and_too_small_are_doubted(tmp_path, capsys):
+    path, kalibr = tmp_path / 'curve.csv', tmp_path / 'imu.yaml'
+    rows = '\n'.join(f'{t:.6g},{1e-3 / t**0.5:.6g}' for t in TAU)
+    path.write_text(f'tau,gyro_x\n{rows}\n')
+    for value, said in ((1e-2, '9.9 times the largest'), (1e-4, '9.9 times smaller than the curve')):
+        kalibr.write_text(f'gyroscope_noise_density: {value}\n')
+        assert main(['fit', str(path), '--published', str(kalibr)]) == 0
+        assert f'The published N of the gyro is {said}' in ' '.join(capsys.readouterr().out.split())
+    for text, said in (('rate: 3\n', 'has none of'), ('\xff', 'cannot be read')):
+        kalibr.write_text(text, encoding='latin-1')
+        assert main(['fit', str(path), '--published', str(kalibr)]) == 1
+        assert said in capsys.readouterr().err
+
+
+def test_a_file_that_is_missing_is_an_error(tmp_path, capsys):
+    assert main(['fit', str(tmp_path / 'none.csv')]) == 1
+    assert 'none.csv: cannot be read' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize('text', ['', 'tau,speed\n1,2\n', '1 2 3\n', 'tau,gyro_x\n1,x\n'])
 def test_what_is_no_curve_is_an_error(tmp_path, text, capsys):
     path = tmp_path / 'curve.csv'

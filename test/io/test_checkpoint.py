@@ -187,6 +187,22 @@ def test_nothing_is_renamed_onto_what_is_no_regular_file(kind: str, tmp_path: Pa
     assert Checkpoint(path).sums == sums
 
 
+def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(tmp_path: Path, sums, monkeypatch):
+    def denied(path: Path, to: Path) -> None:
+        raise PermissionError(13, 'Permission denied')
+
+    path = tmp_path / 'sums.json'
+    path.write_text('damaged')
+    monkeypatch.setattr(Path, 'replace', denied)
+    checkpoint = Checkpoint(path)
+    assert checkpoint.loaded is None and 'is not JSON' in str(checkpoint.refused)
+    assert checkpoint.add(sums) == sums
+    checkpoint.save(sums, Provenance())
+    assert path.read_text() == 'damaged'
+    with pytest.raises(AllanError, match=r'cannot be renamed to sums.json.previous \(Permission'):
+        checkpoint.set_aside()
+
+
 @pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
 def test_a_file_that_becomes_a_fifo_is_not_replaced(tmp_path: Path, sums) -> None:
     path = tmp_path / 'sums.json'

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit import Coefficient
+from allan_ros.core.fit import TERMS, Coefficient
 from allan_ros.io.comparison import (
     Subject,
     compare_runs,
@@ -130,6 +130,56 @@ def test_the_files_say_the_same(small_results: Results, tmp_path: Path) -> None:
     text = markdown(comparison)
     assert text.startswith('b is 1.50x noisier than a')
     assert sum(line.endswith('| higher |') for line in text.splitlines()) == 1
+
+
+def without_numbers(results: Results) -> Results:
+    """Return the results with neither coefficients nor curves."""
+    nothing = {term: Coefficient(None) for term in TERMS}
+    axes = {
+        name: replace(axis, fit=replace(axis.fit, noise=nothing), curve=None)
+        for name, axis in results.axes.items()
+    }
+    return replace(results, axes=axes)
+
+
+def test_runs_without_numbers_have_nothing_to_compare(small_results: Results) -> None:
+    empty = without_numbers(small_results)
+    comparison = compare_runs([Subject('a', empty), Subject('b', empty)])
+    assert repr(comparison) == 'b and a have nothing that can be compared'
+    assert comparison_figure(comparison, 'gyro') is None
+
+
+def test_a_difference_in_the_other_direction_is_counted(small_results: Results) -> None:
+    other = scaled(scaled(small_results, 3.0), 1 / 1.5, axis='accel_x')
+    comparison = compare_runs([Subject('a', small_results), Subject('b', other)])
+    assert repr(comparison).startswith('b is 3.00x noisier than a in gyro z N (')
+    assert repr(comparison).endswith('comparisons (1 of them in the opposite direction)')
+
+
+def test_a_table_for_each_datasheet(small_results: Results) -> None:
+    n = small_results.axes['gyro_x'].fit.noise['N'].value
+    assert n is not None
+    sheet, empty = (
+        Datasheet(name, '', {'s': Source('X')}, limits, {}, {})
+        for name, limits in (('X|<', {'gyro_x': {'N': Limit(n / 2, '3 | 4')}}), ('Y', {}))
+    )
+    comparison = compare_runs([Subject('a', small_results)], [sheet, empty])
+    lines = markdown(comparison).splitlines()
+    assert '## a and the datasheet of X\\|&lt;' in lines
+    [row] = [line for line in lines if line.startswith('| gyro_x')]
+    assert row.endswith('| 3 \\| 4 | beyond |')
+    assert 'the datasheet of Y has no limit for the axes of a' in lines
+
+
+def test_an_axis_without_noise_says_so(small_results: Results) -> None:
+    curve = small_results.axes['gyro_x'].curve
+    assert curve is not None
+    zero = replace(curve, **dict.fromkeys(('adev', 'ci_low', 'ci_high'), 0.0 * curve.adev))
+    axis = replace(small_results.axes['gyro_x'], curve=zero)
+    run = Subject('a', replace(small_results, axes={**small_results.axes, 'gyro_x': axis}))
+    figure = comparison_figure(compare_runs([run, run]), 'gyro')
+    assert figure is not None
+    assert [text.get_text() for text in figure.axes[0].texts] == ['no noise']
 
 
 def test_labels_are_short_where_that_tells_them_apart() -> None:

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from allan_ros.core.allan.curve import AxisCurve
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fields import Fields
+from allan_ros.core.fields import Fields, plain
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.stream.health import Segment
@@ -26,7 +27,7 @@ from allan_ros.io.documents import (
     sums_file_from_document,
     sums_file_to_document,
 )
-from allan_ros.io.files import read_json, to_json
+from allan_ros.io.files import MAX_BYTES, read_json, to_json
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results
 
@@ -183,6 +184,10 @@ def spoiled(document: dict[str, Any], path: tuple[str | int, ...], value: object
         (('axes', 'gyro_x', 'curve', 'm'), [1], 'different lengths'),
         (('source',), [3], r'source\[0\]'),
         (('axes',), [], 'an object'),
+        (('axes', 'yaw'), {}, "'yaw' is no axis"),
+        (('axes', 'gyro_x', 'curve', 'tau', 1), 0.0, 'tau is not positive and increasing'),
+        (('tau0_s',), 1e10, 'no IMU is that slow'),
+        (('settings', 'skip'), {'a': 1}, "'skip' is not a known setting"),
     ],
     ids=lambda value: str(value)[:40],
 )
@@ -202,13 +207,28 @@ def test_what_is_no_sums_file_is_refused(document: object) -> None:
 
 @pytest.mark.parametrize(
     ('content', 'said'),
-    [('', 'is not JSON'), ('{"a": ', 'is not JSON'), ('[' * 100_000, 'is not JSON')],
+    [
+        ('', 'is not JSON'),
+        ('{"a": ', 'is not JSON'),
+        ('[' * 100_000, 'is not JSON'),
+        ('[NaN]', 'NaN is not a number'),
+        ('["\\ud800"]', 'is not JSON'),
+        (f'[{"1" * 1000}]', 'an integer of 1000 digits'),
+        (' ' * (MAX_BYTES + 1), f'is larger than {MAX_BYTES} bytes'),
+    ],
+    ids=lambda text: text[:20],
 )
 def test_a_file_that_is_not_json_is_said(tmp_path: Path, content: str, said: str) -> None:
     path = tmp_path / 'sums.json'
     path.write_text(content)
     with pytest.raises(AllanError, match=said):
         read_json(path)
+
+
+def test_numbers_that_are_not_finite_are_null() -> None:
+    curve = AxisCurve(*(np.array([n, math.nan]) for n in range(6)))
+    assert plain(curve)['tau'] == [1.0, None]
+    assert plain({'a': (1, np.float64(math.inf), 'x')}) == {'a': [1, None, 'x']}
 
 
 def test_a_missing_file_is_said(tmp_path: Path) -> None:
