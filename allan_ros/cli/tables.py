@@ -27,7 +27,7 @@ from ..io.format import (
     value_text,
 )
 from ..io.results import Results, headline
-from ..io.verdict import WORDS, Level, Verdict, finding_text
+from ..io.verdict import CHANGES_NUMBERS, WORDS, Level, Verdict, finding_text
 from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
 
 LEVEL_COLOURS: dict[Level, str] = {
@@ -83,10 +83,6 @@ DEVIATION, NOTHING = 'deviation', '-'
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
 """Lines of findings that are shown unless all are asked for, and next steps."""
-
-
-CHANGES_NUMBERS = ('settled_part',)
-"""Notes that come first, because they say which part of the data the numbers are from."""
 
 
 def print_results(results: Results, verdict: Verdict, units: str, complete: bool = False) -> None:
@@ -172,7 +168,9 @@ def _legend(results: Results) -> str:
     known = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
     if not any(c.ci95 or c.upper95 for c in known):
         return f'method {results.method} gives no intervals'
-    return '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
+    text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
+    likely = any(axis.fit.likely and axis.regions for axis in results.axes.values())
+    return text + ('; "?" is a part of the model that is likely but not resolved' * likely)
 
 
 def term_labels(sensor: str, units: str) -> list[str]:
@@ -218,7 +216,7 @@ def _region_lines(results: Results, columns: int) -> Iterator[str]:
     for axis, result in results.axes.items():
         if not result.regions:
             continue
-        reading = ', '.join(region_text(region) for region in result.regions)
+        reading = ', '.join(region_text(r, result.fit.likely) for r in result.regions)
         yield from wrapped(f'{axis:{len("accel_x")}}  {reading}', columns, ' ' * 9)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -148,10 +148,19 @@ def markdown_rows(rows: Iterable[Sequence[str]]) -> str:
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
 
 
-def region_text(region: Region) -> str:
+def part_text(part: str, likely: Collection[str]) -> str:
+    """Return the name of a part of the model, or of several joined; '?' marks what is only likely.
+
+    >>> part_text('B+GM 110 s', ['B'])
+    'B?+GM 110 s'
+    """
+    return '+'.join(f'{name}?' if name in likely else name for name in part.split('+'))
+
+
+def region_text(region: Region, likely: Collection[str] = ()) -> str:
     """Return which noise dominates in which range, and the slope of the curve there."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
-    return f'{low}-{high} s {region.term} (slope {region.slope:+.2f})'
+    return f'{low}-{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
 
 def deviation_text(deviation: Deviation | None) -> str:

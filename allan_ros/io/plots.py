@@ -278,13 +278,14 @@ def _head(
         handles=[
             Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
             Patch(color=ink, alpha=0.2, lw=0, label='68 % limits'),
-            Line2D([], [], color=ink, lw=0.9, label='fit'),
+            Line2D([], [], color=ink, lw=0.9, label='model'),
+            Patch(color=ink, alpha=LIMIT_ALPHA, lw=0, label='unresolved terms, at most'),
         ],
         loc='upper right' if wide else 'upper left',
         bbox_to_anchor=(1.0, 1.0 - 0.02 / height) if wide else (left, 1.0 - 0.4 / height),
         borderaxespad=0.3 if wide else 0.0,
         borderpad=0.4 if wide else 0.0,
-        ncol=3,
+        ncol=4 if wide else 2,
         fontsize=SMALL,
         frameon=False,
         columnspacing=1.0,
@@ -348,6 +349,8 @@ def _draw_parts(
         label = name
         if name in result.fit.noise:
             label = _legend_text(name, result.fit.noise[name], shown_unit(axis, name, units))
+        if name in result.fit.likely:
+            label += ', likely'
         shown = np.where(unit.factor * adev > floor, unit.factor * adev, np.nan)
         lines += panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.1, label=label)
     _mark_terms(panel, axis, result, units)

@@ -37,6 +37,9 @@ ALIKE = 1.15
 ODD_AXIS = 2.0
 """Ratio from which an axis is suspect; the third axis of many accelerometers reaches 1.5."""
 
+CHANGES_NUMBERS = ('settled_part',)
+"""Notes that come first, because they say which part of the data the numbers are from."""
+
 NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
 """Findings that need no action, or only a longer record, which is advised in one line."""
 

@@ -243,6 +243,12 @@ class AxisFit:
         )
 
     @property
+    def likely(self) -> tuple[str, ...]:
+        """Terms of the selected model that are not resolved."""
+        noise, terms = self.noise, self.selected.terms
+        return tuple(t for t in noise if getattr(terms, t) and noise[t].status != 'estimated')
+
+    @property
     def selected_at_limits(self) -> ProcessModel:
         """The selected model with every term that is not resolved at its 95 % upper limit."""
         model = self.selected

@@ -12,7 +12,7 @@ const AllanChart = (() => {
   const BESIDE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
   // The level part of the curve is 0.664 B: the label says so, as the table gives B.
-  const caption = (term) => (term === 'B' ? '0.664 B' : term);
+  const caption = (term, likely = []) => (term === 'B' ? '0.664 B' : term) + (likely.includes(term) ? '?' : '');
   const isTerm = (name) => name in DASHES;
 
   // A marker of an axis, so that axes differ in shape as well as in colour.
@@ -48,7 +48,7 @@ const AllanChart = (() => {
     ]);
     const bands = axes.flatMap((a, i) => [
       { series: [5 * i + 2, 5 * i + 1], fill: () => colour(`${a.label}-faint`) },
-      { series: [5 * i + 5, 5 * i + 3], fill: () => colour(`${a.label}-faint`) },
+      { series: [5 * i + 5, 5 * i + 3], fill: () => colour(`${a.label}-band`) },
     ]);
 
     // The whole picture: every visible curve, and the marks that lie not far below them.
@@ -125,7 +125,7 @@ const AllanChart = (() => {
       const rising = run[0][1] > run[run.length - 1][1] + 2;
       const ends = rising ? [run[0], run[run.length - 1]] : [run[run.length - 1], run[0]];
       const up = ends.flatMap(([ex, ey]) => [[ex, ey - 11 * ratio], [ex, ey + 11 * ratio]]);
-      label(u, caption(term), up, ink, 'center');
+      label(u, caption(term, near.likely), up, ink, 'center');
     }
 
     // The name of the limit of a term that is not resolved stands below its line, away from the curves.
@@ -223,12 +223,14 @@ const AllanChart = (() => {
         ctx.fillStyle = colour(`${a.label}-${i % 2 ? 'tint' : 'faint'}`);
         ctx.fillRect(from, top, to - from - ratio, (STRIP - 2) * ratio);
         ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
-        const words = ctx.measureText(term).width + 4 * ratio < to - from ? term : '';
+        // a narrow part has the kinds of its processes only
+        const kinds = term.replace(/ [^+]*/g, '');
+        const words = [term, kinds].find((text) => ctx.measureText(text).width + 4 * ratio < to - from);
         if (!words) return;
         ctx.fillStyle = colour('ink');
         ctx.textAlign = 'center';
         ctx.textBaseline = 'middle';
-        ctx.fillText(term, (from + to) / 2, top + (STRIP - 1) * ratio / 2);
+        ctx.fillText(words, (from + to) / 2, top + (STRIP - 1) * ratio / 2);
       });
       ctx.restore();
     }
@@ -259,7 +261,7 @@ const AllanChart = (() => {
       if (shown.has(near.label)) {
         const parts = Object.entries(near.parts)
           .filter(([term, values]) => shown.has(isTerm(term) ? term : 'other') && values[at] > 0)
-          .map(([term, values]) => `${caption(term)} ${number(values[at] * factor, 3)}`);
+          .map(([term, values]) => `${caption(term, near.likely)} ${number(values[at] * factor, 3)}`);
         if (parts.length) lines.push([`model of ${near.label}: ${parts.join(', ')}`, null]);
         const region = (near.regions || []).find(([low, high]) => sensor.tau[at] >= low && sensor.tau[at] <= high);
         if (region) lines.push([`${region[2]} dominates ${near.label} here, slope ${region[3] < 0 ? '−' : '+'}${Math.abs(region[3]).toFixed(2)}`, null]);
@@ -271,7 +273,7 @@ const AllanChart = (() => {
     const heading = element('h3', {}, 'Allan deviation');
     const parts = element('span', {});
     const axisName = () => `Allan deviation σ(τ) [${unit()[0]}]`;
-    const tell = () => { parts.textContent = `Parts drawn: those of ${near.label}, the curve nearest to the cursor. `; };
+    const tell = () => { parts.textContent = `Parts drawn: those of ${near.label}`; };
     const controls = element('div', { class: 'controls' });
     host.append(heading, controls);
     const u = Chart.create(host, {
@@ -312,8 +314,9 @@ const AllanChart = (() => {
       Chart.toggles('also', others, change),
     );
     const said = ['The strips on top say which part of the model dominates where; the crosses mark where a coefficient is read off. '];
+    if (axes.some((a) => a.likely.length)) said.push('"?": likely but not resolved. ');
     if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded above a model: what terms that are not resolved may add, up to their 95 % upper limits (dotted). ');
-    host.append(element('p', { class: 'note' }, ...said, parts, 'Drag to zoom, double-click to go back.'));
+    host.append(element('p', { class: 'note' }, ...said, parts, element('span', { class: 'hint' }, ', the curve nearest to the cursor. Drag to zoom, double-click to go back'), '.'));
     tell();
     return {
       units(next) {

@@ -24,6 +24,7 @@ from ..format import (
     READ_AT,
     SENSOR_NAMES,
     ShownUnit,
+    part_text,
     pretty_unit,
     shown_density_unit,
     shown_signal_unit,
@@ -149,7 +150,11 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
             for term, tau in READ_AT.items()
             if term in parts
         },
-        'regions': [[*rounded([r.tau_low, r.tau_high]), r.term, r.slope] for r in axis.regions],
+        'likely': axis.fit.likely,
+        'regions': [
+            [*rounded([r.tau_low, r.tau_high]), part_text(r.term, axis.fit.likely), r.slope]
+            for r in axis.regions
+        ],
     }
 
 

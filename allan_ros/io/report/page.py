@@ -29,7 +29,7 @@ from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, grouped, significant, text_in_units
 from ..results import Results, used_samples
 from ..signal import SignalSummary
-from ..verdict import WORDS, Verdict, finding_text, verdict_of
+from ..verdict import CHANGES_NUMBERS, WORDS, Verdict, finding_text, verdict_of
 from .chart_data import sensor_charts, temperature_chart, to_script
 from .tables import (
     baseline_table,
@@ -310,8 +310,10 @@ def _findings_section(results: Results) -> Iterator[str]:
     if not findings:
         return
     yield '<section id="findings"><h2>Findings</h2>'
-    notes = [finding for finding in findings if finding.severity == 'info']
-    yield from (_block(f, results) for f in findings if f.severity != 'info')
+    notes = [f for f in findings if f.severity == 'info' and f.id not in CHANGES_NUMBERS]
+    first = [f for f in findings if f.id in CHANGES_NUMBERS]
+    shown = [*first, *(f for f in findings if f not in (*first, *notes))]
+    yield from (_block(finding, results) for finding in shown)
     if len(notes) > FOLDED:
         yield f'<details><summary>{len(notes)} notes</summary>'
     yield from (_block(note, results) for note in notes)

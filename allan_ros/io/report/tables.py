@@ -76,21 +76,16 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
         yield f'<tr><th scope="row">largest deviation<small>from the model</small></th>{cells}</tr>'
     if any(result.regions for result in axes.values()):
         regions = ''.join(
-            f'<td class="regions">{"<br>".join(region_text(r) for r in result.regions)}</td>'
+            f'<td class="regions">'
+            f'{"<br>".join(region_text(r, result.fit.likely) for r in result.regions)}</td>'
             for result in axes.values()
         )
         yield f'<tr class="wide"><th scope="row">dominant noise</th>{regions}</tr>'
     also = [
-        f'{_letter(axis)}: {term}, likely but not resolved'
+        f'{_letter(axis)}: {f"{part}, likely but not resolved (?)" if part in TERMS else part}'
         for axis, result in axes.items()
-        for term in result.part_adev(np.ones(1, int))
-        if term in TERMS and result.fit.noise[term].status != 'estimated'
-    ]
-    also += [
-        f'{_letter(axis)}: {process}'
-        for axis, result in axes.items()
-        for process in result.part_adev(np.ones(1, int))
-        if process not in TERMS
+        for part in result.part_adev(np.ones(1, int))
+        if part not in TERMS or part in result.fit.likely
     ]
     yield (
         '</tbody></table></div><p class="note">95 % intervals below the values. "&lt;" is the 95 % '
@@ -150,6 +145,10 @@ def _size(
 ) -> str:
     """Return a standard deviation with its interval, below it or in the same line."""
     name, factor = units[system]
+    low, high = interval or (size, size)
+    if not low > 0.0:  # no term is resolved: only a limit is known
+        limit = f'< {significant(high * factor, 2)}' if high > 0.0 else '–'
+        return escape(f'{limit} {name}' if in_line else limit)
     ends = '..'.join(significant(end * factor, 2) for end in interval or ())
     if in_line:
         return escape(f'{significant(size * factor, 2)} {name}' + (f' ({ends})' if ends else ''))
