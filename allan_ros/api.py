@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .core.compare import MARGIN
-from .core.errors import AllanError
+from .core.errors import AllanError, one_line
 from .core.fit import METHODS
 from .core.imu import ImuBatch, joined
 from .core.settings import (
@@ -48,6 +48,9 @@ from .io.recorded import (
 )
 from .io.results import Results, analyse_recorded
 from .io.user_files import stated_noise
+
+NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
+"""Terms in datasheet units: for all axes of a sensor, by its axes, or for x, y and z."""
 
 
 @dataclass(frozen=True)
@@ -324,8 +327,8 @@ def simulate(
     preset: str = 'paper',
     *,
     sensor: str = '',
-    gyro: Mapping[str, float] | None = None,
-    accel: Mapping[str, float] | None = None,
+    gyro: NoiseChanges | None = None,
+    accel: NoiseChanges | None = None,
     seed: int = 0,
     frame_id: str = 'imu_link',
     **faults: Any,
@@ -340,8 +343,9 @@ def simulate(
         A name of `core.simulate.PRESETS`; '' for none.
     sensor : str
         A datasheet, whose limits are taken instead of the preset.
-    gyro, accel : mapping of term to value, optional
-        Terms to replace, in datasheet units, for all three axes: ``{'N': 0.3, 'B': 7}``.
+    gyro, accel : mapping of term to value, or three of these, optional
+        Terms to replace, in datasheet units, for all three axes: ``{'N': 0.3, 'B': 7}``; or for
+        each: a list in the order x, y, z, or a mapping such as ``{'z': {'N': 0.3}}``.
     seed : int
     frame_id : str
     **faults
@@ -357,14 +361,15 @@ def simulate(
     >>> import allan_ros as ar
     >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
     (7200, 6)
+    >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
+    >>> three = ar.simulate(hours=0.01, gyro=[{'N': 0.1}, {'N': 0.2}, {'N': 0.3}])
     """
     expect(Real, hours=hours, rate=rate)
     expect(Integral, seed=seed)
     expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
     if seed < 0:
         raise AllanError(f'seed is {seed}: give a whole number of 0 or more')
-    given = {'gyro': gyro, 'accel': accel}
-    changes = {name: terms for name, terms in given.items() if terms}
+    changes = {**_noise_changes('gyro', gyro), **_noise_changes('accel', accel)}
     terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
     batches = simulate_imu(
         hours * 3600.0,
@@ -376,6 +381,18 @@ def simulate(
         frame_id=frame_id,
     )
     return joined(list(batches))
+
+
+def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping[str, float]]:
+    """Return sensor or axis -> terms, of terms for all axes of a sensor or for each of them."""
+    if not given:
+        return {}
+    if isinstance(given, Mapping):
+        each = set(given) <= set('xyz')
+        return {f'{sensor}_{axis}': given[axis] for axis in given} if each else {sensor: given}
+    if not isinstance(given, (list, tuple)) or len(given) != 3:
+        raise AllanError(f'{sensor} is {one_line(repr(given)):.60}: give terms once or three times')
+    return {f'{sensor}_{axis}': terms for axis, terms in zip('xyz', given)}
 
 
 def _paths(source: Any) -> list[str]:

@@ -17,12 +17,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from allan_ros.core.fit import fit_noise
+import allan_ros as ar
 from allan_ros.core.imu import AXES, from_datasheet, sensor_of
-from allan_ros.core.noise import NoiseTerms
-from allan_ros.core.settings import SegmenterSettings
-from allan_ros.core.simulate import simulate_imu
-from allan_ros.core.stream.pipeline import ImuStream
 
 RATE = 100.0
 """Hz."""
@@ -48,30 +44,20 @@ MOSTLY = 0.5
 """Smallest share of records that resolve a term for a number to be shown."""
 
 
-def noise_of(sensor: str) -> list[NoiseTerms]:
-    """Return the terms of the three grades of a sensor in SI."""
-    return [
-        NoiseTerms(**{t: from_datasheet(t, sensor, v) for t, v in terms.items()})
-        for terms in GRADES[sensor].values()
-    ]
-
-
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
     """Return (axis, term) -> half-width of its interval over the truth, NaN if not resolved."""
-    accumulator = ImuStream(SegmenterSettings(motion_gate=False))
-    noise = {sensor: noise_of(sensor) for sensor in GRADES}
-    for batch in simulate_imu(seconds, RATE, noise['gyro'], noise['accel'], seed=seed):
-        accumulator.update(batch)
-    accumulator.end()
-    fit = fit_noise(accumulator.result().sums[0])
+    noise = {sensor: list(grades.values()) for sensor, grades in GRADES.items()}
+    gyro, accel = noise['gyro'], noise['accel']
+    samples = ar.simulate(seconds / 3600.0, RATE, preset='', gyro=gyro, accel=accel, seed=seed)
+    results = ar.analyze(samples, motion_gate=False)
     out = {}
     for i, axis in enumerate(AXES):
         truth = noise[sensor_of(axis)][i % 3]
         for term in 'NBK':
-            c = fit.axes[axis].noise[term]
+            c = results.noise[axis][term]
             seen = c.status == 'estimated' and c.ci95 is not None
             half = (c.ci95[1] - c.ci95[0]) / 2.0 if seen else np.nan
-            out[axis, term] = half / getattr(truth, term)
+            out[axis, term] = half / from_datasheet(term, sensor_of(axis), truth[term])
     return out
 
 

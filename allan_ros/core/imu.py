@@ -103,6 +103,9 @@ DEGREE = math.pi / 180.0
 
 HOUR = 3600.0
 
+NANOSECONDS = 10**9
+"""In a second."""
+
 STANDARD_GRAVITY = 9.80665
 """m/s^2 (BIPM, The International System of Units, 9th ed., 2019)."""
 
@@ -190,7 +193,7 @@ SAMPLE_UNITS = {
 }
 """Sensor -> units that recordings and drivers use for its samples."""
 
-STAMP_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+STAMP_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 """Unit of a stamp -> its size in nanoseconds."""
 
 

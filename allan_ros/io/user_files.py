@@ -29,7 +29,7 @@ from ..core.errors import AllanError
 from ..core.fields import Fields, located
 from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
 from ..core.fit import AxisFit
-from ..core.imu import AXES, SENSORS, SI_UNITS, from_datasheet, sensor_of
+from ..core.imu import AXES, DEGREE, SENSORS, SI_UNITS, from_datasheet, sensor_of
 from ..core.noise import NoiseTerms
 from ..core.simulate import PRESETS, Faults
 from .datasheets import load_sensor
@@ -224,7 +224,7 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
         values = np.array([row[:width] for row in rows], float)
     except ValueError as error:
         raise AllanError(f'{path}: {error}') from None
-    scale = math.pi / 180.0 if (gyro_unit or ('rad/s' if has_header else 'deg/s')) == 'deg/s' else 1
+    scale = DEGREE if (gyro_unit or ('rad/s' if has_header else 'deg/s')) == 'deg/s' else 1
     adev = {
         axis: values[:, names.index(axis)] * (scale if axis in AXES[SENSORS['gyro']] else 1.0)
         for axis in AXES

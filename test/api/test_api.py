@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -238,9 +239,25 @@ def test_simulated_noise_is_stated() -> None:
         ({'preset': 'nope'}, 'preset'),
         ({'low_pas': 3.0}, 'use low_pass'),
         ({'hours': -1}, 'positive'),
+        ({'gyro': [{'N': 1.0}]}, 'terms once or three times'),
+        ({'gyro': 'N'}, 'terms once or three times'),
+        ({'gyro': {'z': 1.0}}, 'noise.gyro_z is 1.0: an object'),
     ):
         with pytest.raises(ar.AllanError, match=said):
             ar.simulate(**options)
+
+
+def test_each_axis_may_have_its_own_noise() -> None:
+    def simulated(**noise: Any) -> np.ndarray:
+        return ar.simulate(hours=0.01, rate=100, preset='', **noise).samples
+
+    three = simulated(gyro=[{'N': 0.1}, {'N': 0.2}, {}])
+    same = simulated(gyro={'N': 0.1})
+    np.testing.assert_array_equal(three[:, 0], same[:, 0])
+    np.testing.assert_allclose(three[:, 1], 2.0 * same[:, 1], rtol=1e-9)
+    assert not three[:, 2].any()
+    one = simulated(gyro={'N': 0.1}, accel={'z': {'N': 0.02}})
+    assert not one[:, 3:5].any() and one[:, 5].std() > 0
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from ..allan.engine import RunningAllan
 from ..allan.spectrum import SpectrumSums
 from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..findings import Finding, finding
-from ..imu import SENSORS, STANDARD_GRAVITY, sensor_of
+from ..imu import NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
 from ..settings import SegmenterSettings
 
 Floats = NDArray[np.float64]
@@ -295,13 +295,13 @@ class RunningMeans:
         """Take contiguous samples: stamps (n,) in ns, rows (axes, n)."""
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
-        seconds = (stamps - self._start_ns) // 10**9
+        seconds = (stamps - self._start_ns) // NANOSECONDS
         begins = np.concatenate([[0], np.flatnonzero(np.diff(seconds)) + 1])
         sums = np.add.reduceat(rows, begins, axis=1).T
         counts = np.diff(begins, append=len(stamps)).tolist()
         for second, total, count in zip(seconds[begins].tolist(), sums, counts):
             if second > self._second:
-                end_ns = self._start_ns + (self._second + 1) * 10**9
+                end_ns = self._start_ns + (self._second + 1) * NANOSECONDS
                 self._kept.append((end_ns, self._sum / max(self._count, 1)))
                 self._sum, self._count, self._second = np.zeros(len(total)), 0, second
             self._sum = self._sum + total
@@ -409,7 +409,7 @@ def gravity_unit(norm: float) -> str | None:
 
     Where gravity was removed it is 'm/s^2'.
     """
-    for unit, gravity in (('m/s^2', STANDARD_GRAVITY), ('g', 1.0), ('mg', 1000.0)):
-        if abs(norm / gravity - 1.0) < G_BAND:
+    for unit in SAMPLE_UNITS['accel']:
+        if abs(norm * UNITS[unit].factor / STANDARD_GRAVITY - 1.0) < G_BAND:
             return unit
     return 'm/s^2' if norm < WEIGHTLESS else None

@@ -22,7 +22,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.imu import AXES, MAX_NAME, SENSORS, ImuBatch
+from ...core.imu import AXES, MAX_NAME, NANOSECONDS, SENSORS, ImuBatch
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
@@ -30,8 +30,6 @@ Encoding = Literal['cdr', 'ros1']
 
 Rows = slice | NDArray[np.intp]
 """Positions of messages in their batch; a slice where these are all messages."""
-
-NANOSECONDS = 10**9
 
 ABSENT = -1.0
 """covariance[0] of an absent sensor (sensor_msgs/Imu.msg)."""

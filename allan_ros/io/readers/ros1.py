@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.imu import NANOSECONDS
 from .storage import Block, Chunk, ChunkStorage, Cut, Topic, damaged, normal_type
 
 MAGIC = b'#ROSBAG V2.0\n'
@@ -30,8 +31,6 @@ INDEX_ENTRY = np.dtype([('sec', '<u4'), ('nanosec', '<u4'), ('offset', '<u4')])
 
 CHUNK_COUNT = struct.Struct('<II')
 """Connection, and its messages in a chunk."""
-
-NANOSECONDS = 10**9
 
 MAX_HEADER = 1 << 20
 """Record headers are far shorter; a longer one means that the file is damaged."""

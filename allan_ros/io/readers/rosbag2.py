@@ -15,11 +15,10 @@ import numpy as np
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import AXES, SENSORS, ImuBatch, joined
+from ...core.imu import AXES, NANOSECONDS, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .bag_topics import ENCODINGS, ImuSource, chosen_source, definitions_of, no_message, survey_bag
 from .cdr import (
-    NANOSECONDS,
     DecodedImus,
     Encoding,
     MalformedMessage,
