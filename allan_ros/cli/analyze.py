@@ -203,8 +203,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     written = f'written to {args.output}: {", ".join(names)}' if names else ''
     verdict = verdict_of(results, units=settings.units)
     if console.json:
-        document = results_to_document(results)
-        console.document({**document, 'verdict': verdict.to_document()})
+        console.document(results_to_document(results, units=settings.units))
         console.findings(results.findings)
         if written:
             console.say(written)

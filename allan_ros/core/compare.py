@@ -26,7 +26,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, fdtr, fdtrc, fdtri, ndtr
+from scipy.special import chdtri, fdtr, fdtrc, fdtri, ndtr, wrightomega
 
 from .allan.curve import CI_LEVEL, AxisCurve
 from .fit.model import TERMS, Z_95, Coefficient
@@ -47,14 +47,11 @@ MIN_EDF = 3.0
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
 """Degrees of freedom among which those of a curve's limits are looked up."""
 
-MEETING_STEPS = 60
-"""Bisections until two limits meet to the last digit."""
+SMALLEST_SCALE = 1e-12
+"""Relative width of an interval that is taken for one of no width."""
 
 LARGEST_EXPONENT = 709.0
 """exp of more is beyond the largest float."""
-
-FARTHEST_Z = 40.0
-"""Largest z that is tried: beyond, the probability underflows."""
 
 Verdict = Literal['within', 'beyond', 'open']
 """Not above a limit; significantly above it and its margin; not decided."""
@@ -327,17 +324,12 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
     probability Phi(-z), and either run could have been the one with the estimate: 4 Phi(-z).
     """
     value, low, _ = a
-    scale = _width(value, low, a) / Z_95
-
-    def apart(z: float) -> bool:
-        return value * math.exp(-z * scale) > limit * math.sqrt(z / Z_95)
-
-    near, far = 0.0, FARTHEST_Z
-    for _ in range(MEETING_STEPS):
-        middle = (near + far) / 2.0
-        near, far = (middle, far) if apart(middle) else (near, middle)
+    scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
+    # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, by the function of Lambert in logarithms
+    right = math.log(2.0 * scale * Z_95) + 2.0 * (math.log(value) - math.log(limit))
+    z = float(wrightomega(right)) / (2.0 * scale)
     # Below the quantile of the limit itself it is not known how the limit moves.
-    return min(4.0 * float(ndtr(-near)), 1.0) if near >= Z_95 else 1.0
+    return min(4.0 * float(ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 
 
 class _Interpolated:

@@ -37,6 +37,7 @@ from .files import PATH, read_json
 from .readers.recording import SourceInfo
 from .recorded import Provenance, RecordingSums
 from .results import Results, analyse_recorded
+from .verdict import verdict_of
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'
@@ -54,9 +55,14 @@ LISTED_SEGMENTS = 1000
 """How many segments are listed, the longest; their number is always given."""
 
 
-def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
-    """Return the results as ``allan_ros/results/1``; without curves it is the noise model."""
-    judged = {'verdict': results.verdict.to_document()} if curves else {}
+def results_to_document(
+    results: Results, curves: bool = True, units: str = 'datasheet'
+) -> dict[str, Any]:
+    """Return the results as ``allan_ros/results/1``; without curves it is the noise model.
+
+    The units are those of the sentences of the verdict.
+    """
+    judged = {'verdict': verdict_of(results, units=units).to_document()} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
         'tool': _tool(),

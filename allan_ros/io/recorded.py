@@ -186,19 +186,15 @@ class Observer(Protocol):
 
     def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
         """Return a context whose value has ``advance(samples)``."""
-
-    def timed(self, what: str) -> AbstractContextManager[None]:
-        """Return a context around one step."""
-
-
-class Silent:
-    """An `Observer` that does nothing."""
-
-    def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
         return contextlib.nullcontext(self)
 
     def timed(self, what: str) -> AbstractContextManager[None]:
+        """Return a context around one step."""
         return contextlib.nullcontext()
+
+
+class Silent(Observer):
+    """An `Observer` that does nothing."""
 
     def advance(self, samples: int) -> None: ...
 

@@ -23,7 +23,6 @@ from .plot_style import FORMATS, PictureSettings, load_style
 from .report import ReportContext, render_report
 from .results import Results
 from .signal import summarize_signal
-from .verdict import verdict_of
 
 SIGNAL_BINS = 1000
 """Bins of the raw signal in pictures and page: about as many as a plot has pixels."""
@@ -83,11 +82,7 @@ def write_result_files(
     )
     contents['report.html'] = render_report(results, context, units)
     files = sorted({*others, *contents})
-    document = {
-        **results_to_document(results),
-        'verdict': verdict_of(results, units=units).to_document(),
-    }
-    contents[RESULTS] = to_json({**document, 'files': files})
+    contents[RESULTS] = to_json({**results_to_document(results, units=units), 'files': files})
     contents[SUMS] = to_json(sums_document)
     folder = made_folder(Path(folder))
     with _folder_locked(folder):

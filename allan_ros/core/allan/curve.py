@@ -219,15 +219,13 @@ class AxisCurve:
 
 
 @dataclass(frozen=True)
-class AllanCurve:
-    """Overlapping Allan deviation of all axes, with limits.
+class AllanCurve(AxisCurve):
+    """Overlapping Allan deviation of all axes, with chi-squared limits of level `CI_LEVEL`.
 
     Attributes
     ----------
     axes : tuple of str
-        The last dimension.
-    m, tau, n, adev, ci_low, ci_high : arrays
-        As in `AxisCurve`; chi-squared limits of level `edf.CI_LEVEL`.
+        The columns of the arrays.
     edf : (factors, axes) float64 array
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
@@ -235,12 +233,6 @@ class AllanCurve:
     """
 
     axes: tuple[str, ...]
-    m: NDArray[np.int64]
-    tau: Floats
-    n: NDArray[np.int64]
-    adev: Floats
-    ci_low: Floats
-    ci_high: Floats
     edf: Floats
     noise_type: NDArray[np.int64]
 
@@ -278,7 +270,8 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     degrees = degrees_of_freedom(sums, m, stride, types)
     low, high = chi_squared_limits(avar, degrees)
     tau = np.asarray(m * tau0, float)
-    return AllanCurve(sums.axes, m, tau, sums.count[some], np.sqrt(avar), low, high, degrees, types)
+    adev, n = np.sqrt(avar), sums.count[some]
+    return AllanCurve(m, tau, n, adev, low, high, sums.axes, degrees, types)
 
 
 def degrees_of_freedom(

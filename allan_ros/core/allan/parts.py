@@ -318,4 +318,4 @@ def _curve(
     low, high = chi_squared_limits(avar, degrees)
     columns = (np.sqrt(avar), low, high, degrees, types)
     adev, low, high, degrees, types = (np.asarray(a)[:, None] for a in columns)
-    return AllanCurve((axis,), m, np.asarray(m * tau0), number, adev, low, high, degrees, types)
+    return AllanCurve(m, np.asarray(m * tau0), number, adev, low, high, (axis,), degrees, types)

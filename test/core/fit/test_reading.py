@@ -34,7 +34,7 @@ def exact(longest_tau=1300.0, **axes):
     adev = np.sqrt(np.stack(avar, axis=1))
     edf = np.repeat(TWO_HOURS / m[:, None], len(axes), axis=1)
     types = np.zeros(adev.shape, np.int64)
-    curve = AllanCurve(tuple(axes), m, m * TAU0, m, adev, adev, adev, edf, types)
+    curve = AllanCurve(m, m * TAU0, m, adev, adev, adev, tuple(axes), edf, types)
     fits = {
         axis: AxisFit(
             {k: Coefficient(v, status='estimated' if v else 'not_observable') for k, v in t.items()}
