@@ -53,13 +53,11 @@ class AllanCommand(Base):  # type: ignore[misc]
         """Run the verb and return its exit code."""
         verb, words = args.verb, list(args.arguments)
         if verb in NODE_VERBS and not _is_for_files(verb, words):
-            if verb in ('watch', 'check'):
-                from .nodes import watch
+            from .nodes import watch
 
-                return watch.main(['--check', *words] if verb == 'check' else words)
-            from .nodes import services
-
-            return services.main(verb, words)
+            if verb in ('save', 'fit'):
+                return watch.call_services(verb, words)
+            return watch.main(['--check', *words] if verb == 'check' else words)
         from .cli.main import console
 
         sys.argv = ['allan', verb, *words]

@@ -26,11 +26,10 @@ from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.simulate import LEVEL
 from allan_ros.core.stream.health import Counts
 from allan_ros.core.stream.pipeline import Accumulation, ImuStream
-from allan_ros.io.checkpoint import Checkpoint
+from allan_ros.io.checkpoint import Checkpoint, CheckpointKeeper
 from allan_ros.io.documents import sums_file_to_document
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import analyse_sums
-from allan_ros.nodes.snapshot import CheckpointKeeper
 
 RATE_HZ = 200.0
 DAYS = 30

@@ -107,7 +107,7 @@ def test_no_topic_leads_a_checkpoint_out_of_its_folder(topic: str) -> None:
         settings = InputSettings(topics=(topic, 'imu'))
     except AllanError:
         return
-    assert all('/' not in label and label != '..' for _, label, _ in settings.imus)
+    assert all('/' not in label and label != '..' for _, label, *_ in settings.imus())
 
 
 @pytest.mark.parametrize('text', ['\x1b[2J', 'a\nb', '\u202eabc', '\ud800', '\0', 'x' * 10**6])

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure the noise of an IMU from its recordings.
 
-An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .ulg, .csv, .tsv, .npz or .npy. Several
-inputs are recordings of the same IMU: their sums are added. A folder of separate recordings is a
-batch: each has its own results, with a summary of all; so has each IMU of a bag or PX4 log.
+An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
+recordings of the same IMU: their sums are added. A folder of separate recordings is a batch: each
+has its own results, with a summary of all; so has each IMU topic of a bag with several.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4

@@ -8,6 +8,7 @@ import difflib
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -34,9 +35,13 @@ AUTO = -1.0
 """The number that stands for 'auto'."""
 
 
-def parameter(default: Any, doc: str, **info: Any) -> Any:
-    """Return a dataclass field that carries its default and its `ParameterInfo`."""
-    return field(default=default, metadata={'info': ParameterInfo(doc, **info)})
+def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
+    """Return a dataclass field with its default and `ParameterInfo` (limits: unit, low, high)."""
+    return field(default=default, metadata={'info': ParameterInfo(doc, *limits, **info)})
+
+
+fixed_parameter = partial(parameter, read_only=True)
+"""A `parameter` that does not change while a node runs."""
 
 
 def describe(settings: Any) -> dict[str, ParameterInfo]:

@@ -5,7 +5,12 @@
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..core.allan.sums import AllanSums, add_sums, check_same_imu
 from ..core.errors import AllanError
@@ -13,6 +18,7 @@ from ..core.findings import Finding, finding
 from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
 from .files import (
     MAX_BYTES,
+    PathLock,
     check_replaceable,
     parse_json,
     read_bounded,
@@ -21,6 +27,12 @@ from .files import (
     write_atomic,
 )
 from .recorded import Provenance
+
+Total = tuple[tuple[AllanSums, ...], Provenance]
+"""Sums of an IMU over all runs of a node, and their provenance."""
+
+SEGMENTS_KEPT = 1000
+"""Longest segments that are listed next to the sums."""
 
 
 class Checkpoint:
@@ -146,3 +158,187 @@ class Checkpoint:
                 f'{self.path}: cannot be renamed to {to.name} ({error.strerror}): '
                 'check the permissions of the folder'
             ) from error
+
+
+class CheckpointKeeper:
+    """Adds the sums of former runs of the node to the present ones, and saves the total.
+
+    Every problem becomes a finding and is logged once; the node continues without its checkpoint.
+    A path that another node has locked is neither read nor written.
+
+    Parameters
+    ----------
+    path : str
+        Missing folders are created. '' for none: then nothing is loaded or saved.
+    log : object with the methods ``info`` and ``warning``, each of one line
+    """
+
+    def __init__(self, path: str, log: Any) -> None:
+        self._log = log
+        self.path = path
+        self._lock = PathLock(Path(path)) if path else None
+        self._file: Checkpoint | None = None
+        self._saved_s: float | None = None
+        self._unsaved: Finding | None = None
+        self._in_use: Finding | None = None
+        self._refused = False
+        self._writer = ThreadPoolExecutor(1)
+        self._writing: Future[None] | None = None
+        self._news = False
+        if path:
+            self._open()
+
+    @property
+    def last_stamp_ns(self) -> int | None:
+        """Latest stamp of the samples in the file; None where nothing is known."""
+        if self._file is None:
+            return None
+        ends = [s.start_ns + round(s.duration_s * 1e9) for s in self._file.provenance.segments]
+        known = self._file.provenance.last_stamp_ns
+        return max(ends if known is None else [known, *ends], default=None)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Present problems of the file."""
+        file = self._file
+        of_file = (file.refused, file.loaded) if file is not None else ()
+        return tuple(f for f in (self._in_use, self._unsaved, *of_file) if f is not None)
+
+    def age_s(self, now: float) -> float | None:
+        """Return the age of the file in s (steady clock); None before it was written."""
+        return None if self._saved_s is None else now - self._saved_s
+
+    def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
+        """Return the sums of all runs; a file of another IMU is left unchanged."""
+        self._news = bool(sums)
+        if self._file is None:
+            return sums, provenance
+        total, refused = self._file.add(sums), self._file.refused
+        if refused is not None and not self._refused:
+            self._log.warning(str(refused))
+        self._refused = refused is not None
+        if self._refused:
+            return sums, provenance
+        return total, _shortened(self._file.provenance + provenance, provenance.findings)
+
+    def save(self, total: Total) -> bool:
+        """Write the total now if there are new samples; return whether the file holds it."""
+        self._collect()
+        file = self._writable()
+        if file is None:
+            return False
+        return not self._news or self._done(lambda: file.save(*total))
+
+    def save_in_background(self, total: Total) -> None:
+        """Write the total in a thread; the outcome is collected by `tick` or the next call."""
+        self._collect()
+        file = self._writable() if self._news else None
+        if file is not None:
+            self._writing = self._writer.submit(file.save, *total)
+
+    def tick(self) -> None:
+        """Collect the outcome of a write in the background, once it has ended."""
+        if self._writing is not None and self._writing.done():
+            self._collect()
+
+    def begin_anew(self, total: Total) -> str:
+        """Save the total, rename the file to ``.previous`` and start from zero.
+
+        Returns
+        -------
+        str
+            Path of the renamed file; '' where there is none.
+        """
+        saved = self.save(total)
+        if self._file is None:
+            return ''
+        try:
+            if saved:
+                return str(self._file.set_aside())
+        except AllanError as error:
+            self._note(error)
+        self._file.resume()
+        return ''
+
+    def close(self) -> None:
+        """Wait for the last write, and release the path."""
+        self._collect()
+        self._writer.shutdown()
+        if self._lock is not None:
+            self._lock.release()
+
+    def _open(self) -> None:
+        try:
+            Path(self.path).parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = f'{Path(self.path).parent} cannot be created ({error.strerror})'
+            self._note(AllanError(reason))
+        if not self._locked():
+            return
+        self._file = Checkpoint(self.path)
+        if self._file.loaded is not None:
+            self._log.warning(str(self._file.loaded))
+        elif self._file.sums:
+            samples = max(s.samples for s in self._file.sums)
+            self._log.info(f'continues {self.path} with {samples} samples')
+        try:
+            self._file.try_to_write()
+        except AllanError as error:
+            self._note(error)
+        else:
+            self._file.remove_drafts()
+
+    def _locked(self, unlockable: bool = True) -> bool:
+        """Acquire the lock, and return whether no other node has it.
+
+        Where it cannot be created the result is ``unlockable``: the file may be readable.
+        """
+        try:
+            owner = self._lock.acquire() if self._lock is not None else ''
+        except AllanError as error:
+            self._note(error)
+            return unlockable
+        if owner:
+            self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
+            self._log.warning(str(self._in_use))
+            self._file = self._unsaved = None
+        return not owner
+
+    def _writable(self) -> Checkpoint | None:
+        """Return the file if this node may write it; retries a lock that failed so far."""
+        if self._file is None or self._file.refused is not None or not self._locked(False):
+            return None
+        return self._file
+
+    def _collect(self) -> None:
+        """Wait for the write in the background and collect its outcome."""
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            self._done(writing.result)
+
+    def _done(self, write: Callable[[], None]) -> bool:
+        """Return whether a write succeeds, and note its time or its error."""
+        try:
+            write()
+        except AllanError as error:
+            self._note(error)
+            return False
+        self._saved_s, self._unsaved = time.monotonic(), None
+        return True
+
+    def _note(self, error: AllanError) -> None:
+        found = finding('checkpoint_unwritable', reason=error)
+        if self._unsaved is None:
+            self._log.warning(str(found))
+        self._unsaved = found
+
+
+def _shortened(provenance: Provenance, findings: tuple[Finding, ...]) -> Provenance:
+    """Return it in bounded size: the longest segments, and the findings of this run only."""
+    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:SEGMENTS_KEPT]
+    return replace(
+        provenance,
+        sources=tuple(dict.fromkeys(provenance.sources)),
+        segments=tuple(sorted(longest, key=lambda s: s.start_ns)),
+        findings=findings,
+    )

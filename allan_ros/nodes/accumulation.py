@@ -8,8 +8,6 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -25,25 +23,18 @@ from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
+from ..io.checkpoint import CheckpointKeeper, Total
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
 from .diagnostics import InputView, input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
-from .node import AllanNode
-from .settings import CheckpointSettings, InputSettings
-from .shell import LATCHED, Periodic
-from .snapshot import REPLACED_SHARE, CheckpointKeeper, Snapshot, Total, replaced_share
+from .messages import REPLACED_SHARE, Snapshot, replaced_share
+from .node import AllanNode, Periodic
+from .settings import CheckpointSettings, InputSettings, WatchedImu
+from .shell import LATCHED
 
 LIVE_COUNTERPARTS = frozenset(('gaps',))
 """Findings of a complete stream that the findings of the live input replace."""
-
-
-class WatchedImu(NamedTuple):
-    """One IMU: its topic, a label where there are several, and its serial number if given."""
-
-    topic: str
-    label: str = ''
-    hardware_id: str = ''
 
 
 class Settings:
@@ -55,30 +46,16 @@ class Settings:
         self.publish = node.publish
         self.checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
 
-    def watched(self) -> list[tuple[WatchedImu, str]]:
-        """Return each IMU with the path of its checkpoint ('' for none)."""
-        imus = [WatchedImu(*imu) for imu in self.input.value.imus]
-        path = self.checkpoint.value.path
-        if not path:
-            return [(imu, '') for imu in imus]
-        file = Path(path).expanduser()
-        if len(imus) == 1:
-            return [(imus[0], str(file))]
-        return [(imu, str(file / f'{imu.label}.json')) for imu in imus]
+    def imus(self) -> list[WatchedImu]:
+        """Return the IMUs to watch."""
+        return self.input.value.imus(self.checkpoint.value.path)
 
 
 class ImuWatch:
     """Accumulates the sums of one IMU and keeps them over restarts.
 
-    Parameters
-    ----------
-    node : AllanNode
-    imu : WatchedImu
-    settings : Settings
-    checkpoint_path : str
-        '' for none.
-    listener : callable, optional
-        Called with the sums whenever they are due, as a value: no JSON within one process.
+    The listener is called with the sums whenever they are due, as a value: no JSON within one
+    process.
     """
 
     def __init__(
@@ -86,13 +63,12 @@ class ImuWatch:
         node: AllanNode,
         imu: WatchedImu,
         settings: Settings,
-        checkpoint_path: str = '',
         listener: Callable[[Snapshot], None] | None = None,
     ) -> None:
         self._node, self._imu, self._settings, self._listener = node, imu, settings, listener
         self._log = node.get_logger()
         self._input = ImuInput(node, imu.topic, settings.input.value)
-        self._checkpoint = CheckpointKeeper(checkpoint_path, self._log)
+        self._checkpoint = CheckpointKeeper(imu.checkpoint, self._log)
         self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
         self._health = TransportMonitor(self._input.topic, now)
@@ -109,9 +85,9 @@ class ImuWatch:
         self._subscribers = 0
         node.create_service(Trigger, f'{home}reset', self._on_reset)
         node.create_service(Trigger, f'{home}save', self._on_save)
-        self._update_due = Periodic(lambda: settings.input.value.update_period, now)
-        self._sums_due = Periodic(lambda: settings.publish.value.sums_period, now)
-        self._save_due = Periodic(lambda: settings.checkpoint.value.period, now)
+        self._update_due = Periodic(lambda: settings.input.value.update_period)
+        self._sums_due = Periodic(lambda: settings.publish.value.sums_period)
+        self._save_due = Periodic(lambda: settings.checkpoint.value.period)
 
     @property
     def description(self) -> str:
@@ -144,16 +120,10 @@ class ImuWatch:
         if (self.frame_id, self._axes) != self._published_imu:
             self._publish(self._total())
         statistics, publishers = self._input.statistics(), self._input.publishers()
-        silence = self._health.silence_s(now)
+        graph = self._input.graph_findings()
         stale_after = self._settings.input.value.stale_after
         found = self._health.observe(
-            now,
-            statistics,
-            health,
-            publishers,
-            stale_after,
-            stream_findings,
-            self._input.graph_findings(),
+            now, statistics, health, publishers, stale_after, stream_findings, graph
         )
         live = {*LIVE_FINDINGS, *LIVE_COUNTERPARTS, *(f.id for f in found)}
         stamp_age = None
@@ -170,7 +140,7 @@ class ImuWatch:
             publishers=publishers,
             declared_rate=self._settings.segmenter.value.declared_rate,
             path='draining' if self._input.lean else 'a plain callback',
-            received_age_s=silence if statistics.received else None,
+            received_age_s=self._health.silence_s(now) if statistics.received else None,
             stamp_age_s=stamp_age,
             checkpoint=self._checkpoint.path,
             checkpoint_age_s=self._checkpoint.age_s(now),
@@ -263,17 +233,13 @@ class ImuWatch:
         """Return the sums as if the input ended now, with those of former runs of the node."""
         if self._outdated:
             self._known, self._outdated = self._stream.result(), False
-        known = self._known
-        source = SourceInfo(
-            self._node.get_fully_qualified_name(), self._input.topic, IMU_TYPE, 'live'
-        )
-        settings = asdict(self._settings.segmenter.value)
+        known, name = self._known, self._node.get_fully_qualified_name()
         provenance = Provenance(
-            (source,),
+            (SourceInfo(name, self._input.topic, IMU_TYPE, 'live'),),
             known.segments,
             known.findings,
             known.health.counts,
-            settings,
+            asdict(self._settings.segmenter.value),
             self._latest_ns,
         )
         total = self._checkpoint.total(known.sums, provenance)
@@ -313,11 +279,9 @@ class ImuWatch:
         where = self._checkpoint.begin_anew(self._total())
         self._begin()
         self._publish(self._total())
-        response.success = True
-        response.message = 'the sums start from zero'
-        if where:
-            response.message += f'; those before are in {where}'
-        response.message = '; '.join([response.message, *map(str, self._checkpoint.findings)])
+        kept = [f'those before are in {where}'] if where else []
+        lines = ['the sums start from zero', *kept, *map(str, self._checkpoint.findings)]
+        response.success, response.message = True, '; '.join(lines)
         return response
 
 

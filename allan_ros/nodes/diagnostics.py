@@ -7,9 +7,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from ..core.allan.parts import RecentNoise
@@ -65,13 +66,6 @@ class InputView:
     checkpoint_age_s: float | None = None
 
 
-def diagnostic_array(node: Node, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
-    """Return the statuses as one message, stamped now."""
-    array = DiagnosticArray(status=list(statuses))
-    array.header.stamp = node.get_clock().now().to_msg()
-    return array
-
-
 def status_name(node: Node, *words: str) -> str:
     """Return ``<node>: <words>``, with the namespace if any; control characters are escaped."""
     return one_line(
@@ -84,18 +78,10 @@ def key_values(pairs: Iterable[tuple[str, object]]) -> list[KeyValue]:
     return [KeyValue(key=key, value=_text(value)) for key, value in pairs]
 
 
-def worst_level(findings: Iterable[Finding]) -> bytes:
-    """Return the level of the most severe finding; OK without one."""
-    return max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK)
-
-
-def message_of(findings: Sequence[Finding], otherwise: str) -> str:
-    """Return the first warning or error and how many there are more, else the other text."""
-    severe = [f for f in findings if f.severity != 'info']
-    if not severe:
-        return otherwise
-    more = f' (and {len(severe) - 1} more)' if len(severe) > 1 else ''
-    return f'{severe[0]}{more}'
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f'{value:.6g}'
+    return 'unknown' if value is None else one_line(str(value))
 
 
 def status_of(
@@ -107,15 +93,18 @@ def status_of(
     noted: Sequence[Finding] = (),
     hardware_id: str = '',
 ) -> DiagnosticStatus:
-    """Return a status with the level and message of the findings, and all findings as values.
+    """Return a status with the level of the most severe finding, and all findings as values.
 
-    ``otherwise`` is the message without a warning or error; ``noted`` do not change the level.
+    The message is the first warning or error, else ``otherwise``. Findings that are only ``noted``
+    do not change the level.
     """
     shown = [(f'finding: {f.id}', f) for f in (*findings, *noted)]
+    severe = [f for f in findings if f.severity != 'info']
+    more = f' (and {len(severe) - 1} more)' if len(severe) > 1 else ''
     return DiagnosticStatus(
-        level=worst_level(findings),
+        level=max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK),
         name=name,
-        message=message_of(findings, otherwise),
+        message=f'{severe[0]}{more}' if severe else otherwise,
         hardware_id=hardware_id,
         values=key_values([*pairs, *shown]),
     )
@@ -164,29 +153,18 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
 def _state_text(view: InputView) -> str:
     h = view.health
     static = f'{duration_text(view.static_s, 3)} of static data'
-    if h.state == 'waiting':
-        return 'waiting for the first message'
-    if h.state == 'learning':
-        return 'learning the rate and the noise floor; keep the IMU still'
     rate = f'{h.rate_hz:.4g} Hz' if h.rate_hz else 'unknown rate'
-    if h.state == 'moving':
-        return f'moving at {rate}: samples in motion are not used, {static} so far'
-    if h.state == 'louder':
-        return f'louder than its noise floor at {rate}: not used, {static} so far'
-    return f'still at {rate}: {static}'
-
-
-def _text(value: object) -> str:
-    if value is None:
-        return 'unknown'
-    if isinstance(value, float):
-        return f'{value:.6g}'
-    return one_line(str(value))
+    return {
+        'waiting': 'waiting for the first message',
+        'learning': 'learning the rate and the noise floor; keep the IMU still',
+        'moving': f'moving at {rate}: samples in motion are not used, {static} so far',
+        'louder': f'louder than its noise floor at {rate}: not used, {static} so far',
+        'still': f'still at {rate}: {static}',
+    }[h.state]
 
 
 RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
 """Averaging times at which the recent deviation is compared with the former one."""
-
 
 NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
 """Findings of the fit that the status of an axis shows."""
@@ -218,20 +196,21 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     """Return the status of one axis."""
     findings = [*view.problems, *_change_findings(view), *_limit_findings(view)]
     static_s = view.sums.elapsed_ns * 1e-9 if view.sums else 0.0
+    upcoming = _next_term(view)
     pairs: list[tuple[str, object]] = []
     if view.result is not None:
+        noise = view.result.fit.noise
         for units in ('si', 'datasheet'):
             for term in TERMS:
                 unit = shown_unit(view.axis, term, units)
-                pairs += _term_pairs(term, view.result.fit.noise[term], unit, units == 'si')
+                pairs += _term_pairs(term, noise[term], unit, units == 'si')
         for term in TERMS:
-            unit = shown_unit(view.axis, term, 'datasheet')
-            pairs += _limit_pairs(term, view.result.fit.noise[term], unit)
+            pairs += _limit_pairs(term, noise[term], shown_unit(view.axis, term, 'datasheet'))
         pairs += [
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
-            ('next coefficient', _next_term(view, view.result) or None),
+            ('next coefficient', upcoming or None),
         ]
     pairs += [
         ('evidence [s]', static_s),
@@ -243,7 +222,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
     pairs += _recent_pairs(view)
-    text = _summary(view, static_s)
+    text = _summary(view, static_s, upcoming)
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
@@ -288,12 +267,10 @@ def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
 
 
 def _limit_findings(view: AxisView) -> list[Finding]:
-    found = []
-    for c in view.comparisons:
-        if c.verdict != 'beyond' or view.result is None:
-            continue
-        found.append(beyond_limit(c, view.result.fit.noise.get(c.term), view.margin, ()))
-    return found
+    """Return a finding for each limit that is exceeded."""
+    noise = view.result.fit.noise if view.result else {}
+    beyond = [c for c in view.comparisons if c.verdict == 'beyond' and noise]
+    return [beyond_limit(c, noise.get(c.term), view.margin, ()) for c in beyond]
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
@@ -315,19 +292,14 @@ def _change_findings(view: AxisView) -> list[Finding]:
         what, factor = f'the deviation at {significant(step.tau, 2)} s', 1.0
         unit = shown_unit(view.axis, 'B', 'datasheet')
     before = step.first * factor * unit.factor
+    numbers: dict[str, Any] = {
+        'before': significant(before, 3),
+        'after': f'{significant(before * step.ratio, 3)} {unit.name}',
+        'ago': duration_text(recent.since_s, 3),
+        'verb': 'rose' if step.ratio > 1.0 else 'fell',
+    }
     low, high = step.ci95
-    return [
-        finding(
-            'noise_changed',
-            what=what,
-            verb='rose' if step.ratio > 1.0 else 'fell',
-            before=f'{significant(before, 3)}',
-            after=f'{significant(before * step.ratio, 3)} {unit.name}',
-            ago=duration_text(recent.since_s, 3),
-            low=low,
-            high=high,
-        )
-    ]
+    return [finding('noise_changed', what=what, low=low, high=high, **numbers)]
 
 
 def _dominant_term(view: AxisView, tau: float) -> str:
@@ -338,33 +310,31 @@ def _dominant_term(view: AxisView, tau: float) -> str:
     return max(parts, key=lambda name: float(parts[name][0]), default='')
 
 
-def _summary(view: AxisView, static_s: float) -> str:
-    """Return the known coefficients in the units of datasheets."""
+def _summary(view: AxisView, static_s: float, upcoming: str) -> str:
+    """Return the known coefficients in the units of datasheets, and what comes next."""
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU still for a minute'
+    static = f'from {duration_text(static_s, 3)} of static data'
     if view.result is None:
-        return f'no coefficients yet, from {duration_text(static_s, 3)} of static data'
+        return f'no coefficients yet, {static}'
     shown = []
     for term in ('N', 'B', 'K'):
         unit = shown_unit(view.axis, term, 'datasheet')
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')
-    known = (
-        f'{", ".join(shown) or "no coefficient"} from {duration_text(static_s, 3)} of static data'
-    )
-    upcoming = _next_term(view, view.result)
+    known = f'{", ".join(shown) or "no coefficient"} {static}'
     return f'{known}; {upcoming}' if upcoming else known
 
 
-def _next_term(view: AxisView, result: AxisResult) -> str:
+def _next_term(view: AxisView) -> str:
     """Return how long a rest resolves what is missing and matters; '' where nothing is."""
-    if view.method != 'gls':
+    if view.result is None or view.method != 'gls':
         return ''  # the prediction holds for that fit only
     limits = {c.term: c.limit for c in view.comparisons if c.tau is None}
     segments = view.sums.segments if view.sums else ()
-    longest = max((s.samples for s in segments), default=0) * result.tau0
-    advice = recommended_duration(result.fit, longest, limits)
+    longest = max((s.samples for s in segments), default=0) * view.result.tau0
+    advice = recommended_duration(view.result.fit, longest, limits)
     if advice is None:
         return ''
     seconds, terms = advice

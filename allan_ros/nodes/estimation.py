@@ -23,17 +23,22 @@ from ..core.compare import Comparison, Difference, Measured, differences
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
-from ..core.imu import SI_UNITS, sensor_of
+from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
+from ..io.checkpoint import Total
 from ..io.datasheets import Datasheet, load_sensor
 from ..io.documents import load, results_to_document
 from ..io.results import Results, analyse_sums
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
-from .node import AllanNode
-from .outputs import AllanPlot, BiasPublisher
-from .parameters import ParameterGroup
+from .messages import (
+    REPLACED_SHARE,
+    AllanPlot,
+    BiasPublisher,
+    Snapshot,
+    replaced_share,
+)
+from .node import AllanNode, ParameterGroup
 from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
-from .snapshot import REPLACED_SHARE, Snapshot, Total, replaced_share
 
 FIT_SHARE = 0.05
 """A fit may keep a core busy for at most this share of the time."""
@@ -57,13 +62,7 @@ class References:
 
 
 def load_references(settings: EstimatorSettings) -> References:
-    """Return the datasheet and the earlier results that coefficients are compared with.
-
-    Raises
-    ------
-    AllanError
-        When one of them cannot be read.
-    """
+    """Return the references; AllanError if one of them cannot be read."""
     path = settings.baseline and str(Path(settings.baseline).expanduser())
     return References(
         load_sensor(settings.sensor) if settings.sensor else None,
@@ -75,19 +74,8 @@ class ImuEstimate:
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
     Sums that lost samples invalidate the model: it is withdrawn at once (a noise model without axes
-    is published), a warning replaces the coefficients, and the sums are fitted again.
-
-    Parameters
-    ----------
-    node : AllanNode
-    label : str
-        '' where the node has only this IMU.
-    settings : ParameterGroup of EstimatorSettings
-    references : References
-    worker : Worker
-        Where fits are computed.
-    listener : callable, optional
-        Called with the results of every fit, and with results without axes at a withdrawal.
+    is published), a warning replaces the coefficients, and the sums are fitted again. The listener
+    is called with the results of every fit, and with results without axes at a withdrawal.
     """
 
     def __init__(
@@ -155,15 +143,10 @@ class ImuEstimate:
         """Return one status per axis, from the first message on."""
         if self._snapshot is None:
             return []
-        known = [
-            (axis, s, s.identity.frame_id, s.identity.hardware_id)
-            for s in self._snapshot.sums
-            for axis in s.axes
-        ]
-        connected = self._snapshot
-        waiting = [
-            (axis, None, connected.frame_id, connected.hardware_id) for axis in connected.axes
-        ]
+        latest = self._snapshot
+        known = [(axis, s, s.identity) for s in latest.sums for axis in s.axes]
+        connected = ImuIdentity(latest.frame_id, latest.hardware_id)
+        waiting = [(axis, None, connected) for axis in latest.axes]
         return [self._axis_status(now, *each) for each in known or waiting]
 
     def _comparisons(self, margin: float) -> tuple[Comparison, ...]:
@@ -179,35 +162,31 @@ class ImuEstimate:
         return self._compared[2]
 
     def _axis_status(
-        self, now: float, axis: str, sums: AllanSums | None, frame_id: str, hardware_id: str
+        self, now: float, axis: str, sums: AllanSums | None, imu: ImuIdentity
     ) -> DiagnosticStatus:
-        margin = self._settings.value.margin
-        fit = self._results.axes.get(axis) if self._results else None
+        margin, results = self._settings.value.margin, self._results
+        fit = results.axes.get(axis) if results else None
+        noted = [f for f in results.findings if f.id in NOTED and axis in f.axes] if results else []
         view = AxisView(
             axis=axis,
             sums=sums,
             result=fit,
-            method=self._results.method if self._results else '',
+            method=results.method if results else '',
             fit_age_s=now - self._fit_ended if fit else None,
             problems=tuple(f for f in (self._failed, self._withdrawn) if f is not None),
             comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
             recent=self._recent.get(axis),
             changes=self._changes.get(axis, ()),
-            noted=self._noted(axis),
+            noted=tuple(noted),
         )
-        name = status_name(self._node, self._label, frame_id, axis.replace('_', ' '))
-        status = axis_status(name, one_line(hardware_id or frame_id), view)
+        name = status_name(self._node, self._label, imu.frame_id, axis.replace('_', ' '))
+        status = axis_status(name, one_line(imu.hardware_id or imu.frame_id), view)
         unit = SI_UNITS[sensor_of(axis)]['B']
         status.values = [*status.values, *key_values(self._bias.values(axis, unit))]
         return status
 
     # --- fitting ----------------------------------------------------------------------------------
-
-    def _noted(self, axis: str) -> tuple[Finding, ...]:
-        """Return what the fit found about the stationarity of an axis."""
-        findings = self._results.findings if self._results else ()
-        return tuple(f for f in findings if f.id in NOTED and axis in f.axes)
 
     def _fit_if_due(self) -> None:
         """Start a fit if the sums have changed enough and the last fit was long enough ago."""
@@ -281,14 +260,7 @@ class ImuEstimate:
 
 
 class SumsInput:
-    """Subscribes ``sums`` of an accumulator in another process.
-
-    Parameters
-    ----------
-    node : AllanNode
-    listener : callable
-        Called with every snapshot.
-    """
+    """Subscribes ``sums`` of an accumulator; the listener gets every snapshot."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
         self._node, self._listener = node, listener

@@ -65,7 +65,6 @@ SUGGESTED_TOPICS = 5
 FIRST_NUMBER = 1
 """Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
 
-
 EVENTS = {
     'reported_lost': QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
     'incompatible_qos': QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
@@ -88,9 +87,7 @@ class DrainedGroup(CallbackGroup):
         """Return False: the queue is drained explicitly."""
         return False
 
-    def beginning_execution(self, entity: Any) -> bool:
-        """Return False, as `can_execute` does."""
-        return False
+    beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
         """Do nothing, because nothing is ever executed."""
@@ -103,35 +100,20 @@ def qos_text(qos: QoSProfile) -> str:
     return f'{qos.reliability.name.lower()}, {history}{depth}'
 
 
-class QosEvents:
-    """Event totals of a subscription, polled; events that the middleware lacks stay zero.
+def _event_handles(subscription: Subscription) -> dict[str, Any]:
+    """Return the handles of the `EVENTS` that the middleware has, to be polled.
 
     With an event of a reader in its wait set, the executor wakes for every unread message in the
     queue of that reader (Fast DDS), which is a busy loop where a timer drains the queue.
     """
-
-    def __init__(self, subscription: Subscription) -> None:
-        self._events: dict[str, Any] = {}
-        for name, kind in EVENTS.items() if _EVENT_HANDLE is not None else ():
-            try:
-                with subscription.handle:
-                    self._events[name] = _EVENT_HANDLE(subscription.handle, kind)
-            except UnsupportedEventTypeError:
-                continue
-
-    def poll(self, statistics: TransportStatistics) -> None:
-        """Update the counts."""
-        for name, event in self._events.items():
-            with event:
-                data = event.take_event()
-            if data is not None:
-                setattr(statistics, name, data.total_count)
-
-    def destroy(self) -> None:
-        """Release the handles; call it before the subscription is destroyed."""
-        for event in self._events.values():
-            event.destroy_when_not_in_use()
-        self._events = {}
+    handles: dict[str, Any] = {}
+    for name, kind in EVENTS.items() if _EVENT_HANDLE is not None else ():
+        try:
+            with subscription.handle:
+                handles[name] = _EVENT_HANDLE(subscription.handle, kind)
+        except UnsupportedEventTypeError:
+            continue
+    return handles
 
 
 def subscribe_raw(
@@ -155,15 +137,7 @@ def subscribe_raw(
 
 
 class ImuInput:
-    """The Imu messages of one topic, as batches.
-
-    Parameters
-    ----------
-    node : Node
-    topic : str
-        As given; remapping applies.
-    settings : InputSettings
-    """
+    """The Imu messages of one topic, to which remapping applies, as batches."""
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
         self._statistics = TransportStatistics()
@@ -179,7 +153,7 @@ class ImuInput:
         if not self.lean and not settings.plain_callback:
             node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe(topic, settings, True)
-        self._events = QosEvents(self._subscription)
+        self._events = _event_handles(self._subscription)
 
     def _subscribe(self, topic: str, settings: InputSettings, plain: bool) -> Subscription:
         return subscribe_raw(self._node, topic, self._collect, settings.queue_depth, plain)
@@ -237,16 +211,12 @@ class ImuInput:
             return (finding('wrong_type', topic=self.topic, types=types, candidates=candidates),)
         found = []
         for publisher in imus:
-            fits, reason = qos_check_compatible(
-                publisher.qos_profile, self._subscription.qos_profile
-            )
+            own = self._subscription.qos_profile
+            fits, reason = qos_check_compatible(publisher.qos_profile, own)
             if fits == QoSCompatibility.ERROR:
-                name, why = full_name(publisher), one_line(reason).removeprefix('ERROR: ')
-                found.append(
-                    finding(
-                        'qos_incompatible', names=name, topic=self.topic, reason=why.strip('; ')
-                    )
-                )
+                values = {'names': full_name(publisher), 'topic': self.topic}
+                why = one_line(reason).removeprefix('ERROR: ').strip('; ')
+                found.append(finding('qos_incompatible', reason=why, **values))
         return tuple(found)
 
     @property
@@ -261,13 +231,12 @@ class ImuInput:
 
     def statistics(self) -> TransportStatistics:
         """Return the transport statistics so far."""
-        self._events.poll(self._statistics)
+        for name, event in self._events.items():
+            with event:
+                data = event.take_event()
+            if data is not None:
+                setattr(self._statistics, name, data.total_count)
         return self._statistics
-
-    def destroy(self) -> None:
-        """Destroy the subscription."""
-        self._events.destroy()
-        self._node.destroy_subscription(self._subscription)
 
     def _can_drain(self) -> bool:
         """Return whether this client library can drain a subscription explicitly."""

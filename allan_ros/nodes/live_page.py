@@ -17,8 +17,8 @@ from std_msgs.msg import String
 from ..core.errors import AllanError
 from ..io.report import ReportContext, render_report
 from ..io.results import analyse_sums
+from .messages import Snapshot
 from .shell import LATCHED
-from .snapshot import Snapshot
 
 HOST = '127.0.0.1'
 """Only this machine can connect; a tunnel or a proxy opens it to others."""
@@ -35,26 +35,15 @@ TYPES = ['std_msgs/msg/String']
 class LivePage:
     """Subscribes the sums of all accumulators and serves their reports by HTTP.
 
-    Pages are rendered when they are asked for: no browser, no cost.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Subscribes and logs.
-    port : int
-        Of the loopback interface; 0 for any free one.
-
-    Raises
-    ------
-    AllanError
-        When the port is in use.
+    Pages are rendered when they are asked for: no browser, no cost. The port is one of the loopback
+    interface, 0 for any free one; AllanError is raised if it is in use.
     """
 
     def __init__(self, node: Node, port: int) -> None:
         self._node = node
         self._lock = threading.Lock()
-        self._sums: dict[str, tuple[int, str]] = {}
-        self._pages: dict[str, tuple[int, str]] = {}
+        self._sums: dict[str, tuple[int, str]] = {}  # topic -> version from 1 on, and document
+        self._pages: dict[str, tuple[int, str]] = {}  # topic -> version, and page
         self._subscriptions: dict[str, Any] = {}
         try:
             self._server = ThreadingHTTPServer((HOST, port), _handler_of(self))
@@ -96,19 +85,16 @@ class LivePage:
         """
         with self._lock:
             topics = sorted(self._sums)
-        if path == '/' and len(topics) != 1:
-            return _index(topics)
-        topic = topics[0] if path == '/' else path
-        with self._lock:
-            if topic not in self._sums:
-                return None
-            version, text = self._sums[topic]
-            rendered = self._pages.get(topic, (0, ''))
-        if rendered[0] != version:
-            rendered = (version, _report(topic, text))
+            topic = topics[0] if path == '/' and len(topics) == 1 else path
+            version, text = self._sums.get(topic, (0, ''))
+            rendered, page = self._pages.get(topic, (0, ''))
+        if not version:
+            return _index(topics) if path == '/' else None
+        if rendered != version:
+            page = _report(topic, text)
             with self._lock:
-                self._pages[topic] = rendered
-        return rendered[1]
+                self._pages[topic] = version, page
+        return page
 
     def close(self) -> None:
         """Stop serving."""

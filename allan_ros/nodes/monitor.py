@@ -26,13 +26,13 @@ class Accumulator(AllanNode):
     def __init__(self) -> None:
         super().__init__('allan_accumulator')
         settings = Settings(self)
-        watched = settings.watched()
-        if len(watched) != 1:
+        imus = settings.imus()
+        if len(imus) != 1:
             raise AllanError(
-                f'input.topics names {len(watched)} IMUs: allan_accumulator takes one, '
+                f'input.topics names {len(imus)} IMUs: allan_accumulator takes one, '
                 'use allan_monitor for several'
             )
-        watch = ImuWatch(self, watched[0][0], settings, watched[0][1])
+        watch = ImuWatch(self, imus[0], settings)
         self.begin([watch], f'accumulates {watch.description}', settings.input.value.drain_period)
 
 
@@ -69,10 +69,10 @@ class Monitor(AllanNode):
         references, worker = load_references(estimator.value), Worker()
         relay = self.parameters.group('relay', RelaySettings)
         push = ParameterPush(self)
-        watched = settings.watched()
-        if push.node and len(watched) > 1:
+        imus = settings.imus()
+        if push.node and len(imus) > 1:
             raise AllanError(
-                f'push.node with {len(watched)} IMUs: start an allan_monitor for the one that '
+                f'push.node with {len(imus)} IMUs: start an allan_monitor for the one that '
                 f'{push.node} uses'
             )
         units = settings.input.value
@@ -81,20 +81,20 @@ class Monitor(AllanNode):
                 'relay.enabled with input.gyro_unit or input.accel_unit: a filter takes the '
                 'relayed samples for rad/s and m/s^2; convert them in the driver'
             )
-        watches: list[ImuWatch] = []
         parts: list[Part] = []
-        for imu, checkpoint_path in watched:
+        described: list[str] = []
+        for imu in imus:
             estimate = ImuEstimate(self, imu.label, estimator, references, worker, push.offer)
-            watch = ImuWatch(self, imu, settings, checkpoint_path, estimate.take)
-            watches.append(watch)
+            watch = ImuWatch(self, imu, settings, estimate.take)
             parts += [watch, estimate]
+            described.append(watch.description)
             if relay.value.enabled:
                 home = f'~/{imu.label}' if imu.label else '~'
                 model, bias = f'{home}/noise_model', f'{home}/bias'
                 sink = f'{imu.topic}_with_covariance'
                 topics = RelayTopics(imu.topic, model, sink, imu.label, imu.hardware_id, bias)
                 parts.append(ImuRelay(self, topics, relay))
-        does = 'monitors ' + ', '.join(watch.description for watch in watches)
+        does = f'monitors {", ".join(described)}'
         self.begin([*parts, push], does, settings.input.value.drain_period)
 
 

@@ -4,25 +4,184 @@
 
 from __future__ import annotations
 
+import sys
 import time
 import traceback
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from typing import Any, Generic, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
+from ..core.errors import AllanError
 from ..core.findings import Finding, finding
-from .diagnostics import diagnostic_array, status_name, status_of
-from .parameters import Parameters
-from .settings import PublishSettings
-from .shell import STEADY, Periodic
+from ..core.settings import CheckedSettings, ParameterInfo, describe
+from .diagnostics import status_name, status_of
+from .settings import GROUPS, PublishSettings
+from .shell import STEADY
+
+T = TypeVar('T', bound=CheckedSettings)
 
 TICK_S = 0.1
 """Default period of the timer that polls the parts of a node."""
 
 FAULT_SHOWN_S = 60.0
 """How long an internal error stays on `/diagnostics` after it last happened."""
+
+MAX_INTEGER = 2**63 - 1
+"""ROS integer parameters are int64."""
+
+RCLPY_PARAMETERS = ('use_sim_time', 'start_type_description_service')
+"""Parameters that rclpy itself declares, in addition to ``qos_overrides.*``."""
+
+
+class ParameterGroup(Generic[T]):
+    """The settings of one group; ``value`` equals the node's parameters ``<prefix>.<field>``."""
+
+    def __init__(self, prefix: str, value: T) -> None:
+        self.prefix, self.value = prefix, value
+
+    def changed(self, parameters: Sequence[Parameter]) -> T:
+        """Return the settings with the parameters of this group replaced; AllanError if invalid."""
+        start = f'{self.prefix}.'
+        own = [p for p in parameters if p.name.startswith(start)]
+        if not own:
+            return self.value
+        given = {p.name[len(start) :]: _from_ros(p.value) for p in own}
+        made: T = replace(self.value, **given)  # type: ignore[type-var]
+        return made
+
+
+class Parameters:
+    """The checked parameters of a node.
+
+    A value that makes no valid settings is refused with the settings' own message: at start by an
+    exception, at run time by the result of the service. A set of parameters that is set atomically
+    is taken over as a whole or not at all, also where it spans several groups.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._groups: list[ParameterGroup[Any]] = []
+        node.add_on_set_parameters_callback(self._on_set)
+
+    def group(self, prefix: str, settings_type: type[T]) -> ParameterGroup[T]:
+        """Declare the parameters of one group and return its settings.
+
+        Raises
+        ------
+        AllanError
+            When the values given at start do not make valid settings.
+        rclpy.exceptions.ParameterException
+            When a value has the wrong type or lies outside its range.
+        """
+        defaults, given = settings_type(), {}
+        for name, info in describe(settings_type).items():
+            default = getattr(defaults, name)
+            declared = self._node.declare_parameter(
+                f'{prefix}.{name}', to_ros(default), descriptor(info, default)
+            )
+            given[name] = _from_ros(declared.value)
+        group = ParameterGroup(prefix, settings_type(**given))
+        self._groups.append(group)
+        return group
+
+    def unknown(self) -> list[str]:
+        """Return a line for each parameter given at start that no allan_ros node declares."""
+        known = [f'{prefix}.{name}' for prefix, made in GROUPS.items() for name in describe(made)]
+        given: dict[str, Any] = getattr(self._node, '_parameter_overrides', {})
+        return [
+            f'parameter {name!r} is unknown{_suggestion(name, known)}'
+            for name in given
+            if name not in (*known, *RCLPY_PARAMETERS) and not name.startswith('qos_overrides.')
+        ]
+
+    def changes(self) -> list[str]:
+        """Return ``name=value`` of the parameters that differ from their defaults."""
+        return [
+            f'{group.prefix}.{f.name}={to_ros(value)}'
+            for group in self._groups
+            for f in fields(group.value)
+            if (value := getattr(group.value, f.name)) != f.default
+        ]
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take over all parameters or none."""
+        try:
+            changed = [(group, group.changed(parameters)) for group in self._groups]
+        except AllanError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        for p in parameters:  # rclpy itself refuses this one after us
+            if p.name == 'use_sim_time' and p.type_ != Parameter.Type.BOOL:
+                return SetParametersResult(successful=False, reason='use_sim_time must be a bool')
+        for group, value in changed:
+            group.value = value
+        return SetParametersResult(successful=True)
+
+
+def descriptor(info: ParameterInfo, default: Any) -> ParameterDescriptor:
+    """Return what ``ros2 param describe`` shows of a setting."""
+    unit = f' [{info.unit}]' if info.unit else ''
+    choices = f'one of {", ".join(info.choices)}' if info.choices else ''
+    described = ParameterDescriptor(
+        description=f'{info.doc}{unit}', additional_constraints=choices, read_only=info.read_only
+    )
+    if info.low is None and info.high is None:
+        return described
+    if isinstance(default, int):
+        low = -MAX_INTEGER if info.low is None else int(info.low)
+        high = MAX_INTEGER if info.high is None else int(info.high)
+        described.integer_range = [IntegerRange(from_value=low, to_value=high)]
+    else:
+        low_f = -sys.float_info.max if info.low is None else float(info.low)
+        high_f = sys.float_info.max if info.high is None else float(info.high)
+        described.floating_point_range = [FloatingPointRange(from_value=low_f, to_value=high_f)]
+    return described
+
+
+def to_ros(value: Any) -> Any:
+    """Return the value as a ROS parameter holds it (tuples are lists)."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _from_ros(value: Any) -> Any:
+    return tuple(value) if isinstance(value, (list, tuple)) else value
+
+
+def _suggestion(name: str, known: list[str]) -> str:
+    """Return '; did you mean ...?' with the known names that resemble the name, or ''."""
+    ends = [full for full in known if full.endswith(f'.{name}')]
+    starts = [f'{name}.{field}' for field in ('path', 'enabled', 'node')]
+    found = [*ends, *(full for full in starts if full in known)]
+    found = found or get_close_matches(name, known, 1, 0.7)
+    return f'; did you mean {" or ".join(dict.fromkeys(found))}?' if found else ''
+
+
+class Periodic:
+    """Becomes due once per period; the period may change at run time.
+
+    One timer that polls several of these costs a third of as many timers in the executor.
+    """
+
+    def __init__(self, period: Callable[[], float]) -> None:
+        self._period, self._last = period, time.monotonic()
+
+    def due(self, now: float) -> bool:
+        """Return whether a period has passed since it was last due (steady clock, s)."""
+        if now - self._last < self._period():
+            return False
+        # Less than one period late: keep the phase. More: restart it.
+        self._last = max(self._last + self._period(), now - self._period())
+        return True
 
 
 class Part(Protocol):
@@ -52,9 +211,7 @@ class AllanNode(Node):
         self._parts: Sequence[Part] = ()
         self._faults: dict[tuple[str, str], tuple[float, Finding]] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._diagnostics_due = Periodic(
-            lambda: self.publish.value.diagnostics_period, time.monotonic()
-        )
+        self._diagnostics_due = Periodic(lambda: self.publish.value.diagnostics_period)
 
     def begin(self, parts: Sequence[Part], does: str, period: float = TICK_S) -> None:
         """Start the timer that polls the parts, and log what the node does in one line."""
@@ -89,17 +246,18 @@ class AllanNode(Node):
             except Exception as error:
                 self.fault(type(part).__name__, error)
         if self._diagnostics_due.due(now):
-            statuses: list[DiagnosticStatus] = []
-            for part in self._parts:
-                try:
-                    statuses += part.statuses(now)
-                except Exception as error:
-                    self.fault(f'{type(part).__name__} diagnostics', error)
-            self._diagnostics.publish(diagnostic_array(self, [*statuses, *self._fault_status(now)]))
+            self._publish_diagnostics(now)
 
-    def _fault_status(self, now: float) -> list[DiagnosticStatus]:
-        """Return one status with the internal errors of the last minute; none without one."""
-        recent = [f for at, f in self._faults.values() if now - at <= FAULT_SHOWN_S]
-        if not recent:
-            return []
-        return [status_of(status_name(self, 'node'), recent, '', ())]
+    def _publish_diagnostics(self, now: float) -> None:
+        """Publish the statuses of all parts, and the internal errors of the last minute."""
+        statuses: list[DiagnosticStatus] = []
+        for part in self._parts:
+            try:
+                statuses += part.statuses(now)
+            except Exception as error:
+                self.fault(f'{type(part).__name__} diagnostics', error)
+        if recent := [f for at, f in self._faults.values() if now - at <= FAULT_SHOWN_S]:
+            statuses.append(status_of(status_name(self, 'node'), recent, '', ()))
+        array = DiagnosticArray(status=statuses)
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)

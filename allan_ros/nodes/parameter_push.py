@@ -36,22 +36,10 @@ RETRY_S = 1.0
 
 
 class ParameterPush:
-    """Keeps parameters of ``push.node`` equal to the values of the noise model.
+    """Keeps parameters of the node ``push.node`` ('' for none) equal to those of the noise model.
 
-    Parameters
-    ----------
-    owner : AllanNode
-        Gets the parameters ``push.*`` and the service ``~/restore``.
-
-    Attributes
-    ----------
-    node : str
-        Full name of the node whose parameters are set; '' for none.
-
-    Raises
-    ------
-    AllanError
-        When the mapping cannot be read.
+    The owner gets the parameters ``push.*`` and the service ``~/restore``. AllanError is raised if
+    the mapping cannot be read.
     """
 
     def __init__(self, owner: AllanNode) -> None:
@@ -122,16 +110,13 @@ class ParameterPush:
         problems = [f'{name}: {note}' if name else note for name, note in self._notes.items()]
         refused = bool(self._refused) or '' in self._notes
         done = f'set {", ".join(self._former)}' if self._former else 'nothing set yet'
+        former = {f'former {name}': value for name, value in self._former.items()}
+        shown = {**self._current, **former}
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if refused and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
             message='; '.join([done if enabled else 'off: push.enabled is false', *problems]),
-            values=key_values(
-                [
-                    *((name, _numbers(value)) for name, value in self._current.items()),
-                    *((f'former {n}', _numbers(value)) for n, value in self._former.items()),
-                ]
-            ),
+            values=key_values((name, _numbers(value)) for name, value in shown.items()),
         )
         return [status]
 
@@ -142,22 +127,18 @@ class ParameterPush:
     ) -> list[Proposal]:
         """Return the values that are known well enough, and note the others."""
         fits = {name: axis.fit for name, axis in results.axes.items()}
+        known = fits, results.rate_hz, mapping.constants, mapping.horizon
         made = []
         for parameter in mapping.parameters:
             try:
-                made.append(
-                    propose(parameter, fits, results.rate_hz, mapping.constants, mapping.horizon)
-                )
+                made.append(propose(parameter, *known))
             except AllanError as error:
                 self._note(parameter.name, str(error))
         ready, waiting = narrow_enough(made, settings.ratio)
         for name, why in waiting.items():
             self._note(name, why)
-        return [p for p in ready if not self._was_refused(p, settings.change)]
-
-    def _was_refused(self, proposal: Proposal, change: float) -> bool:
-        refused = self._refused.get(proposal.name)
-        return refused is not None and not proposal.differs(refused.values, change)
+        refused = ((p, self._refused.get(p.name)) for p in ready)
+        return [p for p, r in refused if r is None or p.differs(r.values, settings.change)]
 
     def _ask(self, future: Any, then: Any) -> None:
         self._asked, self._asked_at = future, time.monotonic()
@@ -192,14 +173,13 @@ class ParameterPush:
 
     def _fits(self, proposal: Proposal, value: ParameterValue) -> bool:
         """Return whether the node's parameter can hold the proposal, and note why not."""
-        array = len(proposal.values) > 1
-        wanted = ParameterType.PARAMETER_DOUBLE_ARRAY if array else ParameterType.PARAMETER_DOUBLE
+        kind, wanted = 'a number with a point', ParameterType.PARAMETER_DOUBLE
+        if len(proposal.values) > 1:
+            kind, wanted = 'an array of numbers', ParameterType.PARAMETER_DOUBLE_ARRAY
         if value.type == wanted:
             return True
-        what = (
-            'not declared' if value.type == ParameterType.PARAMETER_NOT_SET else 'of another type'
-        )
-        kind = 'an array of numbers' if array else 'a number with a point'
+        unset = value.type == ParameterType.PARAMETER_NOT_SET
+        what = 'not declared' if unset else 'of another type'
         self._refused[proposal.name] = proposal
         self._note(proposal.name, f'is {what} in {self.node}: the mapping sets {kind}')
         return False
@@ -243,16 +223,15 @@ class ParameterPush:
         if self._asked is not None:
             self._asked.cancel()
             self._asked = None
-        if not self._former:
+        former = dict(self._former)
+        if not former:
             response.message = 'nothing was set, so there is nothing to restore'
             return response
         if not self._set.service_is_ready():
             response.message = f'{self.node} is not there: nothing was restored'
             return response
-        former = dict(self._former)
-        request = SetParameters.Request(
-            parameters=[ParameterMessage(name=name, value=v) for name, v in former.items()]
-        )
+        wanted = [ParameterMessage(name=name, value=value) for name, value in former.items()]
+        request = SetParameters.Request(parameters=wanted)
         self._asked, self._asked_at = self._set.call_async(request), time.monotonic()
         answer = await self._asked
         if answer is None:  # `tick` gave up
@@ -266,19 +245,18 @@ class ParameterPush:
         ]
         response.success = not failed
         restored = ', '.join(f'{name} = {_text(_numbers(v))}' for name, v in former.items())
-        response.message = '; '.join(failed) if failed else f'restored {restored}'
+        response.message = '; '.join(failed) or f'restored {restored}'
         if not failed:
-            self._former, self._current = {}, {}
-            self._refused, self._notes = {}, {}
+            for values in (self._former, self._current, self._refused, self._notes):
+                values.clear()
         self._log.info(response.message)
         return response
 
 
 def _numbers(value: ParameterValue) -> tuple[float, ...]:
     """Return the values of a parameter of one or several numbers."""
-    if value.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
-        return tuple(value.double_array_value)
-    return (value.double_value,)
+    array = value.type == ParameterType.PARAMETER_DOUBLE_ARRAY
+    return tuple(value.double_array_value) if array else (value.double_value,)
 
 
 def _message(proposal: Proposal, current: ParameterValue) -> ParameterMessage:

@@ -37,9 +37,23 @@ from ..io.readers.recording import ReadOptions, Recording
 from .imu_input import NAMELESS
 from .shell import STEADY, run
 
+CLOCK_PERIOD_S = 0.025
+"""Period of `/clock` in wall time: 40 Hz, as ``ros2 bag play`` has it."""
+
+POLL_S = 0.05
+"""Period at which a wait for subscribers or acknowledgements checks for the end."""
+
+LINGER_S = 0.5
+"""The publisher stays this long after the last answer: subscribers empty their queues."""
+
+SIMULATED = (
+    NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
+    NoiseTerms(Q=0.0, N=8e-4, B=3e-4, K=2e-5, R=0.0),
+)
+"""Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU, a good MEMS device."""
+
 ASK_AGAIN_S = 1.0
 """Period of repeated questions: an answer to a client not yet discovered is lost."""
-
 
 PATIENCE_S = 10.0
 """A subscriber that has not answered by then has no parameter services, or hangs."""
@@ -62,15 +76,8 @@ class Handshake:
     A publisher knows a subscriber before that subscriber knows the publisher, and best effort
     messages in between are lost. Endpoints are announced in order, so a node that answers a client
     created after the publisher has discovered the publisher, too. Create the handshake after the
-    publisher, and call `update` from the thread that runs the node's executor.
-
-    Parameters
-    ----------
-    node : Node
-    publisher : Publisher
-        One of the node's.
-    wanted : int
-        How many subscribers there must be.
+    publisher, which is one of the node's, and call `update` from the thread that runs the node's
+    executor. At least ``wanted`` subscribers must be there.
     """
 
     def __init__(self, node: Node, publisher: Publisher, wanted: int = 1) -> None:
@@ -112,7 +119,6 @@ class Handshake:
             self._remove(gid)
 
     def _remove(self, gid: bytes) -> None:
-        """Remove a subscriber and destroy its client."""
         client = self._asked.pop(gid).client
         if client is not None:
             self._node.destroy_client(client)
@@ -130,25 +136,6 @@ class Handshake:
         asked.answered = asked.answered or round_asked == self._round
 
 
-CLOCK_PERIOD_S = 0.025
-"""Period of `/clock` in wall time: 40 Hz, as ``ros2 bag play`` has it."""
-
-
-POLL_S = 0.05
-"""Period at which a wait for subscribers or acknowledgements checks for the end."""
-
-
-LINGER_S = 0.5
-"""The publisher stays this long after the last answer: subscribers empty their queues."""
-
-
-SIMULATED = (
-    NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
-    NoiseTerms(Q=0.0, N=8e-4, B=3e-4, K=2e-5, R=0.0),
-)
-"""Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU, a good MEMS device."""
-
-
 class Player(Node):
     """Publishes the batches of a recording on ``imu/data``.
 
@@ -161,11 +148,9 @@ class Player(Node):
         self._options = options
         self._recordings = None if options.simulate else _open(options)
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+        overriding = QoSOverridingOptions.with_default_policies()
         self._publisher = self.create_publisher(
-            Imu,
-            'imu/data',
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            Imu, 'imu/data', qos, qos_overriding_options=overriding
         )
         self._clock = self.create_publisher(Clock, '/clock', 10) if options.clock else None
         self._clock_due = 0.0
@@ -244,8 +229,7 @@ class Player(Node):
                 if wait > 0 and self._stop.wait(wait):
                     return
             self._send(bytes(payload))
-            if self._clock is not None:
-                self._tell_time(int(batch.stamps_ns[i]))
+            self._publish_time(int(batch.stamps_ns[i]))
             if self._stop.is_set():
                 return
 
@@ -259,7 +243,7 @@ class Player(Node):
             self._played += 1
             return
 
-    def _tell_time(self, stamp_ns: int) -> None:
+    def _publish_time(self, stamp_ns: int) -> None:
         now = time.monotonic()
         if self._clock is not None and now >= self._clock_due:
             self._clock_due = now + CLOCK_PERIOD_S
@@ -296,17 +280,14 @@ class Schedule:
     """Schedule of the samples by record time, or header time where there is none."""
 
     def __init__(self, rate: float, first: ImuBatch) -> None:
-        self._rate = rate
-        self._origin = int(_times(first)[0])
-        self._began = time.monotonic()
+        self._rate, self._origin, self._began = rate, int(_times(first)[0]), time.monotonic()
 
     def due(self, batch: ImuBatch) -> list[float] | None:
         """Return the monotonic times at which the samples are due; None for immediately."""
         if self._rate == 0.0:
             return None
-        due: list[float] = (
-            self._began + (_times(batch) - self._origin) * (1e-9 / self._rate)
-        ).tolist()
+        ahead_s = (_times(batch) - self._origin) * (1e-9 / self._rate)
+        due: list[float] = (self._began + ahead_s).tolist()
         return due
 
 
@@ -328,12 +309,8 @@ def make_parser() -> argparse.ArgumentParser:
     add('--topic', default='', help='Imu topic of the bag (default: the only one)')
     add('--rate', type=_factor, default=1.0, help='speed factor; 0: as fast as the subscribers can')
     add('--loop', action='store_true', help='start again at the end')
-    add(
-        '--stamps',
-        choices=('keep', 'rebase'),
-        default='keep',
-        help='keep: as recorded; rebase: shifted so that the first is now, and loops carry on',
-    )
+    rebase = 'keep: as recorded; rebase: shifted so that the first is now, and loops carry on'
+    add('--stamps', choices=('keep', 'rebase'), default='keep', help=rebase)
     add('--clock', action='store_true', help='publish /clock from the stamps')
     add('--wait', type=int, default=1, help='number of subscribers to wait for (default 1)')
     add('--simulate', type=float, metavar='SECONDS', help='play a simulated IMU instead')

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistWithCovarianceStamped
@@ -27,15 +27,14 @@ from std_msgs.msg import String
 from ..core.errors import AllanError, one_line
 from ..core.filters.noise_parameters import Variances, measured_variances, white_variances
 from ..core.findings import Finding, finding
-from ..core.imu import SENSORS, ImuIdentity
+from ..core.imu import SENSORS, ImuIdentity, sensor_of
 from ..io.documents import results_from_document
 from ..io.files import parse_json
 from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, without_gyro_bias
 from ..io.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import full_name, qos_text, subscribe_raw
-from .node import AllanNode
-from .parameters import ParameterGroup
+from .node import AllanNode, ParameterGroup
 from .settings import RelaySettings
 from .shell import LATCHED
 
@@ -90,19 +89,7 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
 
 
 class ImuRelay:
-    """Republishes the messages of one Imu with covariances.
-
-    Parameters
-    ----------
-    node : AllanNode
-    topics : RelayTopics
-    settings : ParameterGroup of RelaySettings
-
-    Raises
-    ------
-    AllanError
-        When input and output are the same topic.
-    """
+    """Republishes the messages of one Imu with covariances, to another topic (else AllanError)."""
 
     def __init__(
         self, node: AllanNode, topics: RelayTopics, settings: ParameterGroup[RelaySettings]
@@ -151,15 +138,12 @@ class ImuRelay:
         """Apply a changed model or changed parameters."""
         results, settings = self._results, self._settings.value
         if results is None:
-            if self._made_of is not None:
-                self._variances, self._patch, self._made_of = {}, CovariancePatch({}), None
-            return
-        if self._made_of and self._made_of[0] is results and self._made_of[1] is settings:
-            return
-        self._variances = relay_variances(results, settings)
-        frame_id = results.identity.frame_id
-        self._patch = CovariancePatch(self._variances, settings.overwrite, frame_id)
-        self._made_of = (results, settings)
+            self._variances, self._patch, self._made_of = {}, CovariancePatch({}), None
+        elif not self._made_of or self._made_of[0] is not results or self._made_of[1] != settings:
+            self._variances = relay_variances(results, settings)
+            frame_id = results.identity.frame_id
+            self._patch = CovariancePatch(self._variances, settings.overwrite, frame_id)
+            self._made_of = results, settings
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the relay."""
@@ -176,10 +160,12 @@ class ImuRelay:
             ('gyro bias subtracted [messages]', c.unbiased),
             ('variance', self._settings.value.variance),
             ('messages taken by', 'a thread' if self._thread else 'a plain callback'),
+            *(
+                (f'variance of {sensor} {axis} [{SHOWN_UNIT[sensor]}]', variance)
+                for sensor, variances in self._variances.items()
+                for axis, variance in zip('xyz', variances)
+            ),
         ]
-        for sensor, variances in self._variances.items():
-            for axis, variance in zip('xyz', variances):
-                pairs.append((f'variance of {sensor} {axis} [{SHOWN_UNIT[sensor]}]', variance))
         filled = f'covariances of {" and ".join(self._variances)} are filled'
         identity = self._results.identity if self._results else ImuIdentity()
         hardware_id = self._topics.hardware_id or identity.hardware_id or identity.frame_id
@@ -229,13 +215,9 @@ class ImuRelay:
         stamp, rates = bias.header.stamp, bias.twist.twist.angular
         end_ns = stamp.sec * 10**9 + stamp.nanosec
         valid_ns = round(settings.bias_max_age * 1e9)
-        unbiased = without_gyro_bias(
-            payload,
-            (rates.x, rates.y, rates.z),
-            settings.bias_rate_limit,
-            end_ns - valid_ns,
-            end_ns + valid_ns,
-        )
+        window = end_ns - valid_ns, end_ns + valid_ns
+        bias_xyz = (rates.x, rates.y, rates.z)
+        unbiased = without_gyro_bias(payload, bias_xyz, settings.bias_rate_limit, *window)
         self.counts.unbiased += unbiased is not payload
         return unbiased
 
@@ -316,39 +298,27 @@ class ImuRelay:
 
     def _findings(self, now: float) -> list[Finding]:
         """Return the present problems, causes before their effects."""
-        c, results = self.counts, self._results
-        found = list(self._problem)
+        counts, results, found = self.counts, self._results, list(self._problem)
+
+        def add(id: str, count: int, **values: Any) -> None:
+            if count:
+                found.append(finding(id, count=count, **values))
+
         sink = self._publisher.topic_name
-        others = self._node.get_publishers_info_by_topic(sink)
-        if len(others) > 1:
-            names = ', '.join(sorted(map(full_name, others)))
-            found.append(
-                finding('relay_several_publishers', count=len(others), topic=sink, names=names)
-            )
+        publishers = self._node.get_publishers_info_by_topic(sink)
+        names = ', '.join(sorted(map(full_name, publishers)))
+        several = len(publishers) if len(publishers) > 1 else 0
+        add('relay_several_publishers', several, topic=sink, names=names)
         if results is None:
             found.append(self._without_model(now))
         else:
+            known = {sensor_of(axis) for axis in results.axes}
             for sensor in SENSORS:
-                known = any(name.startswith(sensor) for name in results.axes)
-                if known and sensor not in self._variances:
+                if sensor in known - self._variances.keys():
                     found.append(finding('relay_nothing_to_fill', sensor=sensor))
-            if c.other_frame:
-                expected = results.identity.frame_id
-                found.append(
-                    finding(
-                        'relay_other_frame',
-                        count=c.other_frame,
-                        found=self._last_frame,
-                        expected=expected,
-                    )
-                )
-        if c.malformed:
-            topic = self._subscription.topic_name
-            found.append(
-                finding(
-                    'relay_malformed', count=c.malformed, reason=self._last_malformed, topic=topic
-                )
-            )
-        if c.unpublished:
-            found.append(finding('relay_unpublished', count=c.unpublished))
+            expected = results.identity.frame_id
+            add('relay_other_frame', counts.other_frame, found=self._last_frame, expected=expected)
+        source, reason = self._subscription.topic_name, self._last_malformed
+        add('relay_malformed', counts.malformed, reason=reason, topic=source)
+        add('relay_unpublished', counts.unpublished)
         return found

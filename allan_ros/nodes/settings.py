@@ -8,68 +8,59 @@ Every field becomes a ROS parameter ``<group>.<name>`` (see `parameters`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
 from ..core.imu import SAMPLE_UNITS
-from ..core.settings import CheckedSettings, SegmenterSettings, parameter
+from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
+
+
+class WatchedImu(NamedTuple):
+    """One IMU: topic, label where there are several, serial number and checkpoint if given."""
+
+    topic: str
+    label: str
+    hardware_id: str
+    checkpoint: str
 
 
 @dataclass(frozen=True)
 class InputSettings(CheckedSettings):
     """How Imu messages are received (group ``input``)."""
 
-    topics: tuple[str, ...] = parameter(('imu/data',), 'Imu topics to watch.', read_only=True)
-    labels: tuple[str, ...] = parameter(
+    topics: tuple[str, ...] = fixed_parameter(('imu/data',), 'Imu topics to watch.')
+    labels: tuple[str, ...] = fixed_parameter(
         ('',),
         'One short name per topic, for topics, files and diagnostics; may be empty for one IMU.',
-        read_only=True,
     )
-    hardware_ids: tuple[str, ...] = parameter(
-        ('',), 'One serial number per topic; empty: the frame_id is used.', read_only=True
+    hardware_ids: tuple[str, ...] = fixed_parameter(
+        ('',), 'One serial number per topic; empty: the frame_id is used.'
     )
-    queue_depth: int = parameter(
-        4000,
-        'Messages that the middleware may queue between two drains.',
-        unit='messages',
-        low=1,
-        high=1_000_000,
-        read_only=True,
+    queue_depth: int = fixed_parameter(
+        4000, 'Messages that the middleware may queue between two drains.', 'messages', 1, 1_000_000
     )
-    drain_period: float = parameter(
-        0.1, 'How often the queue is emptied.', unit='s', low=0.005, high=1.0, read_only=True
-    )
-    update_period: float = parameter(
-        0.5,
-        'How often the drained messages are decoded and accumulated.',
-        unit='s',
-        low=0.005,
-        high=10.0,
-        read_only=True,
+    drain_period: float = fixed_parameter(0.1, 'How often the queue is emptied.', 's', 0.005, 1.0)
+    update_period: float = fixed_parameter(
+        0.5, 'How often the drained messages are decoded and accumulated.', 's', 0.005, 10.0
     )
     stale_after: float = parameter(
-        2.0,
-        'Silence after which the input is reported as an error.',
-        unit='s',
-        low=0.1,
-        high=3600.0,
+        2.0, 'Silence after which the input is reported as an error.', 's', 0.1, 3600.0
     )
-    gyro_unit: str = parameter(
+    gyro_unit: str = fixed_parameter(
         'rad/s',
         'Unit of angular_velocity as the driver publishes it; ROS requires rad/s.',
         choices=SAMPLE_UNITS['gyro'],
-        read_only=True,
     )
-    accel_unit: str = parameter(
+    accel_unit: str = fixed_parameter(
         'm/s^2',
         'Unit of linear_acceleration as the driver publishes it; ROS requires m/s^2.',
         choices=SAMPLE_UNITS['accel'],
-        read_only=True,
     )
-    plain_callback: bool = parameter(
+    plain_callback: bool = fixed_parameter(
         False,
         'Receive each message in a callback of its own (more CPU) instead of draining the queue.',
-        read_only=True,
     )
 
     def __post_init__(self) -> None:
@@ -83,26 +74,31 @@ class InputSettings(CheckedSettings):
                     f'input.{name} has {len(given)} entries for {len(self.topics)} topics: '
                     'give one for each, in the same order'
                 )
-        wrong = [label for label in self.labels if label and not label.isidentifier()]
-        if wrong:
-            raise AllanError(
-                f'input.labels has {wrong[0]!r}: use letters, digits and underscores, '
-                'not starting with a digit'
-            )
-        names = [label for _, label, _ in self.imus]
+        for label in self.labels:
+            if label and not label.isidentifier():
+                raise AllanError(
+                    f'input.labels has {label!r}: use letters, digits and underscores, '
+                    'not starting with a digit'
+                )
+        names = [imu.label for imu in self.imus()]
         if len(set(names)) < len(names):
             raise AllanError(
                 f'input.labels {", ".join(names)} are not unique: give each IMU another label'
             )
 
-    @property
-    def imus(self) -> tuple[tuple[str, str, str], ...]:
-        """(topic, label, hardware id) of each IMU; missing labels are made from the topics."""
-        several = len(self.topics) > 1
-        made = tuple(t.strip('~/').replace('/', '_') if several else '' for t in self.topics)
-        given = self.labels if any(self.labels) else made
-        hardware = self.hardware_ids * (len(self.topics) if len(self.hardware_ids) == 1 else 1)
-        return tuple(zip(self.topics, given, hardware))
+    def imus(self, checkpoint: str = '') -> list[WatchedImu]:
+        """Return the IMUs; several have their checkpoints in one folder, '' is none.
+
+        Missing labels are made from the topics.
+        """
+        count = len(self.topics)
+        made = [t.strip('~/').replace('/', '_') if count > 1 else '' for t in self.topics]
+        labels = self.labels if any(self.labels) else made
+        hardware_ids = self.hardware_ids * (count if len(self.hardware_ids) == 1 else 1)
+        path = Path(checkpoint).expanduser()
+        files = [path if count == 1 else path / f'{label}.json' for label in labels]
+        files_or_none = [str(file) if checkpoint else '' for file in files]
+        return list(map(WatchedImu, self.topics, labels, hardware_ids, files_or_none))
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ class PublishSettings(CheckedSettings):
         high=3600.0,
     )
     diagnostics_period: float = parameter(
-        1.0, 'How often every diagnostic status is repeated.', unit='s', low=0.1, high=60.0
+        1.0, 'How often every diagnostic status is repeated.', 's', 0.1, 60.0
     )
 
 
@@ -125,15 +121,12 @@ class PublishSettings(CheckedSettings):
 class CheckpointSettings(CheckedSettings):
     """Where the sums are saved over restarts (group ``checkpoint``)."""
 
-    path: str = parameter(
+    path: str = fixed_parameter(
         '',
         'Checkpoint file, or a folder for several IMUs (<label>.json in it); missing folders are '
         'created; empty: none.',
-        read_only=True,
     )
-    period: float = parameter(
-        60.0, 'How often the checkpoint is written.', unit='s', low=0.5, high=86400.0
-    )
+    period: float = parameter(60.0, 'How often the checkpoint is written.', 's', 0.5, 86400.0)
 
 
 @dataclass(frozen=True)
@@ -144,15 +137,13 @@ class EstimatorSettings(CheckedSettings):
         'gls', 'Method of the fit of the five terms.', choices=('gls', 'relative', 'paper')
     )
     growth: float = parameter(
-        0.1, 'Refit when the samples have grown by this fraction.', low=0.0, high=10.0
+        0.1, 'Refit when the samples have grown by this fraction.', '', 0.0, 10.0
     )
-    sensor: str = parameter(
-        '',
-        'Datasheet to compare with: a name in config/sensors or a file; empty: none.',
-        read_only=True,
+    sensor: str = fixed_parameter(
+        '', 'Datasheet to compare with: a name in config/sensors or a file; empty: none.'
     )
-    baseline: str = parameter(
-        '', 'Former results to compare with, a results.json; empty: none.', read_only=True
+    baseline: str = fixed_parameter(
+        '', 'Former results to compare with, a results.json; empty: none.'
     )
     margin: float = parameter(
         MARGIN,
@@ -160,30 +151,23 @@ class EstimatorSettings(CheckedSettings):
         low=0.0,
         high=100.0,
     )
-    recent_window: float = parameter(
+    recent_window: float = fixed_parameter(
         3600.0,
         'Length of the recent window, which is compared with all the time before it.',
         unit='s',
         low=1.0,
         high=604800.0,
-        read_only=True,
     )
-    bias_tolerance_gyro: float = parameter(
+    bias_tolerance_gyro: float = fixed_parameter(
         0.0,
         'Tolerance of the gyro bias: diagnostics show how long the bias stays within it; 0: twice '
         'its 95 % interval.',
         unit='rad/s',
         low=0.0,
         high=10.0,
-        read_only=True,
     )
-    bias_tolerance_accel: float = parameter(
-        0.0,
-        'Tolerance of the accelerometer bias; 0: twice its 95 % interval.',
-        unit='m/s^2',
-        low=0.0,
-        high=100.0,
-        read_only=True,
+    bias_tolerance_accel: float = fixed_parameter(
+        0.0, 'Tolerance of the accelerometer bias; 0: twice its 95 % interval.', 'm/s^2', 0.0, 100.0
     )
     plot_period: float = parameter(
         10.0,
@@ -198,10 +182,8 @@ class EstimatorSettings(CheckedSettings):
 class RelaySettings(CheckedSettings):
     """Which covariances relayed Imu messages get (group ``relay``)."""
 
-    enabled: bool = parameter(
-        False,
-        'Whether allan_monitor relays each Imu, to <topic>_with_covariance.',
-        read_only=True,
+    enabled: bool = fixed_parameter(
+        False, 'Whether allan_monitor relays each Imu, to <topic>_with_covariance.'
     )
     until_model: str = parameter(
         'pass',
@@ -230,19 +212,13 @@ class RelaySettings(CheckedSettings):
         low=0.0,
         high=1e6,
     )
-    inflate: float = parameter(1.0, 'Factor on the standard deviation.', low=1.0, high=1000.0)
+    inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
     subtract_bias: bool = parameter(
         False,
         'Subtract the gyro bias on the topic bias from the angular velocity while the IMU is at '
         'rest and the bias is fresh.',
     )
-    bias_max_age: float = parameter(
-        60.0,
-        'Older biases are not subtracted.',
-        unit='s',
-        low=1.0,
-        high=86400.0,
-    )
+    bias_max_age: float = parameter(60.0, 'Older biases are not subtracted.', 's', 1.0, 86400.0)
     bias_rate_limit: float = parameter(
         0.05,
         'No bias is subtracted from a message whose angular velocity differs from it by more.',
@@ -251,18 +227,16 @@ class RelaySettings(CheckedSettings):
         high=10.0,
     )
     overwrite: bool = parameter(False, 'Replace covariances that the driver has set.')
-    queue_depth: int = parameter(
+    queue_depth: int = fixed_parameter(
         1000,
         'Messages that the middleware may queue at input and output.',
         unit='messages',
         low=1,
         high=1_000_000,
-        read_only=True,
     )
-    plain_callback: bool = parameter(
+    plain_callback: bool = fixed_parameter(
         False,
         'Receive each message in a callback of the executor (more CPU) instead of in a thread.',
-        read_only=True,
     )
 
 
@@ -270,14 +244,8 @@ class RelaySettings(CheckedSettings):
 class PushSettings(CheckedSettings):
     """Which parameters of another node follow the coefficients (group ``push``)."""
 
-    node: str = parameter(
-        '', 'Full name of the node whose parameters are set; empty: none.', read_only=True
-    )
-    filter: str = parameter(
-        '',
-        'Mapping: a name in config/filters, or a file.',
-        read_only=True,
-    )
+    node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
+    filter: str = fixed_parameter('', 'Mapping: a name in config/filters, or a file.')
     enabled: bool = parameter(
         True, 'Whether parameters are set; ~/restore restores the former values and turns it off.'
     )
@@ -287,11 +255,9 @@ class PushSettings(CheckedSettings):
         low=1.0,
         high=1000.0,
     )
-    period: float = parameter(
-        300.0, 'Shortest time between two settings.', unit='s', low=0.1, high=604800.0
-    )
+    period: float = parameter(300.0, 'Shortest time between two settings.', 's', 0.1, 604800.0)
     change: float = parameter(
-        0.1, 'A value is set again when it differs by more than this fraction.', low=0.0, high=10.0
+        0.1, 'A value is set again when it differs by more than this fraction.', '', 0.0, 10.0
     )
 
     def __post_init__(self) -> None:

@@ -26,30 +26,19 @@ from rclpy.utilities import remove_ros_args
 
 from ..core.errors import AllanError, one_line
 
-
-class Periodic:
-    """Becomes due once per period; the period may change at run time.
-
-    One timer that polls several of these costs a third of as many timers in the executor.
-    """
-
-    def __init__(self, period: Callable[[], float], now: float) -> None:
-        self._period = period
-        self._last = now
-
-    def due(self, now: float) -> bool:
-        """Return whether a period has passed since it was last due (steady clock, s)."""
-        if now - self._last < self._period():
-            return False
-        # Less than one period late: keep the phase. More: restart it.
-        self._last = max(self._last + self._period(), now - self._period())
-        return True
-
-
 T = TypeVar('T')
 
-
 _TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linux' else None
+"""Returns freed heap memory to the system (glibc only): a fit leaves about 20 MB of free blocks
+below memory that is still in use."""
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Reliable, and late subscribers receive the last message: for sums and noise model."""
+
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""Clock of all timers: neither a paused ``/clock`` nor a wall-clock step stops them."""
 
 
 class Worker:
@@ -73,29 +62,8 @@ class Worker:
             except BaseException as error:  # raised again by future.result()
                 future.set_exception(error)
             del task, future  # release what they refer to before the next task
-            _give_memory_back()
-
-
-def _give_memory_back() -> None:
-    """Return freed heap memory to the system with ``malloc_trim`` (glibc only).
-
-    A fit leaves about 20 MB of free blocks below memory that is still in use.
-    """
-    if _TRIM is not None:
-        _TRIM(0)
-
-
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Reliable, and late subscribers receive the last message: for sums and noise model."""
-
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Clock of all timers: neither a paused ``/clock`` nor a wall-clock step stops them."""
-
-USAGE_ERROR = 2
-"""Exit code for a wrong command line."""
+            if _TRIM is not None:
+                _TRIM(0)
 
 
 class Runnable(Protocol):
@@ -131,17 +99,9 @@ def run(
     After any number of signals the node is closed: exit code 0. An exception in a callback of the
     node is passed to ``node.fault``, if it has one, and the node goes on.
 
-    Parameters
-    ----------
-    name : str
-        Name of the executable.
-    make_node : callable
-        Makes the node from an event that ends the node when set, and the parsed options. The node
-        must have a timer: signals are handled when the executor next wakes.
-    parser : argparse.ArgumentParser
-        Parses what is left of the command line without the ROS arguments.
-    args : sequence of str, optional
-        Arguments without the program name; those of the process by default.
+    ``make_node`` gets an event that ends the node when set, and the options that the parser made of
+    the command line without the ROS arguments. The node must have a timer: signals are handled when
+    the executor next wakes.
     """
     argv = sys.argv if args is None else [name, *args]
     options = parser.parse_args(remove_ros_args(list(argv))[1:])

@@ -43,7 +43,7 @@ earlier test that Python has not yet collected would answer in place of the node
 ASK_AGAIN_S = 1.0
 """Seconds after which an unanswered request is sent again."""
 
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
 """Limit for any event, long enough for a loaded machine."""
 
 

@@ -19,7 +19,7 @@ from support.chromium import Chromium
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import to_json
 from allan_ros.nodes.live_page import REFRESH_S, LivePage
-from allan_ros.nodes.snapshot import Snapshot
+from allan_ros.nodes.messages import Snapshot
 
 TOPIC = '/allan_monitor/sums'
 

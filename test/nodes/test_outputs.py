@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 
 from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers.cdr import encode_imus, imu_dtype
-from allan_ros.nodes.outputs import bias_message
+from allan_ros.nodes.messages import bias_message
 
 FAST = {
     'qos_overrides./imu/data.subscription.reliability': 'reliable',

@@ -15,7 +15,7 @@ import rclpy
 from rclpy.parameter import Parameter
 
 from allan_ros.core.errors import AllanError
-from allan_ros.nodes.parameters import Parameters
+from allan_ros.nodes.node import Parameters
 from allan_ros.nodes.settings import GROUPS, EstimatorSettings, PublishSettings
 
 

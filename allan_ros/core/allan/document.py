@@ -351,9 +351,8 @@ def _recording(fields: Fields, axes: int) -> Recording:
     number = _integers(fields, 'cell_samples', CELLS)
     cells = len(number)
     begins, count = _period_counts(fields, length)
-    reference = fields.numbers('reference')
-    if reference.shape != (axes,) or not np.isfinite(reference).all():
-        raise AllanError(f'{fields.where}.reference: {axes} finite numbers are expected')
+    if len(fields.sequence('reference', axes)) != axes:
+        raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
     if np.any(number > step) or cells * step > length + step:
         raise AllanError(f'{fields.where}: its cells contradict its length of {length}')
     return Recording(
@@ -363,7 +362,7 @@ def _recording(fields: Fields, axes: int) -> Recording:
         step,
         number,
         _floats(fields, 'cell_means', '<f4', (cells, axes)),
-        reference,
+        fields.numbers('reference'),
         begins,
         count,
         _floats(fields, 'level_sum_sq', '<f4', (*count.shape, axes), 0.0),

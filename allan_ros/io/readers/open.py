@@ -62,15 +62,10 @@ def open_recordings(
 
 
 def topics_of(path: str | os.PathLike[str]) -> list[str]:
-    """Return the Imu topics of a bag or the IMUs of a PX4 log; none where it cannot be read."""
+    """Return the Imu topics of a bag; none of another recording, or where it cannot be read."""
     place = Path(path)
     try:
-        family = 'bag' if place.is_dir() else _family(place)
-        if family == 'ulog':
-            from .ulog import imu_instances
-
-            return imu_instances(place)
-        if family != 'bag':
+        if not place.is_dir() and _family(place) != 'bag':
             return []
         from .bag_topics import imu_topics
 

@@ -91,16 +91,6 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
     return Recording(info, len(batch), read, options=options)
 
 
-def imu_instances(path: Path) -> list[str]:
-    """Return the instances of vehicle_imu of a log without the rates of the IMU in use.
-
-    Raises AllanError when it cannot be read.
-    """
-    log = _parsed(path)
-    names = [_label(data, log) for data in log.data_list if data.name in TOPICS]
-    return [] if TOPICS[0] in names else names
-
-
 def _parsed(path: Path) -> Any:
     core = optional_package('pyulog', f'{path}: reading a PX4 log')
     with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints

@@ -228,7 +228,6 @@ def test_equality_of_sums_is_by_value():
         (('history', 'recordings', 0, 'step'), 3),
         (('history', 'recordings', 0, 'cell_samples'), [10**6] * 300),
         (('history', 'recordings', 0, 'reference'), []),
-        (('history', 'recordings', 0, 'reference'), [0.0, None]),
         (('history', 'recordings', 0, 'level_count'), [[]] * 20),
     ],
 )

@@ -4,16 +4,12 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-from allan_ros.cli.main import main
-from allan_ros.io.readers.open import topics_of
 
 pytest.importorskip('pyulog')
 
@@ -70,37 +66,6 @@ def test_delta_angles_are_divided_by_their_time(tmp_path: Path, read: Any) -> No
     np.testing.assert_array_equal(back.record_ns, back.stamps_ns + 400_000)
     assert back.recording.info.type == 'vehicle_imu'
     assert back.findings == ()
-
-
-def noisy(i: int, rng: np.random.Generator, scale: float) -> bytes:
-    stamp = START_US + 5000 * i
-    samples = rng.normal(scale=scale, size=6) * 5e-3
-    return struct.pack('<QQ6fHH', stamp + 400, stamp, *samples, 5000, 5000)
-
-
-def test_each_instance_has_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / 'a.ulg'
-    rng = np.random.default_rng(0)
-    topics = [
-        (IMU_FORMAT, 'vehicle_imu', n, [noisy(i, rng, n + 1.0) for i in range(6000)])
-        for n in range(2)
-    ]
-    path.write_bytes(log(topics))
-    assert topics_of(path) == ['vehicle_imu:0', 'vehicle_imu:1']
-    out = tmp_path / 'out'
-    words = ['analyze', str(path), '--no-motion-gate', '--method', 'relative']
-    assert main([*words, '-o', str(out)]) == 0
-    rows = capsys.readouterr().out.splitlines()[2:]
-    assert [row.split(' | ')[0] for row in rows] == [f'| a.ulg vehicle_imu:{n}' for n in (0, 1)]
-    documents = [
-        json.loads((out / f'a_ulg_vehicle_imu_{n}' / 'results.json').read_text()) for n in (0, 1)
-    ]
-    first, second = (document['axes']['gyro_x']['noise']['N']['value'] for document in documents)
-    # N of 6000 samples is known to 2 %, so that 10 % is five standard deviations
-    assert second / first == pytest.approx(2.0, rel=0.1)
-    combined_too = (COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(9)])
-    path.write_bytes(log([*topics, combined_too]))
-    assert topics_of(path) == []
 
 
 def test_instances_are_chosen_by_topic(tmp_path: Path, read: Any, refused: Any) -> None:

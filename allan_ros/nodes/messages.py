@@ -1,24 +1,37 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics beside the noise model of one IMU: its bias at rest, and its Allan plot as an image."""
+"""What the nodes publish of one IMU: the document of its sums, its bias, and its Allan plots."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
+from ..core.allan.sums import KEPT_SEGMENTS, AllanSums
+from ..core.errors import AllanError
+from ..core.fields import Fields
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.imu import AXES, SENSORS
+from ..core.stream.health import Means
+from ..io.checkpoint import Total
+from ..io.documents import sums_file_from_document, sums_file_to_document
+from ..io.files import parse_json
 from ..io.results import Results
-from .node import AllanNode
 from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
-from .snapshot import Snapshot
+
+REPLACED_SHARE = 0.1
+"""Sums that lost more than this share of their samples make coefficients invalid. Less is normal:
+the last windows before a motion are at rest until the motion is recognized."""
 
 PLACES = {'gyro': 'angular', 'accel': 'linear'}
 """Vector of the twist that holds the bias of a sensor."""
@@ -29,19 +42,122 @@ ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 UNKNOWN = -1.0
 """Variance of an axis whose bias is not known, as in sensor_msgs/Imu."""
 
+FORMAT = 'png'
+"""Format name in `sensor_msgs/CompressedImage`; image_transport decodes it."""
+
+Pictures = dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The sums at one time, and the IMU that is connected, whose sums these need not be.
+
+    ``axes`` are those that messages had values for, also before there are sums. ``means`` are the
+    latest of static samples over a second, one value for each sensor.
+    """
+
+    total: Total
+    frame_id: str = ''
+    hardware_id: str = ''
+    axes: tuple[str, ...] = ()
+    means: tuple[Means, ...] = ()
+
+    @property
+    def sums(self) -> tuple[AllanSums, ...]:
+        """One with all axes, or one per sensor where the sensors have different rates."""
+        return self.total[0]
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the document of ``~/sums``: a sums file with the connected IMU added."""
+        imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
+        means = [
+            {
+                'axes': list(one.axes),
+                'end_ns': one.end_ns.tolist(),
+                'values': [[float(f'{value:.9g}') for value in row] for row in one.values],
+            }
+            for one in self.means
+        ]
+        return {**sums_file_to_document(*self.total), 'imu': imu, 'means': means}
+
+    @classmethod
+    def from_json(cls, text: str) -> Snapshot:
+        """Return the snapshot of a message on ``~/sums``; AllanError names what is wrong in it."""
+        document = parse_json(text, 'sums')
+        total = sums_file_from_document(document, 'sums')
+        imu = Fields(document, 'sums').optional_fields('imu')
+        if imu is None:
+            return cls(total)
+        axes = imu.sequence('axes')
+        return cls(
+            total,
+            imu.text('frame_id', ''),
+            imu.text('hardware_id', ''),
+            tuple(axis for axis in AXES if axis in axes),
+            _means(document.get('means', []) if isinstance(document, dict) else []),
+        )
+
+
+def _means(documents: Any) -> tuple[Means, ...]:
+    """Return the means of a document; AllanError if they are not rows of finite numbers."""
+    try:
+        means = tuple(
+            Means(
+                tuple(str(axis) for axis in one['axes']),
+                np.array(one['end_ns'], np.int64),
+                np.array(one['values'], float).reshape(len(one['end_ns']), len(one['axes'])),
+            )
+            for one in documents
+        )
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        raise AllanError(f'sums: its means cannot be read ({error!r})') from error
+    if not all(np.isfinite(one.values).all() for one in means):
+        raise AllanError('sums: its means are not finite numbers')
+    return means
+
+
+def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> float:
+    """Return the largest share of the samples in ``before`` that ``after`` does not hold.
+
+    Sums only grow, unless they are discarded, reset or start again from zero. Growing sums keep
+    the start of each segment; of more than 32 segments the longest are listed.
+    """
+    shares = [0.0]
+    for old in before:
+        same = [s for s in after if (s.identity, s.axes) == (old.identity, old.axes)]
+        if not same:
+            return 1.0
+        shares.append(_lost(old, same[0]) / max(old.samples, 1))
+    return max(shares)
+
+
+def _lost(old: AllanSums, new: AllanSums) -> int:
+    """Return how many samples of the old sums the new ones lack, as far as segments are listed."""
+    held = _samples_by_start(new)
+    shortest = min(held.values()) if len(new.segments) >= KEPT_SEGMENTS else 0
+    lost = sum(
+        samples - min(samples, held[start])
+        for start, samples in _samples_by_start(old).items()
+        if start in held or samples > shortest
+    )
+    return max(lost, old.samples - new.samples)
+
+
+def _samples_by_start(sums: AllanSums) -> Counter[int]:
+    """Return the samples of the listed segments by their first stamp."""
+    found: Counter[int] = Counter()
+    for segment in sums.segments:
+        found[segment.start_ns] += segment.samples
+    return found
+
 
 class BiasPublisher:
     """Publishes the bias whenever there are new means of samples at rest.
 
-    Parameters
-    ----------
-    node : AllanNode
-    home : str
-        Prefix of the topic.
-    settings : EstimatorSettings
+    ``home`` is the prefix of the topic.
     """
 
-    def __init__(self, node: AllanNode, home: str, settings: EstimatorSettings) -> None:
+    def __init__(self, node: Node, home: str, settings: EstimatorSettings) -> None:
         tolerance = {'gyro': settings.bias_tolerance_gyro, 'accel': settings.bias_tolerance_accel}
         self._tracker = BiasTracker(tolerance)
         self._publisher = node.create_publisher(TwistWithCovarianceStamped, f'{home}bias', 10)
@@ -53,7 +169,7 @@ class BiasPublisher:
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.take(axis, means.end_ns.tolist(), means.values[:, i].tolist())
-        known = {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
+        known = self._known()
         latest = max((bias.end_ns for bias in known.values()), default=0)
         if known and latest != self._last_ns:
             self._last_ns = latest
@@ -71,34 +187,33 @@ class BiasPublisher:
         if bias is None:
             return []
         low, high = bias.estimate.ci95
-        turn_on = self._turn_on.get(axis)
-        scatter = (
-            f'bias scatter between {turn_on.recordings} recordings [{unit}]' if turn_on else ''
-        )
-        return [
+        pairs: list[tuple[str, object]] = [
             (f'bias at rest [{unit}]', bias.estimate.value),
             (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
             ('bias optimal averaging time [s]', bias.optimal_s),
             (f'bias stays within +-{bias.tolerance:.3g} {unit} for [s]', bias.within_s),
-            *([(scatter, turn_on.std)] if turn_on else []),
         ]
+        if turn_on := self._turn_on.get(axis):
+            count = turn_on.recordings
+            pairs.append((f'bias scatter between {count} recordings [{unit}]', turn_on.std))
+        return pairs
+
+    def _known(self) -> dict[str, AxisBias]:
+        return {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
 
     def document(self) -> dict[str, dict[str, object]]:
         """Return the bias of each axis for the noise model document, in SI."""
-        known = {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
-        return {axis: bias_document(bias) for axis, bias in known.items()}
-
-
-def bias_document(bias: AxisBias) -> dict[str, object]:
-    """Return the bias of one axis as a mapping, in SI."""
-    return {
-        'value': bias.estimate.value,
-        'ci95': list(bias.estimate.ci95),
-        'end_ns': bias.end_ns,
-        'optimal_averaging_s': bias.optimal_s,
-        'tolerance': bias.tolerance,
-        'within_s': bias.within_s,
-    }
+        return {
+            axis: {
+                'value': bias.estimate.value,
+                'ci95': list(bias.estimate.ci95),
+                'end_ns': bias.end_ns,
+                'optimal_averaging_s': bias.optimal_s,
+                'tolerance': bias.tolerance,
+                'within_s': bias.within_s,
+            }
+            for axis, bias in self._known().items()
+        }
 
 
 def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
@@ -118,26 +233,12 @@ def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarian
     return message
 
 
-FORMAT = 'png'
-"""Format name in `sensor_msgs/CompressedImage`; image_transport decodes it."""
-
-Pictures = dict[str, bytes]
-
-
 class AllanPlot:
     """Publishes ``<home>allan_plot/<sensor>/compressed``, the plot that `allan analyze` writes.
 
-    Nothing is drawn, and matplotlib is not loaded, before there is a subscriber.
-
-    Parameters
-    ----------
-    node : Node
-    home : str
-        Prefix of the topics.
-    period : callable
-        Returns the shortest time between two plots in s.
-    worker : Worker
-        Where plots are drawn: a second of work must not delay a callback.
+    Nothing is drawn, and matplotlib is not loaded, before there is a subscriber. ``period`` returns
+    the shortest time between two plots in s. The worker draws them, because a second of work must
+    not delay a callback.
     """
 
     def __init__(self, node: Node, home: str, period: Callable[[], float], worker: Worker) -> None:

@@ -1,0 +1,221 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostic statuses as rows, and their display: a live table, lines of text, or JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from ..core.errors import one_line
+from ..core.imu import DATASHEET_UNITS
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+WORDS = {
+    DiagnosticStatus.OK: 'ok',
+    DiagnosticStatus.STALE: 'STALE',
+    DiagnosticStatus.WARN: 'WARN',
+    DiagnosticStatus.ERROR: 'ERROR',
+}
+"""Level -> its text."""
+
+STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
+"""Level -> its style in rich, in the order of the table; STALE comes early, because silence may
+hide an error. The text carries the same information without colours, which differ in lightness for
+colour-blind readers."""
+
+STALE_S = 5.0
+"""A status that has not been repeated for this time is shown as stale."""
+
+SHOWN_TERMS = ('N', 'B', 'K')
+"""Terms that have their own columns in a wide terminal; the values hold all five."""
+
+WIDE, NARROW = 120, 60
+"""Terminal widths: from WIDE on terms have columns; below NARROW there is a list, no table."""
+
+_UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One status as it is displayed; ``terms`` has value and unit of the known `SHOWN_TERMS`."""
+
+    level: str
+    node: str
+    name: str
+    terms: Mapping[str, str]
+    message: str
+    age_s: float
+    hardware_id: str = ''
+    values: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """The status name, with the node unless it is allan_monitor."""
+        return self.name if self.node == 'allan_monitor' else f'{self.node}: {self.name}'
+
+    @property
+    def remark(self) -> str:
+        """The message without the text that the term columns show."""
+        if self.level == 'ok' and self.terms:
+            return self.message.partition(' from ')[2]
+        return self.message
+
+    @property
+    def age(self) -> str:
+        """The age in whole seconds; '' for a status that is repeated in time."""
+        return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
+
+
+def row(status: DiagnosticStatus, age_s: float) -> Row:
+    """Return the row of a status that was received ``age_s`` seconds ago."""
+    values = {one_line(v.key): one_line(v.value) for v in status.values}
+    terms = {}
+    for key, value in values.items():
+        term, _, bracketed = key.partition(' ')
+        unit = bracketed.strip('[]')
+        if term in SHOWN_TERMS and unit in _UNITS and value != '-':
+            terms[term] = f'{value} {unit}'
+    node, _, name = one_line(status.name).rpartition(': ')
+    level = 'STALE' if age_s > STALE_S else WORDS.get(status.level, 'STALE')
+    message, hardware_id = one_line(status.message), one_line(status.hardware_id)
+    return Row(level, node, name, terms, message, age_s, hardware_id, values)
+
+
+def most_severe_first(rows: Iterable[Row]) -> list[Row]:
+    """Return the rows sorted by level, then by name."""
+    return sorted(rows, key=lambda r: (list(STYLES).index(r.level), r.node, r.name))
+
+
+def headline(rows: Sequence[Row]) -> str:
+    """Return the number of statuses per level, and the age of the latest."""
+    counts = {level: sum(r.level == level for r in rows) for level in STYLES}
+    told = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
+    return f'allan_ros: {told}; last message {min(r.age_s for r in rows):.1f} s ago'
+
+
+def plain_line(row: Row) -> str:
+    """Return a status in one line of text."""
+    return f'{row.level:5} {row.title}: {row.message}{f" ({row.age} old)" if row.age else ""}'
+
+
+def picture(rows: Sequence[Row], columns: int) -> RenderableType:
+    """Return the rows for rich: a table, or a list in a narrow terminal."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Group
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    if columns < NARROW:
+        lines: list[RenderableType] = [Text(headline(rows), style='bold')]
+        for r in rows:
+            lines.append(Text.assemble((r.level, STYLES[r.level]), f' {r.title} {r.age}'.rstrip()))
+            lines.append(Padding(Text(r.message), (0, 0, 0, 2)))
+        return Group(*lines)
+    wide = columns >= WIDE
+    table = Table(
+        title=headline(rows), title_justify='left', title_style='bold', expand=True, box=SIMPLE_HEAD
+    )
+    table.add_column('', no_wrap=True)
+    table.add_column('status', overflow='fold', ratio=3 if wide else 2)
+    for term in SHOWN_TERMS if wide else ():
+        table.add_column(term, no_wrap=True)
+    table.add_column('status and next step', overflow='fold', ratio=5)
+    for r in rows:
+        terms = [Text(r.terms.get(term, '')) for term in SHOWN_TERMS] if wide else []
+        remark = Text(r.remark if wide else r.message)
+        if r.age:
+            remark = Text.assemble((f'silent for {r.age}; last: ', 'bold'), remark)
+        table.add_row(Text(r.level, style=STYLES[r.level]), Text(r.title), *terms, remark)
+    return table
+
+
+class Display(Protocol):
+    """Output of the rows; the hint says what to check where there are none."""
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Show the present state."""
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Show the final state."""
+
+
+class Lines:
+    """Prints a line for every new status and every change of level."""
+
+    def __init__(self) -> None:
+        self._levels: dict[tuple[str, str], str] = {}
+        self._hinted = False
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Print new statuses and changed levels; ages and values change all the time."""
+        for each in rows:
+            if self._levels.get((each.node, each.name)) != each.level:
+                self._levels[each.node, each.name] = each.level
+                print(f'{time.strftime("%H:%M:%S")} {plain_line(each)}', flush=True)
+        if not rows and not self._hinted and hint.startswith('no '):
+            self._hinted = True
+            print(hint, file=sys.stderr, flush=True)
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Print all statuses once more, or the hint."""
+        for line in [headline(rows), *map(plain_line, rows)] if rows else []:
+            print(line)
+        if not rows and not self._hinted:
+            print(hint, file=sys.stderr)
+
+
+class Document:
+    """Prints one JSON document at the end."""
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Do nothing."""
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Print the document, and the hint to stderr."""
+        keys = ('level', 'node', 'name', 'hardware_id', 'message', 'age_s', 'values')
+        statuses = [{key: getattr(r, key) for key in keys} for r in rows]
+        for status in statuses:
+            status['age_s'] = round(status['age_s'], 3)
+        print(json.dumps({'statuses': statuses}, indent=1))
+        if not rows:
+            print(hint, file=sys.stderr)
+
+
+class Screen:
+    """A table redrawn by rich, or drawn once at the end where it is not ``live``.
+
+    It respects NO_COLOR, and the width and the charset of the terminal.
+    """
+
+    def __init__(self, live: bool) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._console = Console()
+        self._live = Live(console=self._console, auto_refresh=False) if live else None
+        if self._live:
+            self._live.start()
+
+    def show(self, rows: Sequence[Row], hint: str) -> None:
+        """Draw the table or the hint."""
+        if self._live:
+            drawn = picture(rows, self._console.width) if rows else hint
+            self._live.update(drawn, refresh=True)
+
+    def end(self, rows: Sequence[Row], hint: str) -> None:
+        """Draw the final table."""
+        if self._live:
+            self.show(rows, hint)
+            self._live.stop()
+        else:
+            self._console.print(picture(rows, self._console.width) if rows else hint)
