@@ -17,7 +17,7 @@ import numpy as np
 from .goodness import Z_FAIL
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
-from .solve import B, K, Q, Whitening, nonnegative_least_squares
+from .solve import B, K, N, Q, Whitening, nonnegative_least_squares
 from .table import Table
 
 SHAPES_PER_OCTAVE = 6
@@ -30,9 +30,9 @@ filter."""
 SHORTEST_BEYOND_CUT = 4.0
 """The same in units of the smallest averaging factor, where shorter averages are left out."""
 
-LONGEST_CORRELATION = 20
+LONGEST_CORRELATION = 8
 """A correlation time over this part of the longest segment cannot be distinguished from a random
-walk, and its covariance with the ramp of the segment is not that of white noise (`processes`)."""
+walk and a ramp."""
 
 FASTEST_LINE = 0.45
 """Of the sample rate."""
@@ -52,6 +52,9 @@ SURE_GAIN = 21.0
 
 COMPARED_GAIN = 6.0
 """The same in a model without a walk, which is compared with one that has a walk as a whole."""
+
+LITTLE_WHITE = 0.05
+"""Part of the Allan variance below which white noise is left out while a process is chosen."""
 
 SWEEPS = 4
 """Bound on the rounds in which all shapes are adjusted in turn."""
@@ -275,7 +278,10 @@ class ProcessSearch:
         """
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
-        certain = [c for c in range(known.shape[1]) if c not in (Q, B, K)]
+        # White noise that hardly contributes could become negative beside any other process.
+        white = float(np.max(self.table.terms[:, N] * power[N] / self.table.avar))
+        optional = (Q, N, B, K) if white < LITTLE_WHITE else (Q, B, K)
+        certain = [c for c in range(known.shape[1]) if c not in optional]
         if self.signed or power[Q] != 0.0:
             certain.append(Q)
         for some in actives if self._walk else [each for each in actives if K not in each]:

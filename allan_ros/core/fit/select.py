@@ -69,8 +69,8 @@ Z_CUT = 6.0
 """The shortest averages, on which N rests, are left out only if the fit is worse than this or the
 samples are filtered. Real disturbances give values of hundreds."""
 
-ROUNDS = 3
-"""Bound on the rounds of search and covariance; shapes settle in two."""
+ROUNDS = 6
+"""Bound on the rounds of search and covariance; shapes usually settle in two."""
 
 SAME_SHAPE = 0.05
 """Relative change of a shape that does not matter to the covariance."""
