@@ -14,6 +14,8 @@ import allan_ros as ar
 from allan_ros.core.imu import AXES, DEGREE, STANDARD_GRAVITY
 
 RATE = 100.0
+QUICK = {'method': 'relative'}
+"""The fit of tests in which its result does not matter."""
 
 
 @pytest.fixture(scope='module')
@@ -47,23 +49,23 @@ def test_one_to_six_axes(
     noise: np.ndarray, columns: int, axes: str | list[str] | None, found: tuple[str, ...]
 ) -> None:
     samples = noise[:, :columns]
-    r = ar.analyze(samples[:, 0] if columns == 1 else samples, rate=RATE, axes=axes)
+    r = ar.analyze(samples[:, 0] if columns == 1 else samples, rate=RATE, axes=axes, **QUICK)
     assert tuple(r) == found
     assert not r.findings or all(f.id != 'sensor_absent' for f in r.findings)
 
 
 def test_an_axis_alone_gives_what_it_gives_among_six(noise: np.ndarray) -> None:
-    alone = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', motion_gate=False)
-    among = ar.analyze(noise, rate=RATE, motion_gate=False)
+    alone = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', motion_gate=False, **QUICK)
+    among = ar.analyze(noise, rate=RATE, motion_gate=False, **QUICK)
     assert np.array_equal(alone['gyro_z'].curve.adev, among['gyro_z'].curve.adev)
 
 
 def test_units_of_samples(noise: np.ndarray) -> None:
-    si = ar.analyze(noise, rate=RATE)
+    si = ar.analyze(noise, rate=RATE, **QUICK)
     scaled = noise.copy()
     scaled[:, :3] /= DEGREE
     scaled[:, 3:] /= STANDARD_GRAVITY
-    other = ar.analyze(scaled, rate=RATE, gyro_unit='deg/s', accel_unit='g')
+    other = ar.analyze(scaled, rate=RATE, gyro_unit='deg/s', accel_unit='g', **QUICK)
     for axis in AXES:
         assert other[axis].N.value == pytest.approx(si[axis].N.value, rel=1e-9)
 
@@ -71,10 +73,10 @@ def test_units_of_samples(noise: np.ndarray) -> None:
 def test_a_mapping_names_its_columns_and_times(noise: np.ndarray) -> None:
     times = np.arange(len(noise)) / RATE
     columns = {'time': times, 'wz [deg/s]': noise[:, 2], 'temperature': times}
-    r = ar.analyze(columns)
+    r = ar.analyze(columns, **QUICK)
     assert tuple(r) == ('gyro_z',)
     assert r.rate_hz == pytest.approx(RATE)
-    plain = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', gyro_unit='deg/s')
+    plain = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', gyro_unit='deg/s', **QUICK)
     assert r['gyro_z'].N.value == pytest.approx(plain['gyro_z'].N.value, rel=1e-6)
 
 
@@ -82,7 +84,7 @@ def test_a_data_frame_by_name_and_date(noise: np.ndarray) -> None:
     pandas = pytest.importorskip('pandas')
     index = pandas.date_range('2026-01-01', periods=len(noise), freq='10ms')
     frame = pandas.DataFrame(noise[:, 3:], columns=['ax', 'ay', 'az'], index=index)
-    r = ar.analyze(frame)
+    r = ar.analyze(frame, **QUICK)
     assert tuple(r) == AXES[3:]
     assert r.rate_hz == pytest.approx(RATE)
     assert len(r.table()) == 15
@@ -163,7 +165,7 @@ def test_summaries(results: ar.Results) -> None:
 
 
 def test_foreign_names_are_escaped_in_html() -> None:
-    r = ar.analyze(ar.simulate(hours=0.05, rate=50, frame_id='<script>\x1b[31m'))
+    r = ar.analyze(ar.simulate(hours=0.05, rate=50, frame_id='<script>\x1b[31m'), **QUICK)
     assert '<script>' not in r._repr_html_()
     assert '\x1b' not in repr(r) + r._repr_html_()
 
@@ -215,10 +217,11 @@ def test_a_curve_made_elsewhere_is_fitted(noise: np.ndarray) -> None:
 
 def test_merge_is_the_analysis_of_all() -> None:
     parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
-    merged = ar.merge(*(ar.analyze(part) for part in parts))
+    one, two = (ar.analyze(part, **QUICK) for part in parts)
+    merged = ar.merge(one, two, **QUICK)
     assert merged.samples == sum(len(part) for part in parts)
     with pytest.raises(ar.AllanError, match='give each recording once'):
-        ar.merge(ar.analyze(parts[0]), ar.analyze(parts[0]))
+        ar.merge(one, one)
     with pytest.raises(ar.AllanError, match='nothing to merge'):
         ar.merge()
 

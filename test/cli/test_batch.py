@@ -17,6 +17,9 @@ from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers.cdr import encode_imus
 
+QUICK = ('--method', 'relative')
+"""The fit of tests in which its result does not matter."""
+
 
 def test_what_is_one_recording_and_what_is_a_batch(tmp_path: Path) -> None:
     def folder(name: str, *files: str) -> str:
@@ -56,7 +59,7 @@ def test_each_has_its_results_and_a_line_in_the_summary(
 ) -> None:
     (folder / 'broken.csv').write_text('nothing\n')
     try:
-        assert main(['analyze', str(folder), '-o', str(tmp_path), '--jobs', '2']) == 1
+        assert main(['analyze', str(folder), '-o', str(tmp_path), '--jobs', '2', *QUICK]) == 1
     finally:
         (folder / 'broken.csv').unlink()
     table = capsys.readouterr().out
@@ -74,7 +77,7 @@ def test_each_has_its_results_and_a_line_in_the_summary(
 
 
 def test_json_and_merge(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['analyze', str(folder), '--json']) == 0
+    assert main(['analyze', str(folder), '--json', *QUICK]) == 0
     batch = json.loads(capsys.readouterr().out)['recordings']
     assert [Path(entry['path']).name for entry in batch] == ['a.npz', 'b.npz']
     # the two are copies of one recording, which may not count twice
@@ -98,7 +101,7 @@ def test_each_imu_topic_of_a_bag_has_its_results(
             for payload, stamp in zip(encode_imus(batch, 'cdr'), stamps.tolist()):
                 writer.write(connection, stamp, payload)
     out = tmp_path / 'out'
-    words = ['analyze', str(bag), '-o', str(out), '--no-motion-gate']
+    words = ['analyze', str(bag), '-o', str(out), '--no-motion-gate', *QUICK]
     assert main(words) == 0
     rows = capsys.readouterr().out.splitlines()[2:]
     assert [row.split(' | ')[0] for row in rows] == ['| two /left/imu', '| two /right/imu']

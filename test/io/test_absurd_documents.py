@@ -31,7 +31,7 @@ from allan_ros.io.verdict import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]
 
-TRIED = 30
+TRIED = 15
 """Places of each document that are changed, drawn with a fixed seed."""
 
 Place = tuple[Any, ...]

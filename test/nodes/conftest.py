@@ -16,16 +16,15 @@ import itertools
 import json
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.node_server import PATIENCE_S, NodeProcess, NodeServer
 
 from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers.cdr import encode_imus
@@ -42,9 +41,6 @@ earlier test that Python has not yet collected would answer in place of the node
 
 ASK_AGAIN_S = 1.0
 """Seconds after which an unanswered request is sent again."""
-
-PATIENCE_S = 240.0
-"""Limit for any event, long enough for a loaded machine."""
 
 
 def _domains_of_processes() -> set[int]:
@@ -80,49 +76,18 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     lock.close()
 
 
-class Process:
-    """One node in a process of its own."""
-
-    def __init__(self, module: str, arguments: Iterable[str], log: Path) -> None:
-        self._log = log
-        with log.open('wb') as out:
-            self.popen = subprocess.Popen(
-                [sys.executable, '-m', 'allan_ros.nodes', module, *arguments],
-                env={
-                    **os.environ,
-                    'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
-                    'ROS_LOG_DIR': str(log.parent),
-                },
-                stdout=out,
-                stderr=subprocess.STDOUT,
-            )
-
-    @property
-    def output(self) -> str:
-        return self._log.read_text(errors='replace')
-
-    def wait(self) -> int:
-        """Return the exit code once it has ended."""
-        return self.popen.wait(PATIENCE_S)
-
-    def stop(self, *signals: int) -> int:
-        """Send signals (SIGTERM by default), one after the other, and return the exit code."""
-        for number in signals or (signal.SIGTERM,):
-            self.popen.send_signal(number)
-        return self.wait()
-
-
 class Graph:
     """A ROS graph for one test: our processes, and a client node in this one."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, server: NodeServer) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
         self.folder = folder
-        self._processes: list[Process] = []
+        self._server = server
+        self._processes: list[NodeProcess] = []
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = Node('test_client', context=self._context)
@@ -134,14 +99,16 @@ class Graph:
 
     def start(
         self, module: str, *arguments: str, remap: dict[str, str] | None = None, **parameters: Any
-    ) -> Process:
+    ) -> NodeProcess:
         """Start ``allan_ros.nodes.<module>``; parameters by their full name."""
         ros = [f'{old}:={new}' for old, new in (remap or {}).items()]
         given = [a for pair in ros for a in ('-r', pair)]
         for name, value in parameters.items():
             given += ['-p', f'{name}:={_yaml(value)}']
         log = self.folder / f'{module}{len(self._processes)}.log'
-        process = Process(module, [*arguments, *(['--ros-args', *given] if given else [])], log)
+        words = [module, *arguments, *(['--ros-args', *given] if given else [])]
+        environment = {**os.environ, 'ROS_LOG_DIR': str(self.folder)}
+        process = NodeProcess(self._server, words, environment, log)
         self._processes.append(process)
         return process
 
@@ -150,7 +117,7 @@ class Graph:
         deadline = time.monotonic() + patience
         while not (value := holds()):
             if time.monotonic() > deadline:
-                logs = '\n'.join(f'--- {p.popen.args}\n{p.output}' for p in self._processes)
+                logs = '\n'.join(f'--- {p.arguments}\n{p.output}' for p in self._processes)
                 raise AssertionError(f'waited {patience} s in vain; {self.summary()}\n{logs}')
             self._executor.spin_once(timeout_sec=0.05)
         return value
@@ -283,9 +250,8 @@ class Graph:
 
     def close(self) -> None:
         for process in self._processes:
-            if process.popen.poll() is None:
-                process.popen.kill()
-                process.popen.wait()
+            process.send_signal(signal.SIGKILL)
+            process.wait()
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.shutdown()
@@ -300,10 +266,18 @@ def _yaml(value: Any) -> str:
     return json.dumps(list(value) if isinstance(value, tuple) else value)
 
 
+@pytest.fixture(scope='session')
+def node_server() -> Iterator[NodeServer]:
+    """Yield the process that nodes are forked from."""
+    server = NodeServer(ROOT)
+    yield server
+    server.close()
+
+
 @pytest.fixture
-def graph(ros_domain: int, tmp_path: Path) -> Iterator[Graph]:
+def graph(ros_domain: int, tmp_path: Path, node_server: NodeServer) -> Iterator[Graph]:
     """Yield a ROS graph that is torn down after the test."""
-    graph = Graph(tmp_path)
+    graph = Graph(tmp_path, node_server)
     yield graph
     graph.close()
 

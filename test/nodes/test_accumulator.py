@@ -56,7 +56,7 @@ def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path
     write_recording(bag, [with_gap_and_knock(still_imu)])
     graph.start('accumulator', **{**FAST, 'checkpoint.path': str(checkpoint)})
     player = graph.start('player', str(bag), '--rate', rate)
-    graph.until(lambda: player.popen.poll() is not None)
+    graph.until(lambda: player.poll() is not None)
     assert player.wait() == 0
     saved = graph.call('/allan_accumulator/save')
     assert saved.success, saved.message

@@ -37,7 +37,7 @@ def test_the_plot_is_drawn_for_who_subscribes_and_not_before(graph, still_imu):
     graph.send(graph.publisher(), still_imu(6000))
     models = graph.latched('/allan_monitor/noise_model')
     graph.model_of(6000)
-    loaded = Path(f'/proc/{monitor.popen.pid}/maps')
+    loaded = Path(f'/proc/{monitor.pid}/maps')
     assert 'matplotlib' not in loaded.read_text()
     pictures = subscribe(graph)
     picture = graph.until(lambda: pictures and pictures[-1])

@@ -114,7 +114,7 @@ def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -
 
     def shows(text: str) -> bool:
         try:
-            return text in urllib.request.urlopen(address, timeout=10.0).read().decode()
+            return text in urllib.request.urlopen(address, timeout=60.0).read().decode()
         except OSError:  # not yet served
             return False
 

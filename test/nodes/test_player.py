@@ -61,7 +61,7 @@ def test_it_keeps_the_stamps_of_the_recording(graph, still_imu, bag):
     ear = Ear(graph)
     player = graph.start('player', str(bag), '--rate', '2')
     assert np.array_equal(ear.hear(200), still_imu(200).stamps_ns)
-    graph.until(lambda: player.popen.poll() is not None)  # it asks us whether we have the end
+    graph.until(lambda: player.poll() is not None)  # it asks us whether we have the end
     assert player.wait() == 0
     assert 'played 200 messages' in player.output and 'does not answer' not in player.output
 
@@ -81,14 +81,14 @@ def test_the_end_is_answered_for_anew(graph):
     publisher = graph.node.create_publisher(Imu, 'imu/data', 10)
     handshake = Handshake(graph.node, publisher)
     graph.until(lambda: handshake.update() and not handshake.silent())
-    accumulator.popen.send_signal(signal.SIGSTOP)
-    state = Path(f'/proc/{accumulator.popen.pid}/stat')
+    accumulator.send_signal(signal.SIGSTOP)
+    state = Path(f'/proc/{accumulator.pid}/stat')
     graph.until(lambda: state.read_text().rpartition(') ')[2][0] == 'T')
     handshake.again()
     for _ in range(10):
         graph.spin(0.05)
         assert not handshake.update()
-    accumulator.popen.send_signal(signal.SIGCONT)
+    accumulator.send_signal(signal.SIGCONT)
     graph.until(handshake.update)
     assert not handshake.silent()
     handshake.close()
@@ -121,7 +121,7 @@ def test_it_says_what_it_cannot_play(graph, tmp_path: Path):
     missing = graph.start('player', str(tmp_path / 'missing'))
     broken = graph.start('player', str(tmp_path / 'no.mcap'))
     for player, reason in ((nothing, 'nothing to play'), (missing, 'missing'), (broken, 'no.mcap')):
-        graph.until(lambda ended=player.popen.poll: ended() is not None)
+        graph.until(lambda ended=player.poll: ended() is not None)
         assert player.wait() == 1
         assert reason in player.output and 'Traceback' not in player.output
     assert ear is not None

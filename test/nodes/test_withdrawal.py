@@ -97,7 +97,7 @@ def test_a_failed_fit_is_an_error_with_the_reason(graph, still_imu) -> None:
     assert 'The fit failed: ' in error.message or 'cannot be read: ' in error.message
     publisher.publish(String(data=sums_text(still_imu(4000))))
     graph.until(lambda: models and models[-1]['samples'] == 4000)
-    assert process.popen.poll() is None
+    assert process.poll() is None
 
 
 HOSTILE = {
@@ -125,7 +125,7 @@ def test_no_sums_document_ends_the_estimator(graph, still_imu) -> None:
         graph.spin(0.3)
     publisher.publish(String(data=good))
     graph.until(lambda: models and models[-1]['samples'] == 4000)
-    assert process.popen.poll() is None, process.output
+    assert process.poll() is None, process.output
 
 
 def test_the_axes_have_a_status_from_the_first_message(graph, still_imu) -> None:

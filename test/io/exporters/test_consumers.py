@@ -63,7 +63,7 @@ OPENCV = {
 @pytest.fixture
 def opencv_node() -> Callable[[str, str], Any]:
     """Return a function that opens a text with cv::FileStorage, below ``imu0`` for OpenVINS."""
-    cv2 = pytest.importorskip('cv2', reason='needs the extra "consumers"')
+    cv2 = pytest.importorskip('cv2', reason='skipped: no opencv, of the extra "consumers"')
     storages = []  # a node is nothing without the storage it is of
 
     def node(text: str, name: str) -> Any:
@@ -146,7 +146,7 @@ def of_levels(results: Results, n: float, k: float) -> Results:
 
 def test_gtsam_expects_the_growth_that_a_simulated_imu_shows(known_results: Results) -> None:
     # 6000 runs give a variance to 1.8 %; that any of the five is off by 5 % has a chance of 3 %.
-    gtsam = pytest.importorskip('gtsam', reason='needs the extra "consumers"')
+    gtsam = pytest.importorskip('gtsam', reason='skipped: no gtsam, of the extra "consumers"')
     runs, steps, dt = 6000, 1000, 1.0 / RATE
     text = make_export(of_levels(known_results, N, K), 'gtsam', BARE).text
     expected = gtsam_covariance(gtsam, text, steps, dt)
@@ -200,21 +200,20 @@ SDF_MODEL = """<?xml version="1.0"?>
 
 
 def sdformat_flags() -> list[str]:
-    """Return the flags of an installed libsdformat, or [] where there is none."""
-    if not (shutil.which('pkg-config') and shutil.which('g++')):
-        return []
+    """Return the flags of an installed libsdformat; without it or a compiler skip the test."""
+    for tool in ('pkg-config', 'g++'):
+        if not shutil.which(tool):
+            pytest.skip(f'skipped: no {tool}')
     for version in range(15, 8, -1):
         command = ['pkg-config', '--cflags', '--libs', f'sdformat{version}']
         found = subprocess.run(command, capture_output=True, text=True)
         if found.returncode == 0:
             return found.stdout.split()
-    return []
+    pytest.skip('skipped: no libsdformat of version 9 to 15 (libsdformat-dev)')
 
 
 def test_libsdformat_reads_the_noise_of_gazebo(known_results: Results, tmp_path: Path) -> None:
     flags = sdformat_flags()
-    if not flags:
-        pytest.skip('needs libsdformat-dev, pkg-config and g++')
     source, reader, model = (tmp_path / name for name in ('read.cc', 'read', 'model.sdf'))
     source.write_text(SDF_READER)
     subprocess.run(['g++', '-std=c++17', str(source), '-o', str(reader), *flags], check=True)
