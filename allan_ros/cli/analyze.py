@@ -138,14 +138,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_result_arguments(args: argparse.Namespace) -> None:
-    """Check the output options before hours of recordings are read.
-
-    Raises
-    ------
-    AllanError
-        When a target of ``--export``, the datasheet, the earlier run or the style of the pictures
-        is unknown, there is no folder to write to, or a number is out of its range.
-    """
+    """Raise AllanError for a wrong output option before hours of recordings are read."""
     from ..io.exporters import target_of
 
     settings_of(ResultSettings, args)
@@ -163,14 +156,7 @@ def check_result_arguments(args: argparse.Namespace) -> None:
 def fitted(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit the sums, and write the files into the folder, if one is given.
-
-    Returns
-    -------
-    results : Results
-    names : list of str
-        Of the files.
-    """
+    """Fit the sums, write the files into the folder, if any; return the results and file names."""
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
         results = fit_recorded(recorded, settings)
@@ -193,10 +179,7 @@ def fitted(
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """Fit the sums, write the files where ``--output`` says, and print the results.
 
-    Returns
-    -------
-    int
-        Exit code: 3 where ``--fail-on`` applies, 1 where nothing could be computed, else 0.
+    The exit code is 3 where ``--fail-on`` applies, 1 where nothing could be computed, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fitted(recorded, args, args.output)

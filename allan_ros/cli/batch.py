@@ -43,24 +43,18 @@ SPLIT = re.compile(r'^(.*)_\d+$')
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of one recording, or the reason why there are none.
-
-    Attributes
-    ----------
-    path : str
-    name : str
-        Its file name, with the topic where the recording has several.
-    folder : str
-        Name of the folder of its files.
-    results, verdict, error
-    """
+    """The results of one recording, or the reason why there are none."""
 
     path: str
-    name: str
-    folder: str
+    name: str  # of the file, with the topic where the recording has several
     results: Results | None = None
     verdict: Verdict | None = None
     error: str = ''
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder of its files."""
+        return folder_name(self.name)
 
 
 def recordings_in(path: str) -> list[str]:
@@ -87,10 +81,7 @@ def recordings_in(path: str) -> list[str]:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write the files of each and the summary, and print the summary.
 
-    Returns
-    -------
-    int
-        Exit code: 1 if any recording could not be analyzed, else 0.
+    The exit code is 1 if any recording could not be analyzed, else 0.
     """
     console = Console.of(args)
     outcomes: list[Outcome] = []
@@ -100,8 +91,8 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
             progress.advance(1)
     units = args.units
     if args.output:
-        for name, text in _summary_files(outcomes, units).items():
-            write_atomic(Path(args.output) / name, text)
+        for name, text_of in zip(SUMMARY, (_csv, _markdown, _html)):
+            write_atomic(Path(args.output) / name, text_of(outcomes, units))
     if console.json:
         console.document({'recordings': [_document(outcome) for outcome in outcomes]})
     else:
@@ -120,7 +111,7 @@ def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outco
         read = on_cluster(jobs, args.scheduler, Console.of(args))
         for job, name, recorded in zip(jobs, names, read):
             if isinstance(recorded, Finding):
-                yield Outcome(job.path, name, folder_name(name), error=str(recorded))
+                yield Outcome(job.path, name, error=str(recorded))
             else:
                 yield analyze_one(job, name, args, recorded)
         return
@@ -138,7 +129,7 @@ def analyze_one(
     job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
     """Read (unless it was read) and fit one recording, and write its files into its folder."""
-    outcome = Outcome(job.path, name, folder_name(name))
+    outcome = Outcome(job.path, name)
     folder = Path(args.output) / outcome.folder if args.output else None
     try:
         results, _ = fitted(recorded or read_recording(job), args, folder)
@@ -182,11 +173,6 @@ SUMMARY = ('summary.csv', 'summary.md', 'summary.html')
 COLUMNS = (
     'recording', 'verdict', 'hours', 'axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit',
 )  # fmt: skip
-
-
-def _summary_files(outcomes: Sequence[Outcome], units: str) -> dict[str, str]:
-    texts = (_csv(outcomes, units), _markdown(outcomes, units), _html(outcomes, units))
-    return dict(zip(SUMMARY, texts))
 
 
 def _csv(outcomes: Sequence[Outcome], units: str) -> str:
@@ -290,13 +276,8 @@ def on_cluster(
     """Do the jobs on a cluster whose workers have this package and see the same paths.
 
     Jobs of a worker that dies are repeated by another. A job that kills several workers
-    (``distributed.scheduler.allowed-failures``) is given up and replaced by a finding.
-
-    Raises
-    ------
-    AllanError
-        When Dask is not installed, no scheduler answers at the address, it has no workers, or a job
-        raised the error.
+    (``distributed.scheduler.allowed-failures``) is given up and replaced by a finding. Raises
+    AllanError when Dask is not installed, or no scheduler with workers answers at the address.
     """
     try:
         from distributed import Client, KilledWorker

@@ -29,14 +29,7 @@ LABEL = 30
 class Progress:
     """A progress bar on stderr with the time left; silent where stderr is no terminal.
 
-    Parameters
-    ----------
-    label : str
-        What is being done.
-    total : int or None
-        How many units the work has; None when it is not known in advance.
-    shown : bool
-        Whether to draw at all.
+    ``total`` is the number of units of work, None when it is not known in advance.
     """
 
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:

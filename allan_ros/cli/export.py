@@ -92,13 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _text(path: str) -> str:
-    """Return the text of a user's file, line ends unchanged.
-
-    Raises
-    ------
-    AllanError
-        When it cannot be read, or is not text.
-    """
+    """Return the text of a user's file, line ends unchanged."""
     try:
         return read_bounded(path, MAX_BYTES).decode('utf-8')
     except OSError as error:

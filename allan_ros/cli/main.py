@@ -242,13 +242,7 @@ INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
 
 
 def registration(shell: str) -> str:
-    """Return the code that a shell evaluates to complete ``allan``.
-
-    Raises
-    ------
-    AllanError
-        When argcomplete is not installed.
-    """
+    """Return the code that a shell evaluates to complete ``allan``."""
     try:
         from argcomplete import shellcode
     except ImportError as error:

@@ -26,24 +26,12 @@ T = TypeVar('T')
 
 @dataclass(frozen=True)
 class Command:
-    """One verb of the command line.
+    """One verb of the command line."""
 
-    Attributes
-    ----------
-    description : str
-        What its help says first, with examples.
-    add_arguments : callable
-        Adds its arguments to a parser.
-    run : callable
-        Does the work and returns the exit code.
-    exits : mapping of int to str
-        Exit codes of its own, and what they mean.
-    """
-
-    description: str
+    description: str  # what its help says first, with examples
     add_arguments: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace], int]
-    exits: Mapping[int, str] = field(default_factory=dict)
+    run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
+    exits: Mapping[int, str] = field(default_factory=dict)  # exit codes of its own
 
 
 def add_settings(
@@ -52,15 +40,10 @@ def add_settings(
     settings_type: type[Any],
     without: Collection[str] = (),
 ) -> None:
-    """Add an option for every field of a settings class, in a group of their own.
+    """Add an option for every field of a settings class but those ``without``, in their own group.
 
     A field ``max_bridge`` becomes ``--max-bridge``; one that is true by default becomes a switch
     ``--no-...``; a tuple is given as words joined by commas.
-
-    Parameters
-    ----------
-    without : collection of str
-        Fields that get no option of their own.
     """
     group = parser.add_argument_group(title)
     infos = describe(settings_type)
@@ -103,13 +86,7 @@ def add_units(parser: argparse._ActionsContainer) -> None:
 
 
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
-    """Return the settings of the parsed arguments; ``given`` fields take precedence.
-
-    Raises
-    ------
-    AllanError
-        When a value lies outside its range.
-    """
+    """Return the settings of the parsed arguments; ``given`` fields take precedence."""
     names = [f.name for f in fields(settings_type)]  # type: ignore[arg-type]
     said = {name: getattr(args, name) for name in names if hasattr(args, name)}
     return settings_type(**{**said, **given})
@@ -146,21 +123,9 @@ NOT_CONFIGURED = ('help', 'version', 'completion')
 def words_with_config(
     words: list[str], parser: argparse.ArgumentParser, verbs: Mapping[str, object]
 ) -> list[str]:
-    """Return the words of the command line with the options of the config file in front.
+    """Return the words of the command line with the options of the config file after the verb.
 
-    Parameters
-    ----------
-    words : list of str
-        The verb, then what follows.
-    parser : argparse.ArgumentParser
-        That of the verb.
-    verbs : mapping
-        The names of all verbs.
-
-    Raises
-    ------
-    AllanError
-        When the file cannot be read, or has an option that no verb or not this verb has.
+    Raises AllanError when the file cannot be read, or has an option that the verb does not have.
     """
     verb, *given = words
     path, settings = find_config(Path())
@@ -189,13 +154,7 @@ def words_with_config(
 
 
 def find_config(folder: Path) -> tuple[Path, Mapping[str, Any]]:
-    """Return the config file of a folder and its settings; none where there is no file.
-
-    Raises
-    ------
-    AllanError
-        When the file is not TOML, or this Python cannot read TOML.
-    """
+    """Return the config file of a folder and its settings; none where there is no file."""
     for name in (FILE, PROJECT):
         path = folder / name
         if not path.is_file():

@@ -91,13 +91,7 @@ class PictureSettings:
 
 
 def load_style(name: str) -> Mapping[str, Any]:
-    """Return the matplotlib settings of a style, by its name or by the path of its sheet.
-
-    Raises
-    ------
-    AllanError
-        When there is none of that name, or matplotlib cannot read the sheet.
-    """
+    """Return the matplotlib settings of a style, by its name or by the path of its sheet."""
     if name in STYLES:
         return STYLES[name]
     path = Path(name)
@@ -113,35 +107,27 @@ def load_style(name: str) -> Mapping[str, Any]:
     )
 
 
-class _Complaints(logging.Handler):
-    """Collects the warnings about invalid lines, which matplotlib only logs."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.said: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.said.append(' '.join(record.getMessage().split()))
-
-
 def _sheet(path: Path) -> Mapping[str, Any]:
     from matplotlib import rc_params_from_file
 
-    log, complaints = logging.getLogger('matplotlib'), _Complaints()
+    # matplotlib only logs what is wrong with a line
+    log, handler, complaints = logging.getLogger('matplotlib'), logging.Handler(), []
+    handler.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
     passes_on, log.propagate = log.propagate, False
-    log.addHandler(complaints)
+    log.addHandler(handler)
     try:
         sheet: Mapping[str, Any] = rc_params_from_file(
             str(path), fail_on_error=True, use_default_template=False
         )
     except (OSError, ValueError, KeyError) as error:
-        complaints.said.append(' '.join(str(error).split()))
+        complaints.append(str(error))
         sheet = {}
     finally:
-        log.removeHandler(complaints)
+        log.removeHandler(handler)
         log.propagate = passes_on
-    if complaints.said:
-        raise AllanError(f'{path}: is no style sheet of matplotlib ({complaints.said[0][:160]})')
+    if complaints:
+        why = ' '.join(complaints[0].split())[:160]
+        raise AllanError(f'{path}: is no style sheet of matplotlib ({why})')
     return sheet
 
 

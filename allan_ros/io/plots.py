@@ -141,15 +141,8 @@ def sensor_figure(
 ) -> Figure | None:
     """Return the figure of one sensor: a row for each of its axes, or None when it is absent.
 
-    Parameters
-    ----------
-    results : Results
-    sensor : 'gyro' or 'accel'
-    summary : SignalSummary or None
-        The raw signal; without it, or on a narrow picture, the curves stand alone.
-    units : 'datasheet' or 'si'
-    style : mapping
-        Settings of matplotlib; its ``figure.figsize`` is that of a picture of three axes.
+    Without a ``summary`` of the raw signal, or on a narrow picture, the curves stand alone. The
+    ``figure.figsize`` of the style is that of a picture of three axes.
     """
     axes = [a for a in AXES[SENSORS[sensor]] if a in results.axes and results.axes[a].curve]
     if not axes:
@@ -174,15 +167,7 @@ def sensor_figure(
 
 
 def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
-    """Draw the curves of one or more axes of a sensor and their fits into one panel.
-
-    Parameters
-    ----------
-    panel : matplotlib Axes
-    axes : mapping of axis name to AxisResult
-        One axis is drawn with the parts of its fit, several without.
-    units : 'datasheet' or 'si'
-    """
+    """Draw one axis with the parts of its model into a panel, or several axes without them."""
     for name, result in axes.items():
         if result.curve is None:
             continue

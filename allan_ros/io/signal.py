@@ -115,21 +115,12 @@ ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 
 @dataclass(frozen=True)
 class TemperatureTrace:
-    """Readings of one thermometer.
+    """Readings of one thermometer."""
 
-    Attributes
-    ----------
-    source : str
-        The topic or the column.
-    header_ns, record_ns : (n,) int64 arrays
-        Times of measurement and of recording; equal where only one is known.
-    celsius : (n,) float64 array
-    """
-
-    source: str
-    header_ns: NDArray[np.int64]
-    record_ns: NDArray[np.int64]
-    celsius: NDArray[np.float64]
+    source: str  # topic or column
+    header_ns: NDArray[np.int64]  # times of measurement, (n,)
+    record_ns: NDArray[np.int64]  # times of recording; equal where only one is known
+    celsius: Floats
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
@@ -198,56 +189,27 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalTemperature:
-    """Temperature over time.
+    """Temperature over time; NaN separates recordings."""
 
-    Attributes
-    ----------
-    source : str
-        Topic or column; several, where recordings differ.
-    time_s, celsius : (n,) float64 arrays
-        Times as in the summary; NaN separates recordings.
-    """
-
-    source: str
-    time_s: Floats
+    source: str  # topic or column; several, where recordings differ
+    time_s: Floats  # as in the summary, (n,)
     celsius: Floats
 
 
 @dataclass(frozen=True)
 class SignalSummary:
-    """Signals one after the other.
+    """Signals of all recordings, one after the other."""
 
-    Attributes
-    ----------
-    time_s : (bins,) float64 array
-        Start of each bin since the first sample of the first recording, recordings joined.
-    low, high : (bins, 6) float64 arrays
-        Lowest and highest sample, SI; NaN where a recording begins, and where a sensor is absent.
-    used : (bins,) bool array
-        Whether all samples of the bin are used.
-    middle : (6,) float64 array
-        Median of the signal.
-    left_out : tuple of LeftOut
-    gaps : tuple of (start, end)
-        In s: times without samples.
-    starts : tuple of float
-        Where each recording begins, in s.
-    temperature : SignalTemperature or None
-        None where no recording contains it.
-    first_ns : tuple of int
-        Stamp of the first sample of each recording.
-    """
-
-    time_s: Floats
-    low: Floats
+    time_s: Floats  # start of each bin since the first sample of all, (bins,)
+    low: Floats  # lowest sample, SI, (bins, 6); NaN where a recording begins or lacks the sensor
     high: Floats
-    used: NDArray[np.bool_]
-    middle: Floats
+    used: NDArray[np.bool_]  # whether all samples of the bin are used, (bins,)
+    middle: Floats  # median of the signal, (6,)
     left_out: tuple[LeftOut, ...]
-    gaps: tuple[tuple[float, float], ...]
-    starts: tuple[float, ...]
+    gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
+    starts: tuple[float, ...]  # of each recording in s
     temperature: SignalTemperature | None = None
-    first_ns: tuple[int, ...] = ()
+    first_ns: tuple[int, ...] = ()  # stamp of the first sample of each recording
 
     @property
     def reach(self) -> Floats:
@@ -270,20 +232,10 @@ def summarize_signal(
     cuts: Mapping[str, int] | None = None,
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of the signals, or None if none has two bins.
+    """Return the summary of the signals in about so many bins, or None if none has two bins.
 
-    Parameters
-    ----------
-    signals : sequence of SignalEnvelope
-        One a recording.
-    segments : sequence of Segment
-        The segments of static data.
-    bins : int
-        Approximate number of bins in the summary.
-    cuts : mapping of str to int
-        How often a segment ended for which reason: it tells what ended the last one.
-    temperatures : sequence of TemperatureTrace or None
-        One a signal; empty for none.
+    There is one signal, and one temperature or None, per recording. ``cuts`` is how often a
+    segment ended for which reason: it tells what ended the last one.
     """
     temperatures = temperatures or [None] * len(signals)
     known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]

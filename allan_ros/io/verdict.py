@@ -73,15 +73,7 @@ class Verdict:
 def verdict_of(
     results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'datasheet'
 ) -> Verdict:
-    """Return the verdict on an IMU and its record.
-
-    Parameters
-    ----------
-    results : Results
-    comparisons : sequence of Comparison, optional
-        By default those of the results, with its datasheet and earlier runs.
-    units : 'datasheet' or 'si'
-    """
+    """Return the verdict on an IMU and its record; by default with the comparisons it has."""
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
     summary = _summary(level, results, comparisons, units)

@@ -59,15 +59,7 @@ def sensor_charts(
     spectra: Sequence[Spectrum],
     summary: SignalSummary | None,
 ) -> dict[str, Any]:
-    """Return the chart data of one sensor.
-
-    Parameters
-    ----------
-    results : Results
-    sensor : 'gyro' or 'accel'
-    spectra : sequence of Spectrum
-    summary : SignalSummary or None
-    """
+    """Return the chart data of one sensor."""
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
     return {
@@ -252,16 +244,6 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
     K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
     ramp has none (the mean of a block is subtracted), and a sinusoid is a line without width.
-
-    Parameters
-    ----------
-    axis : AxisResult
-    frequency : (frequencies,) array
-        In Hz, above 0.
-
-    Returns
-    -------
-    (frequencies,) array
     """
     terms = axis.fit.selected.terms
     omega = 2.0 * np.pi * frequency
@@ -296,12 +278,7 @@ def rounded(values: ArrayLike) -> list[float | None]:
 def courses(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
     """Return the charts of bias and noise over time, and of the bias against temperature.
 
-    Parameters
-    ----------
-    results : Results
-    sensor : 'gyro' or 'accel'
-    summary : SignalSummary or None
-        Gives the time axis of the page; without it the recordings follow one another.
+    The summary gives the time axis of the page; without it the recordings follow one another.
     """
     where = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     known_sums = () if results.recorded is None else results.recorded.sums

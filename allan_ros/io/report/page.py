@@ -57,14 +57,7 @@ def recorded_on(results: Results) -> str:
 
 
 def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of inputs, sample counts and what is needed to repeat the analysis.
-
-    Parameters
-    ----------
-    results : Results
-    method : mapping of str to str
-        The command, the fingerprint of the sums.
-    """
+    """Yield the tables of inputs, sample counts and what is needed to repeat the analysis."""
     yield '<h3>Inputs</h3>' + _table(dict(_inputs(results)))
     yield '<h3>Samples</h3>' + _table(dict(_counts(results)))
     yield '<h3>To repeat it</h3>' + _table({**method, **_versions()})
@@ -156,35 +149,16 @@ STEPS = 4
 
 @dataclass(frozen=True)
 class ReportContext:
-    """What the page shows in addition to the results.
-
-    Attributes
-    ----------
-    signal : SignalSummary or None
-        The raw signal.
-    spectra : sequence of Spectrum
-    method : mapping of str to str
-        What is needed to repeat the analysis.
-    files : sequence of str
-        Names of the files in the same folder.
-    """
+    """What the page shows in addition to the results."""
 
     signal: SignalSummary | None = None
     spectra: Sequence[Spectrum] = ()
-    method: Mapping[str, str] = field(default_factory=dict)
-    files: Sequence[str] = ()
+    method: Mapping[str, str] = field(default_factory=dict)  # what repeats the analysis
+    files: Sequence[str] = ()  # names of those in the same folder
 
 
 def render_report(results: Results, context: ReportContext, units: str) -> str:
-    """Return the HTML of the report.
-
-    Parameters
-    ----------
-    results : Results
-    context : ReportContext
-    units : 'datasheet' or 'si'
-        Those shown first.
-    """
+    """Return the HTML of the report, which shows these units first."""
     name = results.identity.label or 'IMU'
     sensors = {
         sensor: axes

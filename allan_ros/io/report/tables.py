@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 
 import numpy as np
 import yaml
 
-from ...core.compare import Comparison, Verdict
+from ...core.compare import Comparison
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.reading import ADVISED_TERMS
 from ..axis_result import AxisResult
@@ -64,23 +64,22 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
     if all(c.value is None and c.upper95 is None for c in noise):
         yield '<p class="note">Nothing could be measured: neither a value nor a limit.</p>'
         return
-    yield '<div class="scroll"><table class="coefficients"><thead><tr><th scope="col">term</th>'
-    yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
-    for term in TERMS:
-        cells = ''.join(_coefficient_cell(a, term, r.fit.noise[term]) for a, r in axes.items())
-        yield f'<tr>{_term_heading(sensor, term)}{cells}</tr>'
+    rows = [*_coefficient_rows(sensor, axes, TERMS)]
     if any(result.fit.deviation for result in axes.values()):
-        cells = ''.join(
-            f'<td>{deviation_text(result.fit.deviation) or "–"}</td>' for result in axes.values()
+        texts = (deviation_text(result.fit.deviation) or '–' for result in axes.values())
+        cells = ''.join(f'<td>{text}</td>' for text in texts)
+        rows.append(
+            f'<tr><th scope="row">largest deviation<small>from the model</small></th>{cells}</tr>'
         )
-        yield f'<tr><th scope="row">largest deviation<small>from the model</small></th>{cells}</tr>'
     if any(result.regions for result in axes.values()):
-        regions = ''.join(
-            f'<td class="regions">'
-            f'{"<br>".join(region_text(r, result.fit.likely) for r in result.regions)}</td>'
+        texts = (
+            '<br>'.join(region_text(region, result.fit.likely) for region in result.regions)
             for result in axes.values()
         )
-        yield f'<tr class="wide"><th scope="row">dominant noise</th>{regions}</tr>'
+        cells = ''.join(f'<td class="regions">{text}</td>' for text in texts)
+        rows.append(f'<tr class="wide"><th scope="row">dominant noise</th>{cells}</tr>')
+    yield '<div class="scroll"><table class="coefficients">'
+    yield from _rows(axes, rows, '<th scope="col">term</th>')
     also = [
         f'{_letter(axis)}: {f"{part}, likely but not resolved (?)" if part in TERMS else part}'
         for axis, result in axes.items()
@@ -88,7 +87,7 @@ def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[s
         if part not in TERMS or part in result.fit.likely
     ]
     yield (
-        '</tbody></table></div><p class="note">95 % intervals below the values. "&lt;" is the 95 % '
+        '</div><p class="note">95 % intervals below the values. "&lt;" is the 95 % '
         'upper limit of a term that is not resolved. B is the coefficient; the level part of the '
         'curve lies at 0.664 B.'
         + (f' The model also has {escape("; ".join(also))}.' if also else '')
@@ -157,43 +156,25 @@ def _size(
 
 def headline_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
     """Yield the small table of N, B and K of the verdict section."""
-    caption = f'<caption>{SENSOR_NAMES[sensor]}</caption>'
-    yield f'<table class="coefficients">{caption}<thead><tr><td></td>'
-    yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
-    for term in ADVISED_TERMS:
-        cells = ''.join(_coefficient_cell(a, term, r.fit.noise[term]) for a, r in axes.items())
-        yield f'<tr>{_term_heading(sensor, term, "", False)}{cells}</tr>'
-    yield '</tbody></table>'
+    yield f'<table class="coefficients"><caption>{SENSOR_NAMES[sensor]}</caption>'
+    yield from _rows(axes, _coefficient_rows(sensor, axes, ADVISED_TERMS, named=False), '<td></td>')
 
 
 def datasheet_table(
     sensor: str, axes: Mapping[str, AxisResult], comparison: DatasheetComparison
 ) -> Iterator[str]:
     """Yield the comparison with a datasheet; nothing where it states nothing about the sensor."""
-    rows, notes = [], []
+    stated, notes = {}, []
     for term in TERMS:
-        checks = {axis: c for axis in axes if (c := comparison.of(axis, term)) is not None}
-        if not checks:
-            continue
-        limits = [comparison.limit(c) for c in checks.values()]
-        stated = ' / '.join(dict.fromkeys(pretty_unit(limit.stated) for limit in limits))
+        checks = [c for axis in axes if (c := comparison.of(axis, term)) is not None]
+        limits = [comparison.limit(c) for c in checks]
+        text = ' / '.join(dict.fromkeys(pretty_unit(limit.stated) for limit in limits))
+        stated[term] = f'stated <span class="nowrap">{escape(text)}</span>'
         said = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
         notes += [f'{term}: {note}' for note in said]
-        cells = ''.join(
-            _verdict_cell(axis, term, axes[axis].fit.noise[term], c.limit, c.verdict)
-            if (c := checks.get(axis)) is not None
-            else '<td></td>'
-            for axis in axes
-        )
-        heading = _term_heading(
-            sensor, term, f'stated <span class="nowrap">{escape(stated)}</span>'
-        )
-        rows.append(f'<tr>{heading}{cells}</tr>')
-    if rows:
-        name = comparison.datasheet.name
-        yield from _comparison_table(f'Compared with the datasheet of {escape(name)}', axes, rows)
-        sources = '; '.join(str(source) for source in comparison.datasheet.sources.values())
-        yield from (f'<p class="note">{escape(said)}</p>' for said in (*notes, sources))
+    notes.append('; '.join(str(source) for source in comparison.datasheet.sources.values()))
+    heading = f'Compared with the datasheet of {escape(comparison.datasheet.name)}'
+    yield from _checks_table(heading, sensor, axes, comparison.comparisons, notes, stated)
 
 
 def baseline_table(
@@ -204,61 +185,83 @@ def baseline_table(
     comparisons: Sequence[Comparison],
 ) -> Iterator[str]:
     """Yield the comparison with an earlier run; nothing where the two share no term."""
+    notes = [
+        '"Within" is not significantly above the earlier run; "beyond" is significantly above it '
+        'and its margin.'
+    ]
+    heading = f'Compared with {escape(name)}'
+    yield from _checks_table(heading, sensor, axes, comparisons, notes, {}, baseline)
+
+
+def _checks_table(
+    heading: str,
+    sensor: str,
+    axes: Mapping[str, AxisResult],
+    comparisons: Sequence[Comparison],
+    notes: Sequence[str],
+    stated: Mapping[str, str],
+    baseline: Results | None = None,
+) -> Iterator[str]:
+    """Yield a table of comparisons with limits, and its notes; nothing without comparisons."""
     rows = []
     for term in TERMS:
         checks = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
-        if not checks:
-            continue
         cells = ''.join(
-            _verdict_cell(
-                axis,
-                term,
-                axes[axis].fit.noise[term],
-                c.limit,
-                c.verdict,
-                _then(axis, term, baseline),
-            )
-            if (c := checks.get(axis)) is not None
+            _verdict_cell(axes[axis].fit.noise[term], checks[axis], baseline)
+            if axis in checks
             else '<td></td>'
             for axis in axes
         )
-        rows.append(f'<tr>{_term_heading(sensor, term)}{cells}</tr>')
+        if checks:
+            rows.append(f'<tr>{_term_heading(sensor, term, stated.get(term, ""))}{cells}</tr>')
     if rows:
-        yield from _comparison_table(f'Compared with {escape(name)}', axes, rows)
-        yield (
-            '<p class="note">"Within" is not significantly above the earlier run; "beyond" is '
-            'significantly above it and its margin.</p>'
-        )
-
-
-def _then(axis: str, term: str, baseline: Results) -> str:
-    """Return what a coefficient was in an earlier run."""
-    coefficient = baseline.axes[axis].fit.noise[term]
-    value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
-    return f'<small>then <span class="nowrap">{value}</span></small>'
+        yield from _comparison_table(heading, axes, rows)
+        yield from (f'<p class="note">{escape(note)}</p>' for note in notes)
 
 
 def _comparison_table(
     caption: str, axes: Mapping[str, AxisResult], rows: Sequence[str], first: str = 'term'
 ) -> Iterator[str]:
-    yield f'<h3>{caption}</h3><div class="scroll"><table class="comparison"><thead><tr>'
-    yield f'<th scope="col">{first}</th>'
+    yield f'<h3>{caption}</h3><div class="scroll"><table class="comparison">'
+    yield from _rows(axes, rows, f'<th scope="col">{first}</th>')
+    yield '</div>'
+
+
+def _rows(axes: Mapping[str, AxisResult], rows: Iterable[str], corner: str) -> Iterator[str]:
+    """Yield head and body of a table with a column per axis, and its end."""
+    yield f'<thead><tr>{corner}'
     yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
     yield from rows
-    yield '</tbody></table></div>'
+    yield '</tbody></table>'
 
 
-def _verdict_cell(
-    axis: str, term: str, coefficient: Coefficient, limit: float, verdict: Verdict, then: str = ''
-) -> str:
-    """Return the value, its share of the limit, and the verdict in sign and word."""
-    value = in_units(lambda units: escape(value_text(coefficient, shown_unit(axis, term, units))))
-    size = coefficient.value if coefficient.status == 'estimated' else coefficient.upper95
-    least = '' if coefficient.status == 'estimated' else '&lt; '
-    share = f'<small>{least}{100.0 * size / limit:.0f}&nbsp;% of it</small>' if size else ''
+def _coefficient_rows(
+    sensor: str, axes: Mapping[str, AxisResult], terms: Sequence[str], named: bool = True
+) -> Iterator[str]:
+    for term in terms:
+        cells = ''.join(_coefficient_cell(a, term, r.fit.noise[term]) for a, r in axes.items())
+        yield f'<tr>{_term_heading(sensor, term, named=named)}{cells}</tr>'
+
+
+def _verdict_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
+    """Return the value, its share of the limit or what it was, and the verdict."""
+    axis, term = check.axis, check.term
+
+    def shown(c: Coefficient) -> str:
+        return in_units(lambda units: escape(value_text(c, shown_unit(axis, term, units))))
+
+    resolved = coefficient.status == 'estimated'
+    size = coefficient.value if resolved else coefficient.upper95
+    beside = ''
+    if baseline is not None:
+        former = shown(baseline.axes[axis].fit.noise[term])
+        beside = f'<small>then <span class="nowrap">{former}</span></small>'
+    elif size:
+        share = f'{100.0 * size / check.limit:.0f}&nbsp;% of it'
+        beside = f'<small>{"" if resolved else "&lt; "}{share}</small>'
     return (
-        f'<td>{value}{then or share}<b class="mark {verdict}">'
-        f'<i aria-hidden="true">{MARKS[verdict]}</i> {VERDICT_TEXT[verdict]}</b></td>'
+        f'<td>{shown(coefficient)}{beside}<b class="mark {check.verdict}">'
+        f'<i aria-hidden="true">{MARKS[check.verdict]}</i> {VERDICT_TEXT[check.verdict]}</b></td>'
     )
 
 
