@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums of a simulated gyro at 1 Hz, with an effect added."""
+"""Sums of a simulated gyro, with an effect added."""
 
 import numpy as np
 
@@ -15,12 +15,12 @@ NOISE = NoiseTerms(N=0.242 * np.pi / 180 / 60, B=5.2 * DEG_H)
 SECONDS = 7200
 
 
-def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0):
-    """Return sums at 1 Hz of three axes of noise and an early part."""
+def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0, rate=1.0):
+    """Return sums of three axes of noise and an early part; samples of 1 Hz, stamped at a rate."""
     rng = np.random.default_rng(seed)
     y = np.stack([simulate_axis(seconds, 1.0, terms, rng) for _ in AXES], axis=1)
     engine = RunningAllan(axes=AXES)
     y += np.reshape(early, (-1, 1))
-    engine.update(y, 0, (seconds - 1) * 10**9)
+    engine.update(y, 0, round((seconds - 1) * 1e9 / rate))
     engine.end_segment()
     return engine.sums

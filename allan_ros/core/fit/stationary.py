@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..allan.history import Recording
 from ..allan.levels import Scatter, drift_scatter, level_changes, level_excess
 from ..allan.parts import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
@@ -36,6 +37,10 @@ SHIFT, LEAST_SHIFT = 0.02, 0.005
 
 TESTED_RECORDINGS = 8
 """How many of the longest recordings are tested."""
+
+LEAST_TESTED_S = 120.0
+"""Seconds of a recording from which its drift is tested. Shorter ones are compared by means over
+less than a quarter of a second, which vibration moves rather than drift."""
 
 STEPS_MATTER = 0.96
 """Steps are reported if without them the variance of the walk is below this fraction."""
@@ -109,7 +114,7 @@ def fit_stationary(
     """
     if method == 'paper' or not sums.tau0:
         return sums, fit_noise(sums, method)
-    parts = list(_early_parts(sums))
+    parts = [part for one in _tested(sums) for part in early_parts(one, _sensors(sums))]
     used, model, found = _without_early_part(sums, method, settle, parts)
     age = max((part.age for part in parts), default=0)
     found += [_steps_finding(sums, steps) for steps in _steps(sums, age)]
@@ -128,15 +133,27 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
     for i, change in level_changes(recordings, age).items():
         found += _level_finding(sums.axes[i], change, model, which)
         model = _widened(model, sums.axes[i], 'N', change.scatter)
-    drift = dict(zip(sums.axes, drift_scatter(recordings, _sensors(sums), age).tolist()))
+    tested = _tested(sums, len(recordings))
+    drift = dict(zip(sums.axes, drift_scatter(tested, _sensors(sums), age).tolist()))
     for axis, scatter in drift.items():
         for term in ('B', 'K'):
             model = _widened(model, axis, term, scatter)
-    scattered = tuple(axis for axis, scatter in drift.items() if scatter)
+    # Of a drift that is not resolved it cannot be stated how much it differs.
+    scattered = tuple(axis for axis in sums.axes if drift[axis] and _has_drift(model, axis))
     if scattered:
-        typical = math.expm1(max(drift.values()))
+        typical = math.expm1(max(drift[axis] for axis in scattered))
         found.append(finding('drift_changes', scattered, which=which, typical=typical))
     return model, found
+
+
+def _has_drift(model: NoiseModel, axis: str) -> bool:
+    return any(model.axes[axis].noise[term].status == 'estimated' for term in 'BK')
+
+
+def _tested(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
+    """Return the longest recordings, at most so many, that are long enough to test their drift."""
+    least = LEAST_TESTED_S / (sums.tau0 or 1.0)
+    return [one for one in sums.history.recordings[:most] if one.length >= least]
 
 
 def _without_early_part(
@@ -172,7 +189,7 @@ def _without_early_part(
 def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
     """Return the bias steps of each axis, from the recording where they are most significant."""
     best: dict[int, BiasSteps] = {}
-    for recording in sums.history.recordings[:TESTED_RECORDINGS]:
+    for recording in _tested(sums):
         for steps in bias_steps(recording, age):
             have = best.get(steps.axis)
             if steps.walk_after < STEPS_MATTER * steps.walk_before and (
@@ -241,11 +258,6 @@ def _sensors(sums: AllanSums) -> list[list[int]]:
     """Return the positions of the axes of each sensor."""
     names = [sensor_of(axis) for axis in sums.axes]
     return [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
-
-
-def _early_parts(sums: AllanSums) -> Iterator[EarlyPart]:
-    for recording in sums.history.recordings[:TESTED_RECORDINGS]:
-        yield from early_parts(recording, _sensors(sums))
 
 
 def _edge(sums: AllanSums, age: int) -> int | None:

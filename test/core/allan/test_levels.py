@@ -68,6 +68,15 @@ def test_drift_that_differs_between_sixths_widens_the_interval_of_k():
     assert relative_width(after) > 1.5 * relative_width(before)
 
 
+def test_drift_is_compared_from_two_minutes_on():
+    """The same samples at other rates: the tests do not depend on the rate, their meaning does."""
+    for rate, axes in ((250.0, [AXES]), (1000.0, [])):
+        sums = sums_of_noise(NoiseTerms(N=NOISE.N), 3, 36_000, uneven_walk(), rate=rate)
+        assert drift_scatter(sums.history.recordings, SENSORS).all()
+        _, model = fit_stationary(sums)
+        assert [f.axes for f in model.findings if f.id == 'drift_changes'] == axes
+
+
 def test_even_drift_has_no_scatter():
     """0.1 % of clean sensors fail by design: chance of one in 4 below 0.5 %; seeds fixed."""
     for seed in range(2):
