@@ -250,6 +250,8 @@ def compare(
         Fraction by which a complete interval must exceed the limit of a datasheet.
     method : str
         How sums and recordings are fitted; results are not fitted again.
+    observer : Observer
+        Receives the progress of reading.
 
     Raises
     ------
@@ -301,6 +303,8 @@ def inflate(
         The same with its motors on. Vibration of a recording does not count as motion.
     horizon : float
         Longest time in s that the filter integrates without correction.
+    observer : Observer
+        Receives the progress of reading.
 
     Raises
     ------

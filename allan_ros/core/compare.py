@@ -194,19 +194,19 @@ Run = Mapping[str, Measured]
 
 
 def differences(
-    pairs: Iterable[tuple[Run, Run]], repeats: float = 1.0, family_error: float = FAMILY_ERROR
+    pairs: Iterable[tuple[Run, Run]], repeats: float = 1.0
 ) -> list[tuple[Difference, ...]]:
     """Return how the second run of each pair differs from the first, in all that both have.
 
     By axis: the five terms, then the deviations at common averaging times. ``repeats`` is how often
     such a comparison is made: 1 for one that stands alone; the k-th of an endless series takes
-    k (k + 1), so that the false detections of all of them stay below ``family_error``.
+    k (k + 1), so that the false detections of all of them stay below `FAMILY_ERROR`.
     """
     found = [
         [d for axis in first if axis in second for d in _of_axis(axis, first[axis], second[axis])]
         for first, second in pairs
     ]
-    settled = iter(_settled([d for of_pair in found for d in of_pair], family_error / repeats))
+    settled = iter(_settled([d for of_pair in found for d in of_pair], FAMILY_ERROR / repeats))
     return [tuple(next(settled) for _ in of_pair) for of_pair in found]
 
 

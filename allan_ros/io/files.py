@@ -249,7 +249,7 @@ MAX_YAML_BYTES = 100_000
 """Largest size of a YAML file in bytes."""
 
 NEAREST, LISTED, CLOSE = 3, 8, 0.8
-"""Names offered that resemble an unknown one; names listed where none resembles it."""
+"""Names offered that resemble an unknown one, names listed where none does, least similarity."""
 
 
 def read_yaml(path: Path) -> Any:

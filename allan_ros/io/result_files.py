@@ -94,7 +94,7 @@ def write_result_files(
 
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
-    """Own the folder, after another process has finished writing to it; AllanError in a minute."""
+    """Lock the folder, once no other process writes to it; AllanError after a minute."""
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:

@@ -383,25 +383,25 @@ def headline(results: Results) -> str:
     )
 
 
-def _summary_lines(results: Results, units: str = 'datasheet') -> Iterator[str]:
+def _summary_lines(results: Results) -> Iterator[str]:
     """Yield a headline, N, B and K of each axis, and the warnings."""
     yield headline(results)
     for name, axis in results.axes.items():
         cells = []
         for term in IN_SUMMARY:
-            unit = shown_unit(name, term, units)
+            unit = shown_unit(name, term, 'datasheet')
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
     for finding in _pressing(results):
         yield f'  {finding.severity}: {finding}'
 
 
-def _html(results: Results, units: str = 'datasheet') -> str:
+def _html(results: Results) -> str:
     """Return the coefficients as an HTML table, with the verdict and the warnings."""
     from .verdict import WORDS
 
     head = ''.join(f'<th>{term}</th>' for term in TERMS)
-    rows = ''.join(_html_row(name, axis, units) for name, axis in results.axes.items())
+    rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
     notes = ''.join(
         f'<li><b>{escape(finding.severity)}</b> {escape(str(finding))}</li>'
         for finding in _pressing(results)
@@ -415,10 +415,10 @@ def _html(results: Results, units: str = 'datasheet') -> str:
     )
 
 
-def _html_row(name: str, axis: AxisResult, units: str) -> str:
+def _html_row(name: str, axis: AxisResult) -> str:
     cells = ''
     for term in TERMS:
-        unit = shown_unit(name, term, units)
+        unit = shown_unit(name, term, 'datasheet')
         interval = interval_text(axis.fit.noise[term], unit)
         value = f'{value_text(axis.fit.noise[term], unit)} {pretty_unit(unit.name)}'
         small = f'<br><small>{escape(interval)}</small>' if interval else ''
