@@ -14,7 +14,7 @@ an offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,15 +141,22 @@ class _Level:
                 for index, low, high in self._by_bin(first, number)
             ]
             for index, squares in pieces:
-                sums.bins.setdefault(index, np.zeros_like(sums.groups))[i] += squares
+                if index not in sums.bins:
+                    sums.bins[index] = np.zeros_like(sums.groups)
+                sums.bins[index][i] += squares
             every = d[:, -first % f :: f]
             sums.groups[i] += _squares(every) if f > 1 or len(pieces) > 1 else pieces[0][1]
             if i in sums.periods:
                 by_period = sums.periods[i]
-                for begin, low, high in self._by_period(first, number, by_period.shortest(length)):
-                    complete = high - low == number and len(pieces) == 1
-                    squares = pieces[0][1] if complete else _squares(d[:, low:high])
-                    by_period.add(begin, squares)
+                period = by_period.shortest(length)
+                age = self.offset + (first << self.level)
+                begin = age - age % period
+                split = self._start_at(begin + period) - first
+                if split >= number and len(pieces) == 1:
+                    squares = pieces[0][1][None]
+                else:
+                    squares = _squares_by_part(d, split, period >> self.level)
+                by_period.add(range(begin, begin + len(squares) * period, period), squares)
                 by_period.merge(length)
 
     def _by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
@@ -157,29 +164,13 @@ class _Level:
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]
-
-        def bin_of(age: int) -> tuple[int, int]:
-            self.bin = age_bin(age)
-            ends = edge_age(self.bin), edge_age(self.bin + 1)
-            self.bin_starts = self._start_at(ends[0]), self._start_at(ends[1])
-            return self.bin, ends[1]
-
-        return self._pieces(first, number, bin_of)
-
-    def _by_period(self, first: int, number: int, period: int) -> list[tuple[int, int, int]]:
-        """Return (age at which a period begins, low, high), as `_by_bin`."""
-        return self._pieces(first, number, lambda a: (a - a % period, a - a % period + period))
-
-    def _pieces(
-        self, first: int, number: int, piece: Callable[[int], tuple[int, int]]
-    ) -> list[tuple[int, int, int]]:
-        """Split differences as `_by_bin`; ``piece`` returns the key of an age and where it ends."""
-        found = []
-        low = 0
+        found, low = [], 0
         while low < number:
-            key, end = piece(self.offset + ((first + low) << self.level))
-            high = min(number, self._start_at(end) - first)
-            found.append((key, low, high))
+            self.bin = age_bin(self.offset + ((first + low) << self.level))
+            begin, end = (self._start_at(edge_age(self.bin + i)) for i in (0, 1))
+            self.bin_starts = begin, end
+            high = min(number, end - first)
+            found.append((self.bin, low, high))
             low = high
         return found
 
@@ -191,6 +182,18 @@ class _Level:
 def _squares(d: Floats) -> Floats:
     """Return the sum of squares of each row, by one dot product per row."""
     return np.asarray(np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0])
+
+
+def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
+    """Return `_squares` of the columns before ``split`` and of every ``size`` ones after it."""
+    whole = max(0, d.shape[1] - split) // size
+    rest = split + whole * size
+    inner = d[:, split:rest].reshape(len(d), whole, size)
+    parts = [_squares(d[:, :split])[None]]
+    parts.append(np.matmul(inner[:, :, None, :], inner[:, :, :, None])[:, :, 0, 0].T)
+    if rest < d.shape[1]:
+        parts.append(_squares(d[:, rest:])[None])
+    return np.concatenate(parts)
 
 
 def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:

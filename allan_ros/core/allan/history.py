@@ -138,13 +138,13 @@ class PeriodSums:
         """Return the length of the shortest period with sums at this factor."""
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
-    def add(self, begin: int, sums: Floats) -> None:
-        """Add sums, (axes,), of a period that is the last one or follows it."""
-        if self.begins and begin <= self.begins[-1]:
-            self.sums[-1] = self.sums[-1] + sums
-        else:
-            self.begins.append(begin)
-            self.sums.append(sums)
+    def add(self, begins: range, sums: Floats) -> None:
+        """Add sums, (periods, axes), of periods of which the first is the last one or follows."""
+        if self.begins and begins[0] <= self.begins[-1]:
+            self.sums[-1] = self.sums[-1] + sums[0]
+            begins, sums = begins[1:], sums[1:]
+        self.begins.extend(begins)
+        self.sums.extend(sums)
 
     def over(self, begins: Ints, axes: int) -> Floats:
         """Return the sums over periods that begin at some ages, (periods, axes)."""
