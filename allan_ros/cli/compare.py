@@ -18,9 +18,9 @@ from dataclasses import asdict
 from typing import Any
 
 from .. import api
-from ..core.compare import MARGIN
+from ..api import ResultSettings
 from ..core.errors import AllanError
-from ..core.fit import METHODS, AxisFit
+from ..core.fit import AxisFit
 from ..core.fit.curve_fit import fit_curve
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from ..io.comparison import (
@@ -28,10 +28,13 @@ from ..io.comparison import (
     inflation_document,
     inflation_facts,
 )
+from ..io.format import deviation_text, text_in_units
 from ..io.plot_style import PictureSettings, load_style
 from .console import Console, width
-from .options import Command, add_settings, add_units, settings_of
+from .options import Command, add_settings, settings_of
 from .tables import axis_cells, comparison_lines, table_lines, term_labels
+
+ALL_BUT_UNITS = ('method', 'sensor', 'baseline', 'margin', 'export')
 
 SENSOR_PREFIX = 'sensor:'
 
@@ -69,27 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='also a datasheet, as sensor:NAME; `allan sensors` lists them',
     )
     parser.add_argument(
-        '--margin',
-        type=float,
-        default=MARGIN,
-        metavar='NUMBER',
-        help='fraction by which a complete interval must exceed the limit of a datasheet '
-        f'(default {MARGIN:g})',
-    )
-    parser.add_argument(
         '--fail-on-difference',
         action='store_true',
         help=f'exit with {EXIT_DIFFERENT} if any difference is significant, or a limit of a '
         'datasheet is exceeded',
     )
-    result = parser.add_argument_group('result')
-    result.add_argument(
-        '--method',
-        choices=tuple(METHODS),
-        default='gls',
-        help='how sums and recordings are fitted (default gls); results are not fitted again',
-    )
-    add_units(result)
+    add_settings(parser, 'result', ResultSettings, without=['sensor', 'baseline', 'export'])
     add_settings(parser, 'pictures', PictureSettings)
 
 
@@ -140,13 +128,12 @@ def add_inflate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='DIR',
         help='folder for inflation.json, report.html with both curves, and a table and pictures',
     )
-    add_units(parser)
+    add_settings(parser, 'result', ResultSettings, without=ALL_BUT_UNITS)
     add_settings(parser, 'pictures', PictureSettings)
 
 
 def inflate(args: argparse.Namespace) -> int:
     """Read both, show the factors, and write the files."""
-
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
         raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
@@ -190,7 +177,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         choices=('rad/s', 'deg/s'),
         help='unit of gyro deviations (default rad/s with a header, else deg/s)',
     )
-    add_units(parser)
+    add_settings(parser, 'result', ResultSettings, without=ALL_BUT_UNITS)
 
 
 def fit(args: argparse.Namespace) -> int:
@@ -208,27 +195,20 @@ def fit(args: argparse.Namespace) -> int:
     if console.json:
         console.document(_document(args.curve, fits, doubtful))
         return 0
-
+    lines: list[str] = []
     for sensor in SENSORS:
-        columns = [
-            axis_cells(axis, fit.noise, args.units)
-            for axis, fit in fits.items()
-            if axis.startswith(sensor)
-        ]
-        for line in table_lines(term_labels(sensor, args.units), columns, width()):
-            print(line)
-    print()
+        axes = [axis for axis in fits if axis.startswith(sensor)]
+        columns = [axis_cells(axis, fits[axis].noise, args.units) for axis in axes]
+        lines += table_lines(term_labels(sensor, args.units), columns, width())
+    lines.append('')
     for axis, fit in fits.items():
-        for text in _process_lines(axis, fit):
-            print(text)
-    for text in doubtful:
-        print(f'warning: {text}')
+        lines += [text_in_units(text, args.units) for text in _process_lines(axis, fit)]
+    print('\n'.join([*lines, *(f'warning: {text}' for text in doubtful)]))
     return 0
 
 
 def _process_lines(axis: str, fit: AxisFit) -> list[str]:
     """Return the processes of an axis and its largest deviation, one line each."""
-
     unit = SI_UNITS[sensor_of(axis)]['B']
     lines = [
         f'{axis}: Gauss-Markov, {p.sigma:.3g} {unit}, {p.correlation_time:.3g} s'
@@ -239,22 +219,21 @@ def _process_lines(axis: str, fit: AxisFit) -> list[str]:
         for p in fit.processes.sinusoid
     ]
     if fit.deviation is not None:
-        relative, tau = fit.deviation
-        lines.append(f'{axis}: largest deviation {abs(relative):.0%} at {tau:.3g} s')
+        lines.append(f'{axis}: largest deviation {deviation_text(fit.deviation)}')
     return lines
 
 
 def _document(source: str, fits: Mapping[str, AxisFit], doubtful: list[str]) -> dict[str, Any]:
     """Return the fits as JSON values in SI."""
-
-    axes = {}
-    for axis, fit in fits.items():
-        axes[axis] = {
+    axes = {
+        axis: {
             'noise': {term: asdict(c) for term, c in fit.noise.items()},
             'processes': asdict(fit.processes),
             'deviation': fit.deviation._asdict() if fit.deviation else None,
             'gof_z': fit.gof_z,
         }
+        for axis, fit in fits.items()
+    }
     return {'schema': 'allan_ros/curve_fit/1', 'source': source, 'axes': axes, 'doubts': doubtful}
 
 

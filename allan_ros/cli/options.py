@@ -75,16 +75,6 @@ def add_settings(
         )
 
 
-def add_units(parser: argparse._ActionsContainer) -> None:
-    """Add the option of the units shown."""
-    parser.add_argument(
-        '--units',
-        choices=('datasheet', 'si'),
-        default='datasheet',
-        help='units shown (default datasheet)',
-    )
-
-
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
     """Return the settings of the parsed arguments; ``given`` fields take precedence."""
     names = [f.name for f in fields(settings_type)]  # type: ignore[arg-type]
