@@ -216,10 +216,7 @@ def from_datasheet(term: str, sensor: str, value: float) -> float:
 def to_si(value: float, unit: str, si: str) -> float:
     """Return a value in the SI unit ``si``.
 
-    Raises
-    ------
-    AllanError
-        When the unit is unknown, or one of another quantity; it lists those that fit.
+    Raises AllanError that lists the units that fit when the unit is unknown or of another quantity.
     """
     known = UNITS.get(unit)
     if known is None or known.si != si:
@@ -234,15 +231,7 @@ def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
 
 
 class ImuIdentity(NamedTuple):
-    """Identity of the IMU that measured the samples.
-
-    Attributes
-    ----------
-    frame_id : str
-        ``header.frame_id``.
-    hardware_id : str
-        Serial number, if the user gave one.
-    """
+    """Identity of the IMU: ``header.frame_id``, and the serial number if the user gave one."""
 
     frame_id: str = ''
     hardware_id: str = ''

@@ -51,6 +51,7 @@ _gyro = partial(parameter, unit='rad/s', low=0.0)
 _accel = partial(parameter, unit='m/s^2', low=0.0)
 _time = partial(parameter, unit='s', low=1e-6)
 _frequency = partial(parameter, unit='Hz', low=1e-9)
+_periods = partial(parameter, (), unit='s')
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,7 @@ class Faults:
     bump_accel: float = _accel(5.0, 'first amplitude of a knock')
     bump_frequency: float = _frequency(8.0, 'ringing of a knock')
     bump_decay: float = _time(0.2, 'time in which the ringing decays to 1/e')
-    motion: tuple[tuple[float, float], ...] = parameter(
-        (), 'periods of motion, each (start, length)', unit='s'
-    )
+    motion: tuple[tuple[float, float], ...] = _periods('periods of motion, each (start, length)')
     motion_gyro: float = _gyro(0.5, 'amplitude of the motion')
     motion_accel: float = _accel(1.0, 'amplitude of the motion')
     low_pass: float = parameter(
@@ -95,8 +94,8 @@ class Faults:
     )
     lsb_gyro: float = _gyro(0.0, 'step of the gyro values; 0: none')
     lsb_accel: float = _accel(0.0, 'step of the accelerometer values; 0: none')
-    gaps: tuple[tuple[float, float], ...] = parameter(
-        (), 'periods without samples, each (start, length)', unit='s'
+    gaps: tuple[tuple[float, float], ...] = _periods(
+        'periods without samples, each (start, length)'
     )
     drop: float = parameter(0.0, 'probability that a sample is lost', low=0.0, high=1.0)
     jitter: float = parameter(
@@ -121,28 +120,10 @@ class Faults:
 
 
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
-    """Return samples of one axis whose expected Allan variance is `term_avar` at every factor.
+    """Return n samples, ``tau0`` s apart, whose expected Allan variance is `term_avar`, (n,).
 
-    Parameters
-    ----------
-    n : int
-        How many samples, at least 1.
-    tau0 : float
-        Sample period in s.
-    terms : NoiseTerms
-        The coefficients.
-    rng : numpy.random.Generator
-        Source of the 2 n or so normal deviates.
-
-    Returns
-    -------
-    (n,) float64 array
-        In the unit of the samples, beginning at 0.
-
-    Raises
-    ------
-    AllanError
-        When n or tau0 is not positive.
+    They are in the unit of the samples and begin at 0. Raises AllanError when n or tau0 is not
+    positive.
     """
     if n < 1 or not tau0 > 0.0:
         raise AllanError(f'cannot simulate {n} samples of {tau0} s: give positive numbers')
@@ -238,17 +219,11 @@ def simulate_imu(
         Means that the noise is added to, rad/s and m/s^2; at rest and level by default.
     seed : int
         Not negative; the same seed gives the same recording.
-    faults : Faults
-        None by default.
     start_ns : int
         Stamp of the first sample.
-    frame_id : str
-        Of every batch.
 
-    Raises
-    ------
-    AllanError
-        When the length or rate is not positive, or there are not three axes to a sensor.
+    Raises AllanError when the length or rate is not positive, or there are not three axes to a
+    sensor.
     """
     if not (seconds > 0.0 and rate > 0.0 and round(seconds * rate) >= 1):
         raise AllanError(f'cannot simulate {seconds} s at {rate} Hz: give positive numbers')

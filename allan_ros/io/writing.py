@@ -8,6 +8,7 @@ form keeps int64 stamps and float64 samples, so reading any of them returns the 
 
 from __future__ import annotations
 
+import copy
 import os
 import shutil
 import sqlite3
@@ -220,17 +221,7 @@ def _write_ros1(path: Path, batches: Iterable[ImuBatch], compression: str, topic
 def _write_rosbag2(
     path: Path, batches: Iterable[ImuBatch], storage: str, compression: str, topic: str
 ) -> int:
-    """Write a bag folder and return the number of messages.
-
-    Parameters
-    ----------
-    path : Path
-        The folder, which must not exist.
-    batches : iterable of ImuBatch
-    storage : 'mcap' or 'sqlite3'
-    compression : 'none', 'chunk' (mcap only), 'message' or 'file'
-    topic : str
-    """
+    """Write a bag folder, which must not exist, and return the number of messages."""
     import yaml
 
     compress = None
@@ -287,16 +278,17 @@ def _metadata(
 ) -> dict[str, Any]:
     """Return the content of metadata.yaml."""
     first = times.first or 0
-    duration = {'nanoseconds': times.last - first}
-    start = {'nanoseconds_since_epoch': first}
+    span = {
+        'duration': {'nanoseconds': times.last - first},
+        'starting_time': {'nanoseconds_since_epoch': first},
+        'message_count': times.count,
+    }
     packed = compression in ('message', 'file')
     return {
         'version': METADATA_VERSION,
         'storage_identifier': storage,
         'relative_file_paths': [file],
-        'duration': duration,
-        'starting_time': start,
-        'message_count': times.count,
+        **span,
         'compression_format': 'zstd' if packed else '',
         'compression_mode': compression.upper() if packed else '',
         'topics_with_message_count': [
@@ -311,14 +303,7 @@ def _metadata(
                 'message_count': times.count,
             }
         ],
-        'files': [
-            {
-                'path': file,
-                'starting_time': dict(start),
-                'duration': dict(duration),
-                'message_count': times.count,
-            }
-        ],
+        'files': [{'path': file, **copy.deepcopy(span)}],  # YAML would refer to the same values
         'custom_data': None,
         'ros_distro': 'jazzy',
     }

@@ -86,13 +86,8 @@ def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
 class Recording:
     """One recording, which can be read any number of times.
 
-    Attributes
-    ----------
-    info : SourceInfo
-    messages : int or None
-        Number of samples that the recording states; None where it states none.
-    options : ReadOptions
-        The options in effect: with the units that were found in the recording, or assumed.
+    ``messages`` is the number of samples that it states, or None; ``options`` are those in effect:
+    with the units that were found in the recording, or assumed.
     """
 
     def __init__(

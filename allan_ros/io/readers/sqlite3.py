@@ -33,14 +33,7 @@ WHERE NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
 """
 """Names the indexes of the record times."""
 
-_LIBRARY_ERRORS = (
-    sqlite3.Error,
-    OSError,
-    OverflowError,
-    ValueError,
-    TypeError,
-    AttributeError,
-)
+_LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
 """What reading raises on a damaged database: errors of SQLite, and cells of another type."""
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
@@ -51,15 +44,9 @@ counter, pages, and the change counter when they were counted."""
 
 
 class Sqlite3Storage:
-    """An open .db3 file.
+    """An open .db3 file; ``path`` is its name for messages.
 
-    Parameters
-    ----------
-    path : Path
-        Name for messages.
-    connection : sqlite3.Connection
-    pages : binary file or None
-        The file itself; None where its pages are not the whole content, because of a log.
+    ``pages`` is the file itself; None where its pages are not the whole content, because of a log.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, pages: BinaryIO | None) -> None:
@@ -186,11 +173,8 @@ class Sqlite3Storage:
         """
         # SQLite skips entries of the index in a fifth of the time it takes to read them. If there
         # are no more entries up to the end than the known ones, nothing else has to be checked.
-        behind = (
-            'SELECT timestamp FROM messages WHERE timestamp >= ? '
-            'ORDER BY timestamp LIMIT 1 OFFSET ?'
-        )
-        following = next(self._query(behind, start_ns, known), None)
+        behind = 'SELECT timestamp FROM messages WHERE timestamp >= ? ORDER BY timestamp LIMIT 1'
+        following = next(self._query(f'{behind} OFFSET ?', start_ns, known), None)
         if following is None or following[0] > end_ns:
             return False
         earlier = (

@@ -77,13 +77,7 @@ class Unusual(Exception):
 
 @dataclass(frozen=True)
 class Rows:
-    """Consecutive rows in the order of their ids; valid until the next ones are read.
-
-    Attributes
-    ----------
-    first_id, last_id : int
-    topics, record_ns : (n,) int64 arrays
-    """
+    """Consecutive rows in the order of their ids; valid until the next ones are read."""
 
     first_id: int
     last_id: int
@@ -121,14 +115,7 @@ class Rows:
 
 
 class MessagePages:
-    """The pages of the table ``messages``.
-
-    Parameters
-    ----------
-    file : binary file
-        The database, which must not be written meanwhile.
-    root : int
-        Number of the table's first page.
+    """The pages of the table ``messages`` of a database that nobody writes, from ``root`` on.
 
     Raises Unusual when the file is not an SQLite database.
     """

@@ -64,27 +64,13 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
     def read(report: Report) -> Iterator[ImuBatch]:
         if log.file_corruption:
             report(finding('log_damaged', path=path))
-        if log.dropouts:
-            milliseconds = sum(dropout.duration for dropout in log.dropouts)
-            report(
-                finding(
-                    'log_dropouts',
-                    path=path,
-                    count=len(log.dropouts),
-                    seconds=milliseconds / 1e3,
-                )
-            )
+        if count := len(log.dropouts):
+            seconds = sum(dropout.duration for dropout in log.dropouts) / 1e3
+            report(finding('log_dropouts', path=path, count=count, seconds=seconds))
         period_s = float(np.median(np.diff(batch.stamps_ns))) * 1e-9 if len(batch) > 1 else 0.0
         if period_s > DECIMATED * integration_s > 0.0:
-            report(
-                finding(
-                    'log_decimated',
-                    path=path,
-                    topic=name,
-                    rate=1.0 / period_s,
-                    full=1.0 / integration_s,
-                )
-            )
+            rate, full = 1.0 / period_s, 1.0 / integration_s
+            report(finding('log_decimated', path=path, topic=name, rate=rate, full=full))
         yield from in_batches(batch)
 
     info = SourceInfo(str(path), name, data.name, 'ulog')
