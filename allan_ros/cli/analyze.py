@@ -33,9 +33,9 @@ from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
-from .console import Console, coloured, painted
+from .console import Console, coloured, painted, width
 from .options import Command, add_settings, settings_of
-from .tables import LEVEL_COLOURS, print_results
+from .tables import LEVEL_COLOURS, findings_lines, print_results
 
 EXIT_UNKNOWN, EXIT_FAILED = 1, 3
 
@@ -119,6 +119,8 @@ def run(args: argparse.Namespace) -> int:
     from .batch import by_topic, recordings_in, run_batch
 
     check_result_arguments(args)
+    if args.jobs < 1:
+        raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     console = Console.of(args)
     paths = [path for given in args.inputs for path in recordings_in(given)]
     jobs = read_jobs(paths, args, bool(args.output))
@@ -187,7 +189,9 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     verdict = verdict_of(results, units=settings.units)
     if console.json:
         console.document(results_to_document(results, units=settings.units))
-        console.findings(results.findings)
+        if not console.quiet:
+            lines = findings_lines(results, settings.units, width(), coloured(sys.stderr), True)
+            print('\n'.join(lines).strip(), file=sys.stderr)
         if written:
             console.say(written)
     elif not (console.quiet and written):
@@ -212,8 +216,6 @@ def _spread(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
     """Read the recordings in this process, in several, or on a cluster, as the arguments say."""
-    if args.jobs < 1:
-        raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     if args.scheduler:
         from .batch import on_cluster
 

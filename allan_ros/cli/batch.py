@@ -104,8 +104,6 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 
 def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
     """Do the jobs in this process, in several, or on a Dask cluster, in their order."""
-    if args.jobs < 1:
-        raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     names = names_of(jobs)
     if args.scheduler:
         read = on_cluster(jobs, args.scheduler, Console.of(args))

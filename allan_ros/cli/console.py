@@ -11,13 +11,12 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TextIO
 
 from ..core.errors import one_line
-from ..core.findings import Finding
 
 WIDTH = 100
 """Columns where there is no terminal and ``COLUMNS`` does not say."""
@@ -126,13 +125,6 @@ class Console:
         if self.verbose:
             self.say(text)
 
-    def findings(self, findings: Iterable[Finding]) -> None:
-        """Print findings to stderr, for a result that does not show them itself."""
-        from ..io.format import grouped
-
-        for finding in () if self.quiet else grouped(findings):
-            print(*finding_lines(finding, width(), coloured(sys.stderr)), sep='\n', file=sys.stderr)
-
     def progress(self, label: str, total: int | None) -> Progress:
         """Return a progress bar, which ``--quiet`` leaves out."""
         return Progress(label, total, shown=not self.quiet)
@@ -161,13 +153,6 @@ def coloured(stream: TextIO) -> bool:
     if os.environ.get('FORCE_COLOR'):
         return True
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
-
-
-def finding_lines(finding: Finding, columns: int, colours: bool = False) -> Sequence[str]:
-    """Return a finding with its remedy wrapped to the width, its severity first."""
-    lines = wrapped(f'{finding.severity}: {finding}', columns, '  ')
-    colour = SEVERITY_COLOURS[finding.severity]
-    return [painted(lines[0], finding.severity, colour, colours), *lines[1:]]
 
 
 def painted(line: str, word: str, colour: str, colours: bool) -> str:

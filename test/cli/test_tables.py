@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from allan_ros.cli.console import finding_lines
-from allan_ros.cli.tables import results_lines
+from allan_ros.cli.tables import findings_lines, results_lines
 from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
 from allan_ros.io.format import interval_text, shown_unit, value_text
@@ -77,11 +76,14 @@ def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Result
     assert rows[0].endswith('-12% at 32 s')
 
 
-def test_findings_are_coloured_only_when_asked() -> None:
-    plain, coloured = finding_lines(LONG, 80), finding_lines(LONG, 80, colours=True)
-    assert plain[0].startswith('warning: gyro_x: word')
-    assert coloured[0].startswith('\x1b[33mwarning\x1b[0m')
-    assert plain[1:] == coloured[1:]
+def test_findings_are_coloured_only_when_asked(small_results: Results) -> None:
+    results = replace(small_results, findings=(LONG,))
+    plain, coloured = (
+        list(findings_lines(results, 'si', 80, colours, True)) for colours in (False, True)
+    )
+    assert plain[1].startswith('warning: gyro x: word')
+    assert coloured[1].startswith('\x1b[33mwarning\x1b[0m')
+    assert plain[2:] == coloured[2:]
 
 
 def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results) -> None:
