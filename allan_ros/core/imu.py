@@ -197,6 +197,14 @@ STAMP_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 """Unit of a stamp -> its size in nanoseconds."""
 
 
+def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
+    """Return stamps in ns of ``count`` samples at ``rate`` Hz, from sample ``first`` on."""
+    stamps: NDArray[np.int64] = np.rint(np.arange(first, first + count) * (1e9 / rate)).astype(
+        np.int64
+    )
+    return stamps
+
+
 def sensor_of(axis: str) -> str:
     """Return 'gyro' or 'accel' for an axis name such as 'gyro_x'."""
     return axis.split('_', 1)[0]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, SENSORS, ImuBatch, joined
+from ..imu import AXES, LARGEST, SENSORS, ImuBatch, even_stamps, joined
 from .health import Counts
 
 Floats = NDArray[np.float64]
@@ -58,10 +58,8 @@ class StampChoice:
             return batch.record_ns
         if self._placed is None:
             return batch.stamps_ns
-        index = np.arange(self._placed, self._placed + len(batch))
         self._placed += len(batch)
-        stamps: Stamps = np.rint(index * (1e9 / self._rate)).astype(np.int64)
-        return stamps
+        return even_stamps(self._placed - len(batch), len(batch), self._rate)
 
 
 class StampFilter:

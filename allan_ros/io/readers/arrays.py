@@ -28,7 +28,16 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.fields import MAX_INTEGER
 from ...core.findings import Finding
-from ...core.imu import AXES, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS, ImuBatch, sensor_of
+from ...core.imu import (
+    AXES,
+    SAMPLE_UNITS,
+    SENSORS,
+    STAMP_UNITS,
+    UNITS,
+    ImuBatch,
+    even_stamps,
+    sensor_of,
+)
 from ..files import open_regular
 from .recording import BATCH, ReadOptions, Recording, SourceInfo, in_batches
 from .table_columns import axis_of_column, time_of_column
@@ -187,8 +196,7 @@ def _read(path: Path, members: tuple[str, ...], options: ReadOptions) -> Iterato
                     unit = STAMP_UNITS[options.stamp_unit]
                     stamps_ns = _to_nanoseconds(block[:, 0], unit, samples.where, first)
                 else:
-                    rows_of = np.arange(first, first + rows)
-                    stamps_ns = np.rint(rows_of * (1e9 / options.rate_hz)).astype(np.int64)
+                    stamps_ns = even_stamps(first, rows, options.rate_hz)
                 values = block[:, -len(AXES) :].astype(np.float64)
                 record_ns = None if record is None else record.take(rows).astype(np.int64)
                 yield options.in_si(ImuBatch(stamps_ns, values, record_ns, frame_id))
@@ -310,7 +318,7 @@ def recording_in_memory(
             raise AllanError(f'{sensor} unit {unit!r} is unknown: choose one of {known}')
         rows[:, AXES.index(axis)] = column * UNITS[unit].factor
     if rate:
-        stamps = np.rint(np.arange(n) * (1e9 / rate)).astype(np.int64)
+        stamps = even_stamps(0, n, rate)
     if stamps is None:
         raise AllanError('the samples have no times: give their rate in Hz, such as rate=200')
     named = {sensor_of(axis): unit for axis, unit in units_of.items() if unit}

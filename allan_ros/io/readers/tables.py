@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import AXES, ImuBatch
+from ...core.imu import AXES, ImuBatch, even_stamps
 from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
@@ -98,12 +98,7 @@ def _text(path: Path) -> TextIO:
 class _Lines:
     """The lines of a table after its header, without comments and empty lines.
 
-    Attributes
-    ----------
-    number : int
-        Number of the last line, counted from 1.
-    frame_id : str
-        frame_id of the last comment that states one.
+    The last line has the ``number``, from 1, and the last comment that states one the ``frame_id``.
     """
 
     def __init__(self, path: Path, file: TextIO, layout: TableLayout) -> None:
@@ -159,8 +154,7 @@ class _Rows:
             times.append(total)
         stamps, record = times
         if not layout.stamp:
-            index = np.arange(self.first, self.first + n)
-            stamps = np.rint(index * (1e9 / layout.rate_hz)).astype(np.int64)
+            stamps = even_stamps(self.first, n, layout.rate_hz)
         return ImuBatch(stamps, samples, record if layout.record else None, self.frame_id)
 
     def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
