@@ -21,7 +21,7 @@ from .. import api
 from ..api import ResultSettings
 from ..core.errors import AllanError
 from ..core.fit import AxisFit
-from ..core.fit.curve_fit import fit_curve
+from ..core.fit.least_squares import fit_curve
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from ..io.comparison import (
     comparison_document,

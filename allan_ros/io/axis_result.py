@@ -21,8 +21,8 @@ from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis, sample_variance
 from ..core.filters.reductions import StateSpace
 from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
-from ..core.fit.curve_fit import fit_curve
 from ..core.fit.findings import rounding_step
+from ..core.fit.least_squares import fit_curve
 from ..core.fit.model import Status
 from ..core.fit.reading import ModelLine, Region, model_line, read_curve
 from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si

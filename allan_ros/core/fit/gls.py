@@ -15,7 +15,7 @@ from .intervals import (
     CoefficientInterval,
     RampInterval,
     coefficient_interval,
-    process_intervals,
+    processes_of,
     ramp_interval,
 )
 from .model import (
@@ -24,15 +24,12 @@ from .model import (
     AxisFit,
     Coefficient,
     Floats,
-    GaussMarkov,
     NoiseModel,
-    Processes,
-    Sinusoid,
     coefficient_to_si,
 )
 from .processes import GaussMarkovTerm, SinusoidTerm
 from .select import select_model
-from .solve import FitOptions, K, Misfit, N, PointFit, Q, solve
+from .solve import FitOptions, K, Misfit, N, Q, solve
 from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
@@ -97,7 +94,7 @@ def _fit_axis(
         options.misfit.size,
         options.m_min,
         selected.first.z,
-        _processes(selected.fit, table, tau0),
+        processes_of(selected.fit, table, tau0),
     )
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
 
@@ -167,25 +164,3 @@ def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient
 def _nothing() -> AxisFit:
     """Return the fit of an axis without coefficients."""
     return AxisFit({term: _unresolved(None, np.inf) for term in TERMS})
-
-
-def _processes(fit: PointFit, table: Table, tau0: float) -> Processes:
-    """Return the Gauss-Markov processes and sinusoids in SI units."""
-    gauss_markov: list[GaussMarkov] = []
-    sinusoid: list[Sinusoid] = []
-    four = len(RANDOM_TERMS)
-    of_power, of_shape = process_intervals(fit, table)
-    for k, extra in enumerate(fit.options.extras):
-        power = max(float(fit.power[four + k]), 0.0)
-        if power == 0.0:
-            continue
-        size = math.sqrt(power)
-        ratio = math.sqrt(float(of_power[k]))
-        ends = (size / ratio, size * ratio)
-        low, high = extra.shape / float(of_shape[k]), extra.shape * float(of_shape[k])
-        if isinstance(extra, GaussMarkovTerm):
-            times = (low * tau0, high * tau0)
-            gauss_markov.append(GaussMarkov(size, ends, extra.shape * tau0, times))
-        else:
-            sinusoid.append(Sinusoid(size, ends, extra.shape / tau0, (low / tau0, high / tau0)))
-    return Processes(tuple(gauss_markov), tuple(sinusoid))

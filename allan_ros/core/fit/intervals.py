@@ -16,13 +16,15 @@ by the cube root of Wilson & Hilferty (PNAS 17, 1931).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
 
-from .model import RANDOM_TERMS, Z_95, Floats
+from .model import RANDOM_TERMS, Z_95, Floats, GaussMarkov, Processes, Sinusoid
+from .processes import Extra, GaussMarkovTerm
 from .solve import (
     NO_MISFIT,
     RIDGE,
@@ -137,13 +139,24 @@ class Neighbours:
         self._known = [*known[-1:], (c, power)]
 
 
-def _contrast(design: Floats, at: int) -> Floats:
-    """Return the weights on the whitened table whose sum is the estimate of one column."""
+def _inverse(design: Floats) -> tuple[Floats, Floats]:
+    """Return the inverse of the normal equations of unit columns, and the norms of the columns."""
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
     unit = design / size
-    inverse = np.linalg.inv(unit.T @ unit + RIDGE * np.eye(len(size)))
-    return np.asarray(unit @ inverse[:, at] / size[at])
+    return np.linalg.inv(unit.T @ unit + RIDGE * np.eye(len(size))), size
+
+
+def _contrast(design: Floats, at: int) -> Floats:
+    """Return the weights on the whitened table whose sum is the estimate of one column."""
+    inverse, size = _inverse(design)
+    return np.asarray(design / size @ inverse[:, at] / size[at])
+
+
+def standard_errors(design: Floats) -> Floats:
+    """Return the standard deviations of the estimates of whitened columns, (columns,)."""
+    inverse, size = _inverse(design)
+    return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
 
 
 def normal_deviate(z: float, skewness: float) -> float:
@@ -247,39 +260,50 @@ WIDEST_SHAPE = 100.0
 """Ratio of a correlation time or frequency to the ends of its interval at most."""
 
 
-def process_intervals(fit: PointFit, table: Table) -> Floats:
-    """Return the ratios of variances and of shapes to the ends of their 95 % intervals.
+def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
+    """Return the processes of a fit in SI units; ``table`` is that of the fit with tangents."""
+    number = len(fit.options.extras)
+    if not number:
+        return Processes()
+    power = np.concatenate([fit.power, np.zeros(number)])
+    active = np.flatnonzero((power != 0.0) | (np.arange(len(power)) >= len(RANDOM_TERMS)))
+    whitening = Whitening.of(weights_at(table, power, fit.options.misfit))
+    errors = np.zeros(len(power))
+    errors[active] = standard_errors(whitening.apply(table.terms[:, active]))
+    return processes_in_si(fit.options.extras, power, errors, tau0)
 
-    From the linear fit in which the derivatives of the columns by the logarithms of their shapes
-    are free: the intervals are symmetric in the logarithm.
+
+def processes_in_si(
+    extras: Sequence[Extra], power: Floats, errors: Floats, tau0: float
+) -> Processes:
+    """Return processes with intervals that are symmetric in the logarithm.
 
     Parameters
     ----------
-    fit : PointFit
-    table : Table
-        Of the fit, with tangents.
-
-    Returns
-    -------
-    (2, processes) float64 array
+    extras : sequence of Extra
+    power : float64 array
+        Variance coefficients of the four terms and of the processes.
+    errors : (4 + 2 extras,) float64 array
+        Standard errors of these, and of the multiples of the derivatives of the columns of the
+        processes by the logarithms of their shapes.
+    tau0 : float
+        Sample period in s.
     """
-    processes = len(fit.options.extras)
-    if not processes:
-        return np.ones((2, 0))
-    first = table.terms.shape[1] - processes
-    power = np.concatenate([fit.power, np.zeros(processes)])
-    active = np.flatnonzero((power != 0.0) | (np.arange(len(power)) >= len(RANDOM_TERMS)))
-    whitening = Whitening.of(weights_at(table, power, fit.options.misfit))
-    design = whitening.apply(table.terms[:, active])
-    size = np.linalg.norm(design, axis=0)
-    size[size == 0.0] = 1.0
-    unit = design / size
-    inverse = np.linalg.inv(unit.T @ unit + RIDGE * np.eye(len(size)))
-    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
-    powers = np.maximum(power[first - processes : first], np.finfo(float).tiny)
-    relative = deviation[-2 * processes :].reshape(2, processes) / powers
-    reach = Z_95 * np.minimum(relative, WIDEST_SHAPE)
-    return np.asarray(np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))))
+    gauss_markov, sinusoid = [], []
+    for k, extra in enumerate(extras, start=len(RANDOM_TERMS)):
+        if not power[k] > 0.0:
+            continue
+        reach = Z_95 * errors[[k, k + len(extras)]] / float(power[k])
+        of_power, of_shape = np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))).tolist()
+        size = math.sqrt(power[k])
+        ends = (size / math.sqrt(of_power), size * math.sqrt(of_power))
+        low, high = extra.shape / of_shape, extra.shape * of_shape
+        if isinstance(extra, GaussMarkovTerm):
+            times = (low * tau0, high * tau0)
+            gauss_markov.append(GaussMarkov(size, ends, extra.shape * tau0, times))
+        else:
+            sinusoid.append(Sinusoid(size, ends, extra.shape / tau0, (low / tau0, high / tau0)))
+    return Processes(tuple(gauss_markov), tuple(sinusoid))
 
 
 Z_DETECT_RAMP = 2.58
