@@ -6,6 +6,7 @@
     python bench/bench_filters.py nees --sensors x z --axes 8
     python bench/bench_filters.py growth                shared ADIS16405 units, about 1 min
     python bench/bench_filters.py bias                  coverage of the bias interval, 5 min
+    python bench/bench_filters.py share                 what an unresolved K counts with, 10 min
     python bench/bench_filters.py gtsam                 a factor graph in rest and motion, 2 min
     python bench/bench_filters.py figure                docs/images/filter_growth.png
 
@@ -32,6 +33,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import allan_ros as ar
+from allan_ros.core.filters import noise_parameters
 from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import Horizons, reduce_model
@@ -63,7 +65,7 @@ def oracle() -> dict[str, Any]:
 REALITY = oracle()
 DEG = REALITY['deg']
 TABLE1 = REALITY['TABLE1']
-N_X = {'N': TABLE1['x']['N']}
+N_X, BK_X = {'N': TABLE1['x']['N']}, {'B': TABLE1['x']['B']}
 SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...], int]] = {
     'x': ('table 1 X', TABLE1['x'], (), SECONDS),
     'y': ('table 1 Y', TABLE1['y'], (), SECONDS),
@@ -74,8 +76,13 @@ SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...],
     'gm2': ('Gauss-Markov 10 + 200 s', N_X, ((9.0, 10.0), (6.0, 200.0)), SECONDS),
     'gm3': ('Gauss-Markov 3 + 30 + 300 s', N_X, ((9.0, 3.0), (6.0, 30.0), (6.0, 300.0)), SECONDS),
     'x5': ('5 min of X', TABLE1['x'], (), 300),
+    'nbk1': ('N + B + K of 8.2 deg/h^1.5', {**N_X, **BK_X, 'K': DEG(K=8.2)['K']}, (), SECONDS),
+    'nbk2': ('N + B + K of 15 deg/h^1.5', {**N_X, **BK_X, 'K': DEG(K=15.0)['K']}, (), SECONDS),
 }
 """Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, seconds of the record."""
+
+WEAK_K = ('nbk1', 'nbk2')
+"""Sensors with a K below and near what a record shows."""
 
 
 def draw(
@@ -207,29 +214,20 @@ BIAS_RATE = 10.0
 """Rate in Hz of the records of `bias`: its input are means over 1 s."""
 
 
+BIAS_AHEAD_S = (0, 60, 600)
+"""Times ahead for which `bias` predicts."""
+
+
 def bias(records: int) -> None:
     """Print the coverage of the 95 % interval of the bias now, 60 s and 600 s later."""
-    per_s = round(BIAS_RATE)
     for name in ('x', 'y', 'z'):
-        covered: dict[int, list[float]] = {0: [], 60: [], 600: []}
+        covered: dict[int, list[float]] = {after: [] for after in BIAS_AHEAD_S}
         for record in range(records):
             rng = np.random.default_rng([record, ord(name)])
             white, samples = draw(name, SECONDS, rng, 3, BIAS_RATE)
             results = ar.analyze(samples, rate=BIAS_RATE, motion_gate=False, skip=0.0)
-            means, drift = (
-                values.reshape(SECONDS, per_s, 3).mean(axis=1)
-                for values in (samples, samples - white)
-            )
             for i, axis in enumerate(AXES[:3]):
-                hits: dict[int, list[bool]] = {after: [] for after in covered}
-                tracker = BiasFilter(BiasModel.of_fit(results[axis].fit))
-                for k, mean in enumerate(means[:, i], 1):
-                    tracker.update(float(mean))
-                    if k >= 600 and k % 30 == 0 and k + 610 <= SECONDS:
-                        for after, hit in hits.items():
-                            low, high = tracker.estimate(after).ci95
-                            true = drift[k + after : k + after + 10, i].mean()
-                            hit.append(bool(low < true < high))
+                hits = _bias_hits(results[axis], samples[:, i], white[:, i], 30)
                 for after, hit in hits.items():
                     covered[after].append(float(np.mean(hit)))
         cells = '  '.join(
@@ -237,6 +235,66 @@ def bias(records: int) -> None:
             for after, each in covered.items()
         )
         print(f'table 1 {name}: coverage {cells} ({3 * records} axes)', flush=True)
+
+
+SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
+"""Shares of its expected variance with which a K that is not resolved may count."""
+
+
+def share(names: list[str], records: int, write: bool) -> None:
+    """Print, and write, what shares of an unresolved K do to predicted errors and bias intervals.
+
+    For each sensor and share: the root mean square ratio of actual to predicted error after 300 s
+    without correction, and the coverage of the 95 % interval of the bias 600 s later.
+    """
+    heading = ('sensor', 'K resolved', *(f'{value:.0%}' for value in SHARES))
+    table = DocTable('share', heading, ROOT / 'docs' / 'engineering' / 'accuracy.md')
+    for name in names:
+        title, _, _, seconds = SENSORS[name]
+        white, samples = draw(
+            name, SECONDS, np.random.default_rng([1, *name.encode()]), 6, BIAS_RATE
+        )
+        found: dict[float, list[tuple[float, float]]] = {value: [] for value in SHARES}
+        resolved = 0
+        for record in range(records):
+            rng = np.random.default_rng([2, record, *name.encode()])
+            own_white, own = draw(name, seconds, rng, 3, BIAS_RATE)
+            results = ar.analyze(own, rate=BIAS_RATE, motion_gate=False, skip=0.0)
+            for i, axis in enumerate(AXES[:3]):
+                resolved += results[axis].fit.selected.terms.K > 0.0
+                for value in SHARES:
+                    noise_parameters.UNRESOLVED_SHARE = value
+                    space = results[axis].state_space()
+                    model = {'N': space.white, 'K': space.walk, 'gms': list(space.gauss_markov)}
+                    ran = REALITY['run_filter'](
+                        model, samples, 1.0 / BIAS_RATE, np.random.default_rng(1), white
+                    )
+                    hits = _bias_hits(results[axis], own[:, i], own_white[:, i], 60)[600]
+                    found[value].append((ran['outage'][300], float(np.mean(hits or [np.nan]))))
+        cells = [title, f'{resolved} of {3 * records}']
+        for value in SHARES:
+            ratio, covered = np.array(found[value]).T
+            cells.append(f'{np.sqrt((ratio**2).mean()):.2f} / {covered.mean():.3f}')
+        print(*cells, sep='  ', flush=True)
+        if write:
+            table.put([cell.replace('nan', '-') for cell in cells])
+
+
+def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> dict[int, list[bool]]:
+    """Return whether the interval of the bias contains it, by seconds ahead, at every so many s."""
+    seconds = len(samples) // round(BIAS_RATE)
+    means, drift = (
+        values.reshape(seconds, -1).mean(axis=1) for values in (samples, samples - white)
+    )
+    hits: dict[int, list[bool]] = {after: [] for after in BIAS_AHEAD_S}
+    tracker = BiasFilter(BiasModel.of_fit(axis.fit))
+    for k, mean in enumerate(means, 1):
+        tracker.update(float(mean))
+        if k >= 600 and k % every == 0 and k + 610 <= seconds:
+            for after, hit in hits.items():
+                low, high = tracker.estimate(after).ci95
+                hit.append(bool(low < drift[k + after : k + after + 10].mean() < high))
+    return hits
 
 
 GRAPH_S, GRAPH_RUNS = 150, 12
@@ -357,18 +415,23 @@ def figure() -> None:
 def main() -> None:
     """Run one of the measurements."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('what', choices=('nees', 'growth', 'bias', 'gtsam', 'figure'))
-    parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS), default=[*SENSORS])
+    parser.add_argument('what', choices=('nees', 'growth', 'bias', 'share', 'gtsam', 'figure'))
+    parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS))
     parser.add_argument('--axes', type=int, default=24, help='axes the filter runs on')
     parser.add_argument('--records', type=int, default=20, help='records of three axes')
-    parser.add_argument('--write', action='store_true', help='write the table into docs/filters.md')
+    parser.add_argument('--write', action='store_true', help='write the table into its page')
     args = parser.parse_args()
     if args.what == 'nees':
-        nees(args.sensors, args.axes, args.write)
+        nees(
+            args.sensors or [name for name in SENSORS if name not in WEAK_K], args.axes, args.write
+        )
     elif args.what == 'growth':
         growth()
     elif args.what == 'bias':
         bias(args.records)
+    elif args.what == 'share':
+        names = args.sensors or ['x', 'y', *WEAK_K, 'nb', 'gm2', 'x5']
+        share(names, args.records, args.write)
     elif args.what == 'gtsam':
         graph(GRAPH_RUNS)
     else:

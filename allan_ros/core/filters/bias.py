@@ -22,6 +22,7 @@ from ..errors import AllanError
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
 from .growth import drift_model, predicted_growth
+from .noise_parameters import expected_model
 from .reductions import state_space
 
 Floats = NDArray[np.float64]
@@ -91,7 +92,7 @@ class BiasModel(NamedTuple):
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
-        """Return the selected model, with the root mean square of the ramps that the fit allows.
+        """Return `expected_model`, with the root mean square of the ramps that the fit allows.
 
         A ramp below what a record can resolve still moves the bias in the next minutes. Without it
         the 95 % interval of the bias 10 min ahead covers 89 to 93 % on the sensors of table 1.
@@ -104,7 +105,7 @@ class BiasModel(NamedTuple):
         else:
             error = max(limit - value, 0.0) / Z_95
         std = math.hypot(value, error)
-        return cls(fit.selected, std if math.isfinite(std) else 0.0)
+        return cls(expected_model(fit), std if math.isfinite(std) else 0.0)
 
 
 class BiasFilter:

@@ -95,11 +95,11 @@ def test_a_record_shorter_than_a_block_has_none() -> None:
     assert spectrum_of(sums_of(np.ones((1, BLOCK - 1)), 100), TAU0) is None
 
 
-def test_the_accumulator_keeps_the_spectrum_of_its_evidence_when_asked() -> None:
+def test_the_pipeline_keeps_the_spectrum_of_static_data_on_request() -> None:
     n = 60_000
     samples = np.random.default_rng(6).normal(size=(n, 6)) * 1e-3
     samples[:, 3:] += 9.8
-    samples[20_000:24_000, :3] += 1.0  # it turns: no evidence
+    samples[20_000:24_000, :3] += 1.0  # in motion
     stamps = np.arange(n, dtype=np.int64) * 10_000_000
     accumulator = ImuStream(SegmenterSettings(), with_spectra=True)
     accumulator.update(ImuBatch(stamps, samples))

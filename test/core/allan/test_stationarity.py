@@ -70,7 +70,7 @@ def test_the_settled_part_is_fitted_and_both_values_are_stated():
     assert everything is sums
 
 
-def test_a_warm_up_that_lasts_is_reported_as_such():
+def test_a_warm_up_of_the_complete_recording_is_reported():
     t = np.arange(SECONDS)
     sums = sums_of_noise(NOISE, 5, early=1000 * DEG_H * np.exp(-t / 1500))
     used, model = fit_stationary(sums)

@@ -18,6 +18,7 @@ from allan_ros.core.filters.bias import (
     time_within,
     turn_on_bias,
 )
+from allan_ros.core.filters.noise_parameters import UNRESOLVED_SHARE, expected_variance
 from allan_ros.core.fit.model import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis
@@ -81,6 +82,16 @@ def test_a_measured_ramp_has_the_error_of_its_interval_and_no_interval_is_vague(
     assert vague.slope_std > 100.0 * 1e-7
     for nothing in (Coefficient(None, None, None, 'not_observable'), Coefficient(0.0)):
         assert BiasModel.of_fit(fit_with_ramp(nothing)).slope_std == 0.0
+
+
+def test_a_walk_that_is_not_resolved_counts_with_a_share():
+    hidden = Coefficient(None, None, 1e-7, 'not_observable')
+    noise = {**fit_with_ramp(Coefficient(0.0)).noise, 'K': hidden}
+    processes = BiasModel.of_fit(AxisFit(noise)).processes
+    assert pytest.approx(UNRESOLVED_SHARE * expected_variance(hidden)) == processes.terms.K**2
+    assert processes.terms.B == TERMS.B
+    resolved = fit_with_ramp(Coefficient(0.0))
+    assert BiasModel.of_fit(resolved).processes == resolved.selected
 
 
 def test_white_noise_alone_averages_out():

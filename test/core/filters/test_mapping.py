@@ -52,7 +52,7 @@ def test_constants_come_before_the_rate():
     assert propose(parameter('f'), AXES, 200.0, {'f': 50.0}).values == (50.0,)
 
 
-def test_a_term_that_is_not_seen_holds_back_as_far_as_it_matters():
+def test_an_unresolved_term_delays_a_parameter_only_as_far_as_it_matters():
     little = propose(parameter('sqrt(N**2 + B**2)'), AXES, 200.0, {})
     assert little.values[0] == pytest.approx(math.hypot(3e-3, 4e-5))
     assert little.low == pytest.approx(2.7e-3) and little.ratio < 1.25
@@ -64,7 +64,7 @@ def test_a_term_that_is_not_seen_holds_back_as_far_as_it_matters():
     assert ready == [little] and set(waiting) == {'m'} and 'within a factor of 1.5' in waiting['m']
 
 
-def test_an_expression_that_falls_has_its_ends_in_order():
+def test_the_interval_of_a_decreasing_expression_is_ordered():
     falling = propose(parameter('1 / N'), AXES, 200.0, {})
     assert falling.low == pytest.approx(1 / 3.3e-3) and falling.high == pytest.approx(1 / 2.7e-3)
     assert propose(parameter('N / B'), AXES, 200.0, {}).ratio == math.inf  # B may be 0
@@ -76,7 +76,7 @@ def test_values_are_kept_within_the_limits():
     assert held.high == pytest.approx(3.3e-3)  # the interval says what is true
 
 
-def test_what_cannot_be_said_is_refused():
+def test_a_missing_sensor_or_term_is_refused():
     with pytest.raises(AllanError, match='no accel'):
         propose(FilterParameter('p', 'accel', Expression('N')), AXES, 200.0, {})
     nothing = axis(1e-3, b=Coefficient(None, status='not_observable'))
@@ -104,7 +104,7 @@ def test_a_value_differs_by_a_fraction():
         (parameter('N * g'), 'names g'),
     ],
 )
-def test_a_mapping_that_makes_no_sense_is_refused(wrong, reason):
+def test_an_invalid_mapping_is_refused(wrong, reason):
     with pytest.raises(AllanError, match=reason):
         check_mapping(FilterMapping('f', (wrong,)))
     check_mapping(FilterMapping('f', (parameter('N * h * f'),), {'h': 1.0}))

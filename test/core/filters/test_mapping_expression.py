@@ -57,7 +57,7 @@ def test_arithmetic_is_done_as_written():
         '(' * 150,
     ],
 )
-def test_what_is_not_arithmetic_is_refused(text):
+def test_only_arithmetic_is_accepted(text):
     with pytest.raises(AllanError):
         Expression(text)
 
@@ -66,7 +66,7 @@ def test_what_is_not_arithmetic_is_refused(text):
     'text',
     ['N / 0', 'sqrt(-N)', '10**10**10', '(-N)**0.5', 'sqrt(N, N)', 'max(N)', 'K', '1e308 * 10'],
 )
-def test_what_has_no_finite_value_is_refused(text):
+def test_an_expression_without_a_finite_value_is_refused(text):
     with pytest.raises(AllanError):
         Expression(text).value({'N': 1.0})
 

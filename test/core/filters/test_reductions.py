@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A reduction bounds the growth of the model it stands for, and says by how much it exceeds it."""
+"""Reductions bound the growth of the model they stand for; the discrete matrices are exact."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ import math
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.growth import has_drift, predicted_growth
-from allan_ros.core.filters.reductions import STATES, Horizons, reduce_model
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.filters.reductions import (
+    STATES,
+    Horizons,
+    StateSpace,
+    flicker_processes,
+    reduce_model,
+)
+from allan_ros.core.noise import FLICKER_FLOOR, NoiseTerms, ProcessModel
 
 DEG = math.pi / 180.0
 FLICKER = ProcessModel(
@@ -45,7 +52,7 @@ def test_the_growth_is_bounded_from_above(model, states, horizon):
     assert np.all(growth[0] >= slack * growth[1])
 
 
-def test_what_is_two_terms_stays_as_it_is():
+def test_a_model_of_n_and_k_is_its_own_reduction():
     model = ProcessModel(NoiseTerms(N=2e-4, K=3e-6))
     reduction = reduce_model(model)
     assert (reduction.white, reduction.walk) == pytest.approx((2e-4, 3e-6))
@@ -91,3 +98,41 @@ def test_a_misnamed_option_is_refused():
         reduce_model(FLICKER, 'two')  # type: ignore[arg-type]
     with pytest.raises(AllanError, match='above 0 s'):
         Horizons.up_to(0.0)
+
+
+def van_loan(space: StateSpace, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return Phi and Qd of the continuous model by the matrix exponential (van Loan 1978)."""
+    n = space.size
+    a, w = np.zeros((n, n)), np.zeros((n, n))
+    a[0, 1 : 2 + len(space.gauss_markov)] = 1.0
+    w[0, 0], w[1, 1] = space.white**2, space.walk**2
+    for i, (sigma, tau) in enumerate(space.gauss_markov, 2):
+        a[i, i], w[i, i] = -1.0 / tau, 2.0 * sigma**2 / tau
+    if space.slope:
+        a[1, n - 1] = 1.0
+    e = expm(np.block([[-a, w], [np.zeros((n, n)), a.T]]) * dt)
+    phi = e[n:, n:].T
+    return phi, phi @ e[:n, n:]
+
+
+@pytest.mark.parametrize('dt', [0.004, 1.0, 30.0])
+def test_matrices_are_those_of_the_continuous_model(dt):
+    space = StateSpace(1.0, 0.3, ((2.0, 3.0), (1.0, 100.0), (0.5, 1e4)), slope=True)
+    phi, noise = van_loan(space, dt)
+    np.testing.assert_allclose(space.transition(dt), phi, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(space.noise(dt), noise, rtol=1e-5, atol=1e-9)
+    assert space.sample_variance(100.0) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize('white, limit', [(10.0, 0.05), (0.5, 0.11), (0.0, 0.15)])
+def test_four_processes_follow_flicker(white, limit):
+    processes = flicker_processes(2.0, white)
+    assert len(processes) == 4
+    tau = np.geomspace(3.0, 3000.0, 50)
+    ratio = ProcessModel(gauss_markov=processes).avar(tau) / (4.0 * FLICKER_FLOOR)
+    assert np.abs(ratio - 1.0).max() < limit
+
+
+def test_a_step_of_nothing_is_refused():
+    with pytest.raises(AllanError, match='rate above 0'):
+        StateSpace(1.0).transition(0.0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The variance of a sample: measured right, and the one that keeps a filter honest."""
+"""The variance of a sample: the measured one, and the one with which a filter is consistent."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_it_is_the_variance_within_a_second_whatever_the_noise(kind):
     assert measured(y) == pytest.approx(windowed_variance(y), rel=0.04)
 
 
-def test_it_is_not_known_where_nothing_can_be_said():
+def test_the_sample_variance_needs_all_factors_of_the_window():
     m, adev = np.array([1, 2, 4]), np.array([1.0, math.nan, 1.0])
     assert sample_variance(m, adev, tau0=0.25) is None
     assert sample_variance(m, np.ones(3), tau0=2.0) is None
@@ -58,8 +58,8 @@ def test_it_is_not_known_where_nothing_can_be_said():
     assert sample_variance(m, np.array([3.0, 1.0, 1.0]), tau0=0.5) == pytest.approx(9.0)
 
 
-def test_only_n2f_keeps_a_filter_honest_behind_a_low_pass():
-    """The mean of a second of filtered samples is as good as N^2 says, not as they scatter."""
+def test_only_n2f_is_consistent_behind_a_low_pass():
+    """The variance of the mean over a second follows from N, not from the scatter of samples."""
     rng = np.random.default_rng(11)
     n_density = 0.3
     white = rng.normal(0.0, n_density * math.sqrt(RATE), (2000, 3 * WINDOW))

@@ -119,7 +119,7 @@ def test_nothing_is_written_that_is_not_positive_and_finite(
     assert not list(tmp_path.iterdir())
 
 
-def test_an_absent_sensor_is_said(results: Results, tmp_path: Path) -> None:
+def test_an_absent_sensor_is_reported(results: Results, tmp_path: Path) -> None:
     gyro = {name: axis for name, axis in results.axes.items() if name.startswith('gyro')}
     with pytest.raises(AllanError, match='no accel'):
         export(replace(results, axes=gyro), 'kalibr', tmp_path)

@@ -55,7 +55,7 @@ def test_the_file_is_word_for_word(known_results: Results, name: str) -> None:
 
 
 @pytest.mark.parametrize('name', EXPECTED)
-def test_the_header_says_all_that_is_asked_of_it(known_results: Results, name: str) -> None:
+def test_the_header_states_source_convention_and_units(known_results: Results, name: str) -> None:
     text = make_export(known_results, name, ExportOptions(inflate=2.0)).text
     for words in (
         'source: runs/one.mcap /imu/data; 2 h at rest',
@@ -73,7 +73,7 @@ def test_the_header_says_all_that_is_asked_of_it(known_results: Results, name: s
 
 
 @pytest.mark.parametrize('name', EXPECTED)
-def test_inflation_multiplies_what_is_linear_and_squares_what_is_not(
+def test_inflation_multiplies_levels_and_squares_variances(
     known_results: Results, name: str
 ) -> None:
     plain, inflated = (numbers(known_results, name, inflate=factor) for factor in (1.0, 3.0))
@@ -115,7 +115,7 @@ def test_a_limit_is_stated_in_the_file_and_as_a_finding(known_results: Results, 
 
 
 @pytest.mark.parametrize('name', WITH_WALK)
-def test_k_is_raised_for_what_it_has_to_cover(known_results: Results, name: str) -> None:
+def test_k_is_raised_to_cover_the_other_terms(known_results: Results, name: str) -> None:
     made = make_export(known_results, name)
     horizon = target_of(name).horizon_s
     assert f'error growth of the complete model over 1 to {horizon:g} s' in made.text
@@ -186,7 +186,7 @@ def test_no_character_of_a_path_leaves_the_comment(known_results: Results, name:
     ) in text
 
 
-def test_the_manual_tells_of_every_target(repository: Path) -> None:
+def test_the_manual_lists_every_target(repository: Path) -> None:
     manual = (repository / 'docs' / 'filters.md').read_text(encoding='utf-8')
     assert [name for name in TARGETS if f'| `{name}` |' not in manual] == []
 
@@ -214,7 +214,9 @@ def test_orb_slam3_reads_real_numbers(known_results: Results) -> None:
 
 
 @pytest.mark.parametrize('name', ['px4', 'ardupilot'])
-def test_a_range_of_the_autopilot_is_kept_and_said(known_results: Results, name: str) -> None:
+def test_numbers_are_clamped_to_the_ranges_of_the_autopilot(
+    known_results: Results, name: str
+) -> None:
     quiet = {
         axis: replace(
             result,
@@ -252,7 +254,7 @@ def test_madgwick_needs_no_accelerometer(known_results: Results) -> None:
     assert numbers(replace(known_results, axes=gyro), 'imu_filter_madgwick')['gain'] > 0.0
 
 
-def test_a_date_that_is_none_is_said(known_results: Results) -> None:
+def test_a_missing_date_is_stated(known_results: Results) -> None:
     def date(start_ns: int) -> str:
         provenance = known_results.provenance
         spans = tuple(span._replace(start_ns=start_ns) for span in provenance.segments)

@@ -1,8 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Merging into a user's YAML: new numbers in, every other byte as it was, or nothing at all."""
+"""Merging into a user's YAML or JSON: new numbers in, all else as it was, or nothing at all."""
 
 from __future__ import annotations
+
+import json
 
 import pytest
 import yaml
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.exporters import Entry, ExportOptions, make_export
-from allan_ros.io.exporters.forms import BLOCK_BEGIN, BLOCK_END, YamlForm
+from allan_ros.io.exporters.forms import BLOCK_BEGIN, BLOCK_END, HEADER_KEY, JsonForm, YamlForm
 from allan_ros.io.results import Results
 
 BARE = ExportOptions(fidelity='coefficients')
@@ -39,13 +41,13 @@ def test_merging_twice_is_merging_once() -> None:
     assert once.count(BLOCK_BEGIN) == 1
 
 
-def test_what_is_missing_is_added_beside_its_siblings() -> None:
+def test_missing_keys_are_added_beside_their_siblings() -> None:
     mine = 'top:\n    a: 1.0 # first\n    c: 3\n# tail\nother: 1\n'
     wanted = 'top:\n    a: 0.5 # first\n    c: 3\n    b: 0.5\n# tail\nother: 1\n'
     assert merged(mine, entry('top.a'), entry('top.b')) == BLOCK + wanted
 
 
-def test_a_file_without_its_last_line_end() -> None:
+def test_a_file_without_a_final_newline() -> None:
     assert merged('a: 1', entry('b')) == f'{BLOCK}a: 1\nb: 0.5\n'
 
 
@@ -54,7 +56,7 @@ def test_an_empty_file_and_one_of_comments_only() -> None:
     assert merged('# mine\n', entry('a')) == f'{BLOCK}# mine\na: 0.5\n'
 
 
-def test_missing_parents_are_made() -> None:
+def test_missing_parents_are_created() -> None:
     assert merged('x: 1\n', entry('p.q.r')).endswith('x: 1\np:\n  q:\n    r: 0.5\n')
     assert merged('p:\n   z: 1\n', entry('p.q.r')).endswith('p:\n   z: 1\n   q:\n     r: 0.5\n')
 
@@ -85,7 +87,7 @@ def test_the_path_itself_comes_before_any_namesake() -> None:
     assert merged(mine, entry('imu1.n')) == f'{BLOCK}imu0:\n  n: 1\nimu1:\n  n: 0.5\n'
 
 
-def test_what_is_no_measurement_is_left_alone() -> None:
+def test_values_that_are_not_measured_stay() -> None:
     mine = 'topic: /mine\n'
     assert merged(mine, entry('topic', '/ours', keep=True)) == BLOCK + mine
     assert merged('a: 1\n', entry('topic', '/ours', keep=True)) == f'{BLOCK}a: 1\ntopic: /ours\n'
@@ -136,7 +138,7 @@ def test_a_value_where_keys_belong_is_refused() -> None:
         ('a:\n  b: 1\n', 'holds keys where a number belongs'),
     ],
 )
-def test_what_cannot_be_merged_safely_is_refused(mine: str, said: str) -> None:
+def test_an_unsafe_merge_is_refused(mine: str, said: str) -> None:
     with pytest.raises(AllanError, match=said) as refusal:
         merged(mine, entry('a'))
     assert '\n' not in str(refusal.value)
@@ -215,7 +217,7 @@ def test_a_kalibr_file_keeps_its_topic_and_its_comments(known_results: Results) 
     assert 'rostopic: /imu9      #mine\n' in named
 
 
-def test_openvins_keeps_what_was_calibrated(known_results: Results) -> None:
+def test_openvins_keeps_calibrated_values(known_results: Results) -> None:
     mine = '%YAML:1.0\n\nimu0:\n  T_i_b:\n    - [0.0, 1.0]\n  gyroscope_noise_density: 1.0\n'
     found = yaml.safe_load(
         make_export(known_results, 'openvins', existing=mine).text.removeprefix('%YAML:1.0\n')
@@ -224,3 +226,52 @@ def test_openvins_keeps_what_was_calibrated(known_results: Results) -> None:
     assert found['gyroscope_noise_density'] == 1e-3
     assert found['model'] == 'kalibr'
     assert found['Tw'] == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+ENTRIES = [Entry(('value0', 'rate'), 200.0), Entry(('value0', 'noise'), [1e-3, 2e-3, 3e-3])]
+NEW = {'rate': 200.0, 'noise': [1e-3, 2e-3, 3e-3]}
+
+trees = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(-1e9, 1e9), st.text(max_size=5)),
+    lambda tree: st.one_of(
+        st.lists(tree, max_size=3), st.dictionaries(st.text(max_size=4), tree, max_size=3)
+    ),
+    max_leaves=8,
+)
+
+
+@given(
+    cameras=trees,
+    value0=st.dictionaries(st.text(max_size=4), trees, max_size=3),
+    again=st.integers(1, 3),
+)
+def test_all_else_stays(cameras: object, value0: dict, again: int) -> None:
+    text = json.dumps({'value0': value0, 'cameras': cameras})
+    for _ in range(again):
+        text = JsonForm().merge(text, ENTRIES, ['first', 'second'])
+    assert json.loads(text) == {
+        'value0': {**value0, **NEW},
+        'cameras': cameras,
+        HEADER_KEY: ['first', 'second'],
+    }
+
+
+def test_json_keeps_values_that_are_not_measured() -> None:
+    kept = [Entry(('value0', 'rate'), 200.0, keep=True)]
+    text = JsonForm().merge('{"value0": {"rate": 5}}', kept, [])
+    assert json.loads(text)['value0'] == {'rate': 5}
+
+
+@pytest.mark.parametrize(
+    ('mine', 'said'),
+    [
+        ('', 'not JSON'),
+        ('{"value0": NaN}', 'NaN is not a JSON number'),
+        ('[1]', 'not a JSON object'),
+        ('{"value0": 1}', 'value0 of the file to merge into is not a JSON object'),
+        ('[' * 100_000, 'not JSON'),
+    ],
+)
+def test_a_file_that_is_no_json_object_is_refused(mine: str, said: str) -> None:
+    with pytest.raises(AllanError, match=said):
+        JsonForm().merge(mine, ENTRIES, [])
