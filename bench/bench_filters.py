@@ -33,7 +33,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import allan_ros as ar
-from allan_ros.core.filters import noise_parameters
+from allan_ros.core.filters import growth as growth_of
 from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import Horizons, reduce_model
@@ -173,12 +173,12 @@ def growth() -> None:
         results = ar.analyze(settled, rate=RATE, skip=0.0)
         print(f'{name}: {len(settled) / RATE / 3600:.2f} h; horizons {GROWTH_S} s', flush=True)
         for i, axis in enumerate(AXES):
-            model = results[axis].fit.selected
+            predicted = {one.horizon: one.std for one in results[axis].growth}
             bands = _growth_band(results[axis], len(settled) / RATE)
             cells = []
             for horizon, (low, high) in zip(GROWTH_S, bands):
                 actual = REALITY['actual_growth'](settled[:, i], DT, horizon, WINDOW_S)
-                ratio = float(predicted_growth(model, horizon, WINDOW_S)) / actual
+                ratio = predicted[horizon] / actual
                 mark = '' if 0.8 <= ratio <= 1.25 else '*' if low <= ratio <= high else '!'
                 cells.append(f'{ratio:5.2f}{mark:1} ({low:.2f}..{high:.2f})')
             print(f'{name} {axis:8}', *cells, flush=True)
@@ -186,7 +186,7 @@ def growth() -> None:
 
 def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float]]:
     """Return the 95 % band of predicted over actual growth at `GROWTH_S` in records so long."""
-    model = axis.fit.selected
+    model = growth_of.expected_model(axis.fit)
     known = {growth.horizon: growth for growth in axis.growth if growth.window == WINDOW_S}
     rng, n = np.random.default_rng(9), round(seconds)
     terms = {name: getattr(model.terms, name) for name in 'NBK'}
@@ -263,7 +263,7 @@ def share(names: list[str], records: int, write: bool) -> None:
             for i, axis in enumerate(AXES[:3]):
                 resolved += results[axis].fit.selected.terms.K > 0.0
                 for value in SHARES:
-                    noise_parameters.UNRESOLVED_SHARE = value
+                    growth_of.UNRESOLVED_SHARE = value
                     space = results[axis].state_space()
                     model = {'N': space.white, 'K': space.walk, 'gms': list(space.gauss_markov)}
                     ran = REALITY['run_filter'](

@@ -21,8 +21,7 @@ from scipy.special import chdtri
 from ..errors import AllanError
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
-from .growth import drift_model, predicted_growth
-from .noise_parameters import expected_model
+from .growth import drift_model, expected_model, predicted_growth
 from .reductions import state_space
 
 Floats = NDArray[np.float64]

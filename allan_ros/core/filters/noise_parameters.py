@@ -31,10 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..fit.model import Z_95, AxisFit, Coefficient
+from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import ProcessModel
-from .growth import drift_model, has_drift, has_intervals, interval_models
+from .growth import drift_model, expected_model, has_drift, has_intervals, interval_models
 from .reductions import Horizons, Reduction, States, reduce_model
 
 RULES = ('worst', 'mean', 'each')
@@ -182,38 +182,6 @@ _NAMES = {
 
 def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
     return replace(model, terms=replace(model.terms, K=walk))
-
-
-UNRESOLVED_SHARE = 0.15
-"""Share of its expected variance with which an unresolved K counts: the probability that there is
-one. Of 0, 15, 30, 50 and 100 % it misstates the error after 300 s least in the worst case, over
-sensors with K below what a recording shows, without K, and short recordings (table in
-docs/filters.md)."""
-
-
-def expected_model(fit: AxisFit) -> ProcessModel:
-    """Return the selected model with `UNRESOLVED_SHARE` of the expected K^2 if K is not resolved.
-
-    For filters with all processes as states: they have nothing else to cover slow drift.
-    """
-    if fit.selected.terms.K:
-        return fit.selected
-    hidden = UNRESOLVED_SHARE * expected_variance(fit.noise['K'])
-    return _with_walk(fit.selected, math.sqrt(hidden))
-
-
-def expected_variance(coefficient: Coefficient) -> float:
-    """Return the mean of the squared coefficient of a term that exists but is not resolved.
-
-    Estimate and 95 % limit of the square give a normal distribution, which is truncated at 0.
-    """
-    mean, limit = (coefficient.value or 0.0) ** 2, coefficient.upper95 or 0.0
-    error = (limit**2 - mean) / Z_95
-    if not 0.0 < error < math.inf:
-        return mean
-    x = mean / error
-    density = math.exp(-x * x / 2.0) / math.sqrt(2.0 * math.pi)
-    return mean + error * density / (0.5 * math.erfc(-x / math.sqrt(2.0)))
 
 
 def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]:

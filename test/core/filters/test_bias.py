@@ -18,7 +18,7 @@ from allan_ros.core.filters.bias import (
     time_within,
     turn_on_bias,
 )
-from allan_ros.core.filters.noise_parameters import UNRESOLVED_SHARE, expected_variance
+from allan_ros.core.filters.growth import UNRESOLVED_SHARE, expected_variance
 from allan_ros.core.fit.model import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis

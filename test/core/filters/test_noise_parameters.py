@@ -13,13 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.growth import growth_table
+from allan_ros.core.filters.growth import (
+    UNRESOLVED_SHARE,
+    expected_model,
+    expected_variance,
+    growth_table,
+    predicted_growth,
+)
 from allan_ros.core.filters.noise_parameters import (
     RULES,
-    UNRESOLVED_SHARE,
     Level,
     axis_level,
-    expected_variance,
     madgwick_gain,
     midpoint_white_std,
     reduce_axis,
@@ -199,6 +203,14 @@ def test_the_predicted_growth_has_an_interval() -> None:
     # over 100 s, N / sqrt(100) h^2 / 2
     white = growth_table(fit_with(N=resolved(1e-3)), integrals=2)[1]
     assert white.std == pytest.approx(1e-3 * math.hypot(math.sqrt(1000.0 / 3.0), 5.0))
+
+
+def test_the_predicted_growth_allows_for_a_walk_that_is_not_resolved() -> None:
+    fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=hidden(1e-4))
+    last = growth_table(fit)[-1]
+    believed = predicted_growth(expected_model(fit), last.horizon, last.window)
+    assert last.std == pytest.approx(float(believed))
+    assert last.std > 1.5 * float(predicted_growth(fit.selected, last.horizon, last.window))
 
 
 def test_the_ends_of_the_reduction_contain_it() -> None:
