@@ -106,8 +106,11 @@ HEAD_IN = 0.62
 LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
 """Inches of the legend next to the curves, and left of the signal."""
 
-TALLER_LEGEND_IN = 0.44
+TALLER_LEGEND_IN = 0.5
 """Inches of the legend above each panel of a narrow picture."""
+
+NARROW_ENTRIES = 6
+"""Most entries of that legend, in two columns."""
 
 PROCESS_STYLE = ('0.5', (0, (2, 1)))
 """Colour and dashes of a Gauss-Markov process or a sinusoid."""
@@ -259,18 +262,20 @@ def _head(
     plain = figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL)
     plain.set_parse_math(False)
     ink = rcParams['text.color']
+    handles: list[Artist] = [
+        Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
+        Patch(color=ink, alpha=0.2, lw=0, label='68 % limits'),
+        Line2D([], [], color=ink, lw=0.9, label='model'),
+    ]
+    if wide:
+        handles.append(Patch(color=ink, alpha=LIMIT_ALPHA, lw=0, label='unresolved terms, at most'))
     figure.legend(
-        handles=[
-            Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
-            Patch(color=ink, alpha=0.2, lw=0, label='68 % limits'),
-            Line2D([], [], color=ink, lw=0.9, label='model'),
-            Patch(color=ink, alpha=LIMIT_ALPHA, lw=0, label='unresolved terms, at most'),
-        ],
+        handles=handles,
         loc='upper right' if wide else 'upper left',
         bbox_to_anchor=(1.0, 1.0 - 0.02 / height) if wide else (left, 1.0 - 0.4 / height),
         borderaxespad=0.3 if wide else 0.0,
         borderpad=0.4 if wide else 0.0,
-        ncol=4 if wide else 2,
+        ncol=len(handles),
         fontsize=SMALL,
         frameon=False,
         columnspacing=1.0,
@@ -302,8 +307,8 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
         label='measured',
     )  # fmt: skip
     lines = _draw_parts(panel, axis, result, curve, units)
-    if not wide:  # limits from the drawn values only
-        lines = [line for line in lines if isinstance(line, Line2D) and line.get_color()]
+    if not wide:  # values only, of what is drawn
+        lines = [line for line in lines if line.get_linestyle() != 'None'][:NARROW_ENTRIES]
         for line in lines:
             line.set_label(str(line.get_label()).partition('\n')[0])
     model, upper = (unit.factor * values for values in result.model_line())
@@ -324,11 +329,11 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
 
 def _draw_parts(
     panel: Axes, axis: str, result: AxisResult, curve: AxisCurve, units: str
-) -> list[Artist]:
+) -> list[Line2D]:
     """Draw the parts of the model and the limits of what is not resolved; return the legend."""
     unit = shown_unit(axis, 'B', units)
     floor = BELOW_CURVE * unit.factor * float(curve.adev[curve.adev > 0.0].min())
-    lines: list[Artist] = []
+    lines: list[Line2D] = []
     for name, adev in result.part_adev(curve.m).items():
         colour, dashes = TERM_STYLES.get(name, PROCESS_STYLE)
         label = name

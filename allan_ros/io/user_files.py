@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
 from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
+from ..core.findings import duration_text
 from ..core.fit import AxisFit
 from ..core.imu import AXES, DEGREE, SENSORS, SI_UNITS, from_datasheet, sensor_of
 from ..core.noise import NoiseTerms
@@ -256,9 +257,10 @@ def doubts(
         least = int(np.argmin(adev))
         rise = float(adev[-1] / adev[least])
         if rise > HEALTHY_RISE:
+            start, end = (duration_text(float(curves.tau[i]), 3) for i in (least, -1))
             out.append(
-                f'{axis} rises {rise:.0f} times from {curves.tau[least]:.3g} s to '
-                f'{curves.tau[-1]:.3g} s: the IMU was not at rest, or its temperature changed.'
+                f'{axis} rises {rise:.0f} times from {start} to {end}: the IMU was not at rest, or '
+                'its temperature changed.'
             )
     for (sensor, term), value in published.items():
         coefficients = [f.noise[term] for axis, f in fits.items() if axis.startswith(sensor)]
