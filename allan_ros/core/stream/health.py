@@ -153,8 +153,9 @@ class FilledGaps:
 
     def end(self) -> None:
         """End all runs: the next sample is not filled, or belongs to another segment."""
-        for axis in range(len(self._open)):
-            self._close(axis)
+        if any(self._open):
+            for axis in range(len(self._open)):
+                self._close(axis)
 
     def _close(self, axis: int) -> None:
         length, self._open[axis] = min(self._open[axis], LONGEST_FILLED), 0
