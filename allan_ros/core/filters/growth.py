@@ -132,9 +132,8 @@ def has_drift(model: ProcessModel) -> bool:
 
 UNRESOLVED_SHARE = 0.15
 """Share of its expected variance with which an unresolved K counts: the probability that there is
-one. Of 0, 15, 30, 50 and 100 % it misstates the error after 300 s least in the worst case, over
-sensors with K below what a recording shows, without K, and short recordings (table in
-docs/filters.md)."""
+one. Of 0, 15, 30, 50 and 100 % it has the smallest worst error of predictions for 300 s (table in
+docs/engineering/accuracy.md)."""
 
 
 def expected_model(fit: AxisFit) -> ProcessModel:
