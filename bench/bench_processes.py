@@ -6,6 +6,8 @@
     python bench/bench_processes.py bounds                how often it can be found at all
     python bench/bench_processes.py growth --blocks 1     predicted against actual angle growth
     python bench/bench_processes.py adis                  measured curve over drawn model
+    python bench/bench_processes.py clean --rate 20       processes found where there are none
+    python bench/bench_processes.py segments              one process in 400 short segments
 
 A block is six records. ``adis`` needs the recordings of $ALLAN_ROS_SHARED.
 """
@@ -126,6 +128,50 @@ def humps(blocks: int, rate: float) -> None:
                 fits += fit_noise(sums).axes.values()
                 spent += time.process_time() - begin
             print(_hump_line(time_, hump, fits, 1e3 * spent / len(fits)), flush=True)
+
+
+def clean(blocks: int, rate: float) -> None:
+    """Print how often a process is selected on records of table 1, X."""
+    n, fits = round(SECONDS * rate), []
+    for block in range(blocks):
+        rng = np.random.default_rng([71, block, 0])
+        rows = np.stack([simulate_axis(n, 1 / rate, X, rng) for _ in AXES], axis=1)
+        fits += fit_noise(sums_of(rows, rate)).axes.values()
+    found = sum(bool(fit.processes.gauss_markov or fit.processes.sinusoid) for fit in fits)
+    low, high = clopper_pearson(found, len(fits))
+    print(f'selected in {found} of {len(fits)} axes ({100 * low:.1f}-{100 * high:.1f} %)')
+
+
+def segments(blocks: int, time_: float = 100.0, sigma: float = 0.5) -> None:
+    """Print the fit of white noise and a process in 400 segments of 500 samples on average."""
+    fits: list[AxisFit] = []
+    for block in range(blocks):
+        rng = np.random.default_rng([7, block])
+        engine, begin = RunningAllan(axes=AXES), 0
+        for n in rng.exponential(500.0, 400).astype(int) + 2:
+            drift = [process(n, 1.0, sigma, time_, rng) for _ in AXES]
+            rows = rng.standard_normal((n, len(AXES))) + np.stack(drift, axis=1)
+            engine.update(rows, begin * 10**9, (begin + int(n) - 1) * 10**9)
+            engine.end_segment()
+            begin += int(n) + 1000
+        fits += fit_noise(engine.sums).axes.values()
+    values = np.array([fit.noise['N'].value or math.nan for fit in fits])
+    ends = [fit.noise['N'].ci95 or (0.0, math.inf) for fit in fits]
+    inside = sum(low <= 1.0 <= high for low, high in ends)
+    low, high = clopper_pearson(inside, len(fits))
+    right = sum(
+        len(fit.processes.gauss_markov) == 1
+        and not fit.processes.sinusoid
+        and 0.5 < fit.processes.gauss_markov[0].correlation_time / time_ < 2.0
+        for fit in fits
+    )
+    misfits = sum(fit.misfit > 0.0 for fit in fits)
+    error = np.std(values) / math.sqrt(len(fits))
+    print(
+        f'{len(fits)} axes: process alone {right}, misfit {misfits}, N bias '
+        f'{100 * (np.mean(values) - 1):+.3f} +- {100 * error:.3f} %, covered {inside} '
+        f'({100 * low:.0f}-{100 * high:.0f} %)'
+    )
 
 
 def _hump_line(time_: float, hump: float, fits: list[AxisFit], cost: float) -> str:
@@ -263,6 +309,10 @@ def main() -> None:
             bounds()
         elif what == 'growth':
             growth(options.blocks, options.gmwm)
+        elif what == 'clean':
+            clean(options.blocks, options.rate)
+        elif what == 'segments':
+            segments(options.blocks)
         elif what == 'adis':
             adis(options.skip, options.gmwm)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import AllanError
 from .goodness import (
@@ -53,14 +54,17 @@ LEAST_GAIN = 3.5
 
 LIKELIER = 11.0
 """Twice the log likelihood ratio from which a model that fits gets one more Gauss-Markov process.
-Records of five terms reach it in less than one of a hundred axes."""
+Records of five terms reach it in one of two hundred axes."""
+
+LIKELIER_SLACK = 2.0
+"""The longest averages alone may bring this much of it."""
+
+LEAST_FREEDOM = 6.0
+"""Degrees of freedom of the averages that must bring the rest: the likelihood is that of Gaussian
+averages, which favours a bounded drift where the last few happen to be small."""
 
 LIKELIER_LINE = 21.0
 """The same for one more sinusoid: one in 2000 records."""
-
-DISTINCT = 40.0
-"""A Gauss-Markov process is compared up to this part of the longest segment: a longer one is not
-distinguishable from a random walk and a ramp."""
 
 WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
 """Random walks at which a likelihood is computed, in the largest that the curve allows."""
@@ -192,12 +196,19 @@ def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) 
         before = fit.options.table(pooled, axis, new.options.noise(new.power))
         before = before.rows(np.isin(before.m, new.table.m))
         gain = _surprise(before, fit) - _surprise(new.table, new)
+        if not is_line and gain > LIKELIER:
+            precise = _precise(new)
+            without = _surprise(before.rows(precise), fit)
+            gain = min(gain, LIKELIER_SLACK + without - _surprise(new.table.rows(precise), new))
     except AllanError:  # beyond the precision of the covariance: not a better description
         return None
-    longest = max((e.shape for e in more.extras if isinstance(e, GaussMarkovTerm)), default=0.0)
-    if not is_line and longest * DISTINCT > pooled.segments[0].samples:
-        return None
     return new if gain > (LIKELIER_LINE if is_line else LIKELIER) else None
+
+
+def _precise(fit: PointFit) -> NDArray[np.bool_]:
+    """Return which averages have `LEAST_FREEDOM` degrees of freedom at least."""
+    variance = np.diag(weights_at(fit.table, fit.power, NO_MISFIT))
+    return np.asarray(2.0 * (fit.table.terms @ fit.power) ** 2 >= LEAST_FREEDOM * variance)
 
 
 def _surprise(table: Table, fit: PointFit) -> float:
