@@ -395,14 +395,9 @@ class RunningAllan:
         self._open: OpenSegment | None = None
 
     def update(self, samples: ArrayLike, first_ns: int, last_ns: int) -> None:
-        """Add samples that directly follow the previous ones.
+        """Add finite samples, (n, axes), that directly follow the previous ones.
 
-        Parameters
-        ----------
-        samples : (n, axes) array
-            Finite values.
-        first_ns, last_ns : int
-            Stamps of the first and the last of them.
+        ``first_ns`` and ``last_ns`` are the stamps of the first and the last of them.
         """
         values = np.asarray(samples, float)
         if not len(values):
