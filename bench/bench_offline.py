@@ -29,7 +29,7 @@ sys.path.insert(0, str(ROOT))
 os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
 
 RATE_HZ = 200.0
-SHORT, LONG = 1_000_000, 7_200_000
+MINUTE, SHORT, LONG = 12_000, 1_000_000, 7_200_000
 PLAIN = 100_000
 """Messages of the bag for the plain reader, which takes 10 us and more for each."""
 CHUNK_HEAD = 8 + 8 + 8 + 4 + 4 + 4 + 8
@@ -196,18 +196,32 @@ def show_jobs(folder: Path, messages: int, rounds: int) -> None:
         print(f'| {name} --jobs {processes} | {wall:.2f} | {cpu:.2f} |', flush=True)
 
 
+def command_cpu(words: list[str], rounds: int) -> float:
+    """Return the median CPU seconds of ``allan`` with these words."""
+    costs = []
+    for _ in range(rounds):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [sys.executable, '-m', 'allan_ros.cli.main', *words]
+        subprocess.run(command, check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        costs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return statistics.median(costs)
+
+
+def show_analysis(folder: Path, rounds: int) -> None:
+    """Print the cost of a complete analysis of a minute, in which reading costs nothing."""
+    print('\n| one analysis of 60 s | CPU, s |')
+    print('|---|---|')
+    path = str(bag(folder, 'mcap zstd', MINUTE))
+    for title, more in (('terminal only', []), ('with all files', ['-o', str(folder / 'out')])):
+        print(f'| {title} | {command_cpu(["analyze", path, *more], rounds):.2f} |', flush=True)
+
+
 def show_start(rounds: int) -> None:
     print('\n| start-up | CPU, s |')
     print('|---|---|')
     for words in (['--help'], ['analyze', '--help'], ['merge', '--help']):
-        costs = []
-        for _ in range(2 * rounds + 1):
-            before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            command = [sys.executable, '-m', 'allan_ros.cli.main', *words]
-            subprocess.run(command, check=True, capture_output=True)
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            costs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        print(f'| allan {" ".join(words)} | {statistics.median(costs):.2f} |', flush=True)
+        print(f'| allan {" ".join(words)} | {command_cpu(words, 2 * rounds + 1):.2f} |', flush=True)
 
 
 def main() -> None:
@@ -225,6 +239,7 @@ def main() -> None:
         show_reading(folder, args.rounds)
         show_table(folder, [SHORT, LONG] if args.full else [SHORT], args.rounds)
         show_jobs(folder, LONG if args.full else SHORT, args.rounds)
+        show_analysis(folder, args.rounds)
     show_start(args.rounds)
 
 
