@@ -9,13 +9,12 @@ interval of N is widened where the level of the white noise varies.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..allan.history import Recording
-from ..allan.levels import Scatter, drift_scatter, level_changes, level_excess
+from ..allan.levels import drift_scatter, level_changes, level_excess
 from ..allan.parts import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
@@ -61,8 +60,8 @@ class _Change:
     @property
     def matters(self) -> bool:
         """Whether the coefficient leaves its interval or moves by more than 2 %."""
-        a, b = self._both
-        low, high = _range(a)
+        a, b = self.complete, self.settled
+        low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
         if b.status != 'estimated' or b.value is None:
             return b.upper95 is not None and b.upper95 < low
         left = not low <= b.value <= high
@@ -72,19 +71,31 @@ class _Change:
         return shift > SHIFT or (left and shift > LEAST_SHIFT)
 
     @property
-    def size(self) -> float:
-        """Magnitude of the logarithm of their ratio, a limit counting as the value."""
-        a, b = (c.value if c.status == 'estimated' else c.upper95 for c in self._both)
-        return abs(math.log(a / b)) if a and b else 0.0
+    def _sizes(self) -> list[float]:
+        """Both values, a limit counting as the value; 0 for none."""
+        both = self.complete, self.settled
+        return [(c.value if c.status == 'estimated' else c.upper95) or 0.0 for c in both]
 
     @property
-    def _both(self) -> tuple[Coefficient, Coefficient]:
-        return self.complete, self.settled
+    def size(self) -> float:
+        """Magnitude of the logarithm of their ratio."""
+        a, b = self._sizes
+        return abs(math.log(a / b)) if a and b else 0.0
 
     def text(self, after: str) -> str:
         """Return both values in datasheet units."""
-        (a, unit), (b, _) = (_text(self.axis, self.term, c) for c in self._both)
+        values, unit = _shown(self.axis, self.term, *self._sizes)
+        a, b = (
+            f'{"" if c.status == "estimated" else "< "}{value:.3g}'
+            for c, value in zip((self.complete, self.settled), values)
+        )
         return f'{self.axis} {self.term} is {a} {unit} in all data, {b} after {after}'
+
+
+def _shown(axis: str, term: str, *values: float) -> tuple[list[float], str]:
+    """Return values of a term in its datasheet unit, and the unit."""
+    shown = [to_datasheet(term, sensor_of(axis), value) for value in values]
+    return [value for value, _ in shown], shown[0][1]
 
 
 def fit_stationary(
@@ -127,17 +138,20 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
-    excess = level_excess(recordings, len(sums.axes), age)
-    for axis, scatter in zip(sums.axes, excess.tolist()):
-        model = _widened(model, axis, 'N', scatter)
+    for i, scatter in enumerate(level_excess(recordings, len(sums.axes), age).tolist()):
+        model = _widened(model, sums.axes[i], 'N', scatter)
     for i, change in level_changes(recordings, age).items():
-        found += _level_finding(sums.axes[i], change, model, which)
-        model = _widened(model, sums.axes[i], 'N', change.scatter)
+        axis = sums.axes[i]
+        n = model.axes[axis].noise['N']
+        if n.status == 'estimated' and n.value:
+            values, unit = _shown(axis, 'N', *(n.value * r for r in (change.low, change.high, 1.0)))
+            numbers = dict(zip(('low', 'high', 'value'), values))
+            found.append(finding('level_changes', (axis,), which=which, unit=unit, **numbers))
+        model = _widened(model, axis, 'N', change.scatter)
     tested = _tested(sums, len(recordings))
     drift = dict(zip(sums.axes, drift_scatter(tested, _sensors(sums), age).tolist()))
     for axis, scatter in drift.items():
-        for term in ('B', 'K'):
-            model = _widened(model, axis, term, scatter)
+        model = _widened(model, axis, 'BK', scatter)
     # Of a drift that is not resolved it cannot be stated how much it differs.
     scattered = tuple(axis for axis in sums.axes if drift[axis] and _has_drift(model, axis))
     if scattered:
@@ -163,19 +177,25 @@ def _without_early_part(
     if not parts or not sums.tau0:
         return sums, fit_noise(sums, method), []
     last = max(parts, key=lambda part: part.age)
-    rest = _rest(sums, last.age)
-    if rest is None:
+    divided = _rest(sums, last.age)
+    if divided is None:
         return sums, fit_noise(sums, method), [_unsettled(sums, last)]
+    rest, age = divided
     settled = fit_noise(rest, method)
     certain = settle and max(part.excess for part in parts) >= CERTAIN
     # The selection of the model takes most of the time: once is enough.
     complete = fit_noise(sums, method, settled if certain else None)
-    every = sorted(_changes(complete, settled), key=lambda change: -change.size)
+    every = [
+        _Change(axis, term, fit.noise[term], settled.axes[axis].noise[term])
+        for axis, fit in complete.axes.items()
+        for term in TERMS
+    ]
+    every.sort(key=lambda change: -change.size)
     changes = [change for change in every if change.matters]
     if not changes and not certain:
         return sums, complete, []
     stated = changes or every[:NAMED_CHANGES]
-    early = duration_text((_edge(sums, last.age) or 0) * sums.tau0)
+    early = duration_text(age * sums.tau0)
     found = finding(
         'settled_part' if certain else 'early_part',
         tuple(dict.fromkeys(change.axis for change in stated)),
@@ -200,16 +220,13 @@ def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
 
 
 def _steps_finding(sums: AllanSums, steps: BiasSteps) -> Finding:
-    name = sums.axes[steps.axis]
-    sensor, tau0 = sensor_of(name), sums.tau0 or 1.0
-    size, size_unit = to_datasheet('B', sensor, float(np.abs(steps.sizes).max()))
-    (before, unit), (after, _) = (
-        to_datasheet('K', sensor, math.sqrt(walk / tau0))
-        for walk in (steps.walk_before, steps.walk_after)
-    )
+    axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
+    (size,), size_unit = _shown(axis, 'B', float(np.abs(steps.sizes).max()))
+    walks = (math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after))
+    (before, after), unit = _shown(axis, 'K', *walks)
     return finding(
         'bias_steps',
-        (name,),
+        (axis,),
         count=len(steps.ages),
         size=size,
         size_unit=size_unit,
@@ -219,39 +236,26 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps) -> Finding:
     )
 
 
-def _level_finding(name: str, change: Scatter, model: NoiseModel, which: str) -> list[Finding]:
-    """Return the finding of white noise that varies; none where N is not resolved."""
-    noise = model.axes[name].noise['N']
-    if noise.status != 'estimated' or not noise.value:
-        return []
-    sensor = sensor_of(name)
-    (low, unit), (high, _), (value, _) = (
-        to_datasheet('N', sensor, noise.value * ratio) for ratio in (change.low, change.high, 1.0)
-    )
-    return [
-        finding('level_changes', (name,), which=which, low=low, high=high, value=value, unit=unit)
-    ]
-
-
-def _widened(model: NoiseModel, axis: str, term: str, scatter: float) -> NoiseModel:
-    """Return the model with the interval of a term of one axis widened by a relative scatter."""
-    fit = model.axes[axis]
-    noise = fit.noise[term]
-    value, limit = noise.value, noise.upper95
+def _widened(model: NoiseModel, axis: str, terms: str, scatter: float) -> NoiseModel:
+    """Return the model with the intervals of terms of one axis widened by a relative scatter."""
     if not scatter:
         return model
-    if noise.ci95 is not None and value and noise.ci95[0] <= value <= noise.ci95[1]:
-        low, high = (
-            value * math.exp(sign * math.hypot(math.log(end / value), Z_95 * scatter))
-            if end > 0.0
-            else 0.0
-            for sign, end in zip((-1.0, 1.0), noise.ci95)
-        )
-        noise = replace(noise, ci95=(low, high))
-    if limit is not None:
-        noise = replace(noise, upper95=limit * math.exp(Z_95 * scatter))
-    axes = {**model.axes, axis: replace(fit, noise={**fit.noise, term: noise})}
-    return replace(model, axes=axes)
+    fit = model.axes[axis]
+    noise = dict(fit.noise)
+    for term in terms:
+        c = noise[term]
+        if c.ci95 is not None and c.value and c.ci95[0] <= c.value <= c.ci95[1]:
+            low, high = (
+                c.value * math.exp(sign * math.hypot(math.log(end / c.value), Z_95 * scatter))
+                if end > 0.0
+                else 0.0
+                for sign, end in zip((-1.0, 1.0), c.ci95)
+            )
+            c = replace(c, ci95=(low, high))
+        if c.upper95 is not None:
+            c = replace(c, upper95=c.upper95 * math.exp(Z_95 * scatter))
+        noise[term] = c
+    return replace(model, axes={**model.axes, axis: replace(fit, noise=noise)})
 
 
 def _sensors(sums: AllanSums) -> list[list[int]]:
@@ -260,37 +264,29 @@ def _sensors(sums: AllanSums) -> list[list[int]]:
     return [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
 
 
-def _edge(sums: AllanSums, age: int) -> int | None:
-    """Return the first age at or after the given one at which the sums can be divided."""
-    return next((a for a in sums.history.ages if a >= age), None)
-
-
-def _rest(sums: AllanSums, age: int) -> AllanSums | None:
-    """Return the sums from an age on; None if too few samples remain."""
-    edge = _edge(sums, age)
+def _rest(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
+    """Return the sums from the first possible age on, and this age; None if too few remain."""
+    edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
         return None
     try:
         rest = settled_sums(sums, edge)
     except AllanError:
         return None
-    return rest if rest.samples >= LEAST_REST * sums.samples else None
+    return (rest, edge) if rest.samples >= LEAST_REST * sums.samples else None
 
 
 def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
     """Return the finding of a warm-up after which too little data remains for a fit."""
     tau0 = sums.tau0 or 0.0
     duration = part.age * tau0
-    now = max((r.length for r in sums.history.recordings), default=0)
-    remaining = duration - now * tau0
-    axes = tuple(sums.axes[i] for i in part.axes)
+    remaining = duration - max((r.length for r in sums.history.recordings), default=0) * tau0
+    after = f'after {duration_text(duration)}'
     return finding(
         'warm_up',
-        axes,
+        tuple(sums.axes[i] for i in part.axes),
         what=_what(sums, [part]),
-        when=f'in about {duration_text(remaining)}'
-        if remaining > 0.0
-        else f'after {duration_text(duration)}',
+        when=f'in about {duration_text(remaining)}' if remaining > 0.0 else after,
         how_long=duration_text(2.0 * duration),
     )
 
@@ -302,26 +298,5 @@ def _what(sums: AllanSums, parts: list[EarlyPart]) -> str:
         return 'larger drift'
     strongest = max(warm_ups, key=lambda part: part.excess)
     axis = max(strongest.axes, key=lambda i: abs(strongest.amplitudes[i]))
-    name = sums.axes[axis]
-    value, unit = to_datasheet('B', sensor_of(name), float(abs(strongest.amplitudes[axis])))
+    (value,), unit = _shown(sums.axes[axis], 'B', float(abs(strongest.amplitudes[axis])))
     return f'warm-up by up to {value:.3g} {unit}'
-
-
-def _changes(complete: NoiseModel, settled: NoiseModel) -> Iterator[_Change]:
-    """Yield every coefficient of all data with that of the settled part."""
-    for axis, fit in complete.axes.items():
-        for term in TERMS:
-            yield _Change(axis, term, fit.noise[term], settled.axes[axis].noise[term])
-
-
-def _range(c: Coefficient) -> tuple[float, float]:
-    if c.status == 'estimated' and c.ci95 is not None:
-        return c.ci95
-    return 0.0, np.inf if c.upper95 is None else c.upper95
-
-
-def _text(axis: str, term: str, c: Coefficient) -> tuple[str, str]:
-    limit = c.status != 'estimated'
-    size = c.upper95 if limit else c.value
-    value, unit = to_datasheet(term, sensor_of(axis), size or 0.0)
-    return f'{"< " if limit else ""}{value:.3g}', unit
