@@ -293,17 +293,17 @@ def on_cluster(
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
         # a result of an earlier analysis is no answer: the recording may have changed
         futures = client.map(work, jobs, pure=False)
-        doubtful: list[ReadJob] = []
+        interrupted: list[ReadJob] = []
         for job, future in zip(jobs, futures):
             try:
                 recorded = _made(client, future)
             except KilledWorker:
-                doubtful.append(job)
+                interrupted.append(job)
                 continue
             outcomes[job] = recorded
             progress.advance(recorded.provenance.counts.received)
         # a dying worker also loses its queued jobs: running alone shows which job is the cause
-        for job in doubtful:
+        for job in interrupted:
             try:
                 outcomes[job] = _made(client, client.submit(work, job, pure=False))
             except KilledWorker:

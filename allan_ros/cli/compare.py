@@ -191,9 +191,9 @@ def fit(args: argparse.Namespace) -> int:
     published = read_published(args.published) if args.published else {}
     record = None if args.hours is None else 3600.0 * args.hours
     fits = {axis: fit_curve(curves.tau, adev, record) for axis, adev in curves.adev.items()}
-    doubtful = doubts(curves, fits, published)
+    warnings = doubts(curves, fits, published)
     if console.json:
-        console.document(_document(args.curve, fits, doubtful))
+        console.document(_document(args.curve, fits, warnings))
         return 0
     lines: list[str] = []
     for sensor in SENSORS:
@@ -203,7 +203,7 @@ def fit(args: argparse.Namespace) -> int:
     lines.append('')
     for axis, fit in fits.items():
         lines += [text_in_units(text, args.units) for text in _process_lines(axis, fit)]
-    print('\n'.join([*lines, *(f'warning: {text}' for text in doubtful)]))
+    print('\n'.join([*lines, *(f'warning: {text}' for text in warnings)]))
     return 0
 
 
@@ -223,7 +223,7 @@ def _process_lines(axis: str, fit: AxisFit) -> list[str]:
     return lines
 
 
-def _document(source: str, fits: Mapping[str, AxisFit], doubtful: list[str]) -> dict[str, Any]:
+def _document(source: str, fits: Mapping[str, AxisFit], warnings: list[str]) -> dict[str, Any]:
     """Return the fits as JSON values in SI."""
     axes = {
         axis: {
@@ -234,7 +234,7 @@ def _document(source: str, fits: Mapping[str, AxisFit], doubtful: list[str]) -> 
         }
         for axis, fit in fits.items()
     }
-    return {'schema': 'allan_ros/curve_fit/1', 'source': source, 'axes': axes, 'doubts': doubtful}
+    return {'schema': 'allan_ros/curve_fit/1', 'source': source, 'axes': axes, 'doubts': warnings}
 
 
 FIT = """

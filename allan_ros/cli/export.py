@@ -81,13 +81,13 @@ def run(args: argparse.Namespace) -> int:
         path = path / target.file_name if path.is_dir() else path
         write_atomic(path, made.text)
     if console.json:
-        findings = [asdict(said) for said in made.findings]
+        findings = [asdict(finding) for finding in made.findings]
         to = {'path': str(path)} if path else {'text': made.text}
         console.document({'target': args.to, **to, 'findings': findings})
     elif path is None:
         sys.stdout.write(made.text)
-    for said in made.findings:
-        console.say(str(said))
+    for finding in made.findings:
+        console.say(str(finding))
     return 0
 
 
@@ -228,12 +228,12 @@ def _limit_text(axis: str, term: str, limit: Limit) -> str:
 
 
 def _source_text(source: Source) -> str:
-    seen = {
+    read = {
         'datasheet': 'the document itself was read',
         'secondary': 'read where it is quoted',
         '': '',
     }[source.seen]
-    parts = (str(source), source.url, f'{seen}{f": {source.via}" if source.via else ""}')
+    parts = (str(source), source.url, f'{read}{f": {source.via}" if source.via else ""}')
     return '; '.join(part for part in parts if part)
 
 

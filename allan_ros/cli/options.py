@@ -3,7 +3,7 @@
 """Options of the command line: from settings dataclasses, with defaults from a config file.
 
 `allan.toml` or the section [tool.allan] of pyproject.toml sets defaults. Keys are the names of
-options, as in ``units = "si"``. Those at the top hold for every verb that has the option; those of
+options, as in ``units = "si"``. Those at the top apply to every verb that has the option; those of
 a table, as [analyze], for this verb. The command line takes precedence.
 """
 
@@ -78,8 +78,8 @@ def add_settings(
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
     """Return the settings of the parsed arguments; ``given`` fields take precedence."""
     names = [f.name for f in fields(settings_type)]  # type: ignore[arg-type]
-    said = {name: getattr(args, name) for name in names if hasattr(args, name)}
-    return settings_type(**{**said, **given})
+    parsed = {name: getattr(args, name) for name in names if hasattr(args, name)}
+    return settings_type(**{**parsed, **given})
 
 
 def _number(text: str) -> float:
@@ -127,9 +127,9 @@ def words_with_config(
         if name.startswith('--') and action.dest not in NOT_CONFIGURED
     }
     tables = {key for key, value in settings.items() if isinstance(value, Mapping)}
-    strangers = tables.difference(verbs)
-    if strangers:
-        raise AllanError(f'{path}: [{min(strangers)}] is no verb: use {", ".join(verbs)}')
+    unknown = tables.difference(verbs)
+    if unknown:
+        raise AllanError(f'{path}: [{min(unknown)}] is no verb: use {", ".join(verbs)}')
     own = settings.get(verb, {})
     added: list[str] = []
     for key in own:

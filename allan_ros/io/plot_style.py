@@ -67,7 +67,7 @@ RC: dict[str, Any] = {
     'svg.hashsalt': 'allan_ros',
     'axes.grid': False,
 }
-"""Settings of all plots; fonts are embedded whole in a PDF (type 42), as journals ask."""
+"""Settings of all plots; fonts are embedded completely in a PDF (type 42), as journals ask."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +111,8 @@ def _sheet(path: Path) -> Mapping[str, Any]:
     from matplotlib import rc_params_from_file
 
     # matplotlib only logs what is wrong with a line
-    log, handler, complaints = logging.getLogger('matplotlib'), logging.Handler(), []
-    handler.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
+    log, handler, warnings = logging.getLogger('matplotlib'), logging.Handler(), []
+    handler.emit = lambda record: warnings.append(record.getMessage())  # type: ignore[method-assign]
     passes_on, log.propagate = log.propagate, False
     log.addHandler(handler)
     try:
@@ -120,13 +120,13 @@ def _sheet(path: Path) -> Mapping[str, Any]:
             str(path), fail_on_error=True, use_default_template=False
         )
     except (OSError, ValueError, KeyError) as error:
-        complaints.append(str(error))
+        warnings.append(str(error))
         sheet = {}
     finally:
         log.removeHandler(handler)
         log.propagate = passes_on
-    if complaints:
-        why = ' '.join(complaints[0].split())[:160]
+    if warnings:
+        why = ' '.join(warnings[0].split())[:160]
         raise AllanError(f'{path}: is no style sheet of matplotlib ({why})')
     return sheet
 

@@ -253,8 +253,8 @@ def _head(
     )
     if summary is not None and summary.left_out:
         moved = {out.why == 'motion' for out in summary.left_out}
-        said = {True: f'{HATCHES[True]} it moved', False: f'{HATCHES[False]} left out otherwise'}
-        facts += f'; hatched: {", ".join(said[why] for why in (True, False) if why in moved)}'
+        reasons = {True: f'{HATCHES[True]} it moved', False: f'{HATCHES[False]} left out otherwise'}
+        facts += f'; hatched: {", ".join(reasons[why] for why in (True, False) if why in moved)}'
     left, top = LEFT_IN / width, 1.0 - 0.09 / height
     title = f'{SENSOR_NAMES[sensor]}{f" of {of}" if of else ""}'
     bold = figure.text(left, top, title, va='top', weight='bold', size='large')
@@ -314,7 +314,7 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
     model, upper = (unit.factor * values for values in result.model_line())
     panel.plot(curve.tau, model, color=ink, lw=0.9, zorder=1.9)
     panel.fill_between(curve.tau, model, upper, color=ink, alpha=LIMIT_ALPHA, lw=0)
-    beside = {'loc': 'upper left', 'bbox_to_anchor': (1.0, 1.03), 'ncol': 1}
+    on_the_right = {'loc': 'upper left', 'bbox_to_anchor': (1.0, 1.03), 'ncol': 1}
     above = {'loc': 'lower left', 'bbox_to_anchor': (-0.02, 0.99), 'ncol': 2}
     panel.legend(
         handles=lines,
@@ -323,7 +323,7 @@ def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bo
         handlelength=2.2,
         labelspacing=0.35,
         borderaxespad=0.3,
-        **(beside if wide else above),
+        **(on_the_right if wide else above),
     )
 
 

@@ -234,8 +234,8 @@ def _header(
         f'segment{"" if number == 1 else "s"}',
         recorded_on(results),
     ]
-    said = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
-    yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{said}</ul></header>'
+    items = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
+    yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul></header>'
     links = ''.join(f'<a href="#{s}">{s.capitalize()}</a>' for s in sensors)
     switch = ''.join(
         f'<label><input type="radio" name="units" id="units-{system}" value="{system}"'

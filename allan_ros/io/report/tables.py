@@ -170,8 +170,8 @@ def datasheet_table(
         limits = [comparison.limit(c) for c in checks]
         text = ' / '.join(dict.fromkeys(pretty_unit(limit.stated) for limit in limits))
         stated[term] = f'stated <span class="nowrap">{escape(text)}</span>'
-        said = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
-        notes += [f'{term}: {note}' for note in said]
+        texts = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
+        notes += [f'{term}: {note}' for note in texts]
     notes.append('; '.join(str(source) for source in comparison.datasheet.sources.values()))
     heading = f'Compared with the datasheet of {escape(comparison.datasheet.name)}'
     yield from _checks_table(heading, sensor, axes, comparison.comparisons, notes, stated)
@@ -252,15 +252,15 @@ def _verdict_cell(coefficient: Coefficient, check: Comparison, baseline: Results
 
     resolved = coefficient.status == 'estimated'
     size = coefficient.value if resolved else coefficient.upper95
-    beside = ''
+    second = ''
     if baseline is not None:
         former = shown(baseline.axes[axis].fit.noise[term])
-        beside = f'<small>then <span class="nowrap">{former}</span></small>'
+        second = f'<small>then <span class="nowrap">{former}</span></small>'
     elif size:
         share = f'{100.0 * size / check.limit:.0f}&nbsp;% of it'
-        beside = f'<small>{"" if resolved else "&lt; "}{share}</small>'
+        second = f'<small>{"" if resolved else "&lt; "}{share}</small>'
     return (
-        f'<td>{shown(coefficient)}{beside}<b class="mark {check.verdict}">'
+        f'<td>{shown(coefficient)}{second}<b class="mark {check.verdict}">'
         f'<i aria-hidden="true">{MARKS[check.verdict]}</i> {VERDICT_TEXT[check.verdict]}</b></td>'
     )
 
