@@ -278,7 +278,7 @@ def _metadata(
 ) -> dict[str, Any]:
     """Return the content of metadata.yaml."""
     first = times.first or 0
-    span = {
+    extent = {
         'duration': {'nanoseconds': times.last - first},
         'starting_time': {'nanoseconds_since_epoch': first},
         'message_count': times.count,
@@ -288,7 +288,7 @@ def _metadata(
         'version': METADATA_VERSION,
         'storage_identifier': storage,
         'relative_file_paths': [file],
-        **span,
+        **extent,
         'compression_format': 'zstd' if packed else '',
         'compression_mode': compression.upper() if packed else '',
         'topics_with_message_count': [
@@ -303,7 +303,7 @@ def _metadata(
                 'message_count': times.count,
             }
         ],
-        'files': [{'path': file, **copy.deepcopy(span)}],  # YAML would refer to the same values
+        'files': [{'path': file, **copy.deepcopy(extent)}],  # YAML would refer to the same values
         'custom_data': None,
         'ros_distro': 'jazzy',
     }

@@ -333,9 +333,9 @@ class MotionGate:
         assert floor is not None
         block, self._block, self._in_block = self._block, [], 0
         windows = Windows.joined(judged.windows for judged in block)
-        anew = floor.if_learned_in_motion(windows)
-        if anew is not None:
-            self._floor = anew
+        relearned = floor.if_learned_in_motion(windows)
+        if relearned is not None:
+            self._floor = relearned
             return self._judge_again(block)
         still = np.concatenate([judged.still for judged in block])
         turning = all(judged.windows_class.turning_only.all() for judged in block)

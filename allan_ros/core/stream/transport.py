@@ -100,7 +100,7 @@ class TransportMonitor:
     def observe(
         self,
         time_s: float,
-        reception: TransportStatistics,
+        transport: TransportStatistics,
         health: StreamHealth,
         publishers: tuple[str, ...],
         stale_after: float,
@@ -114,8 +114,8 @@ class TransportMonitor:
         findings of the complete stream, ``graph`` why the publishers and the subscription do not
         match, which explains silence.
         """
-        self._follow(time_s, reception, health)
-        found = [*graph] or self._silence(time_s, reception, publishers, stale_after)
+        self._follow(time_s, transport, health)
+        found = [*graph] or self._silence(time_s, transport, publishers, stale_after)
         if len(publishers) > 1:
             names, count = ', '.join(publishers), len(publishers)
             found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
@@ -132,9 +132,9 @@ class TransportMonitor:
         order = ('error', 'warning', 'info')
         return tuple(sorted(found, key=lambda f: order.index(f.severity)))
 
-    def _follow(self, time_s: float, reception: TransportStatistics, health: StreamHealth) -> None:
+    def _follow(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
         c = health.counts
-        self.heard(time_s, reception.received)
+        self.heard(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         passed_s = time_s - self._last_usable
         if usable != self._usable:
@@ -143,14 +143,14 @@ class TransportMonitor:
             # a new pass: its counts start at zero, those of the middleware continue
             self._missing = self._leapt = self._elsewhere = 0
             self._absent = self._absent_before = 0
-            self._lost_before = reception.lost
-            begin = Counter(received=reception.received, lost=reception.lost)
+            self._lost_before = transport.lost
+            begin = Counter(received=transport.received, lost=transport.lost)
             self._tallies = deque([(time_s, begin)])
         self._samples = c.received
-        self._follow_stamps(passed_s, reception, health)
+        self._follow_stamps(passed_s, transport, health)
         counts = Counter(
-            received=reception.received,
-            lost=reception.lost,
+            received=transport.received,
+            lost=transport.lost,
             absent=self._absent,
             leapt=self._leapt,
             stuck=c.stuck,
@@ -166,7 +166,7 @@ class TransportMonitor:
             self._tallies.popleft()
 
     def _follow_stamps(
-        self, passed_s: float, reception: TransportStatistics, health: StreamHealth
+        self, passed_s: float, transport: TransportStatistics, health: StreamHealth
     ) -> None:
         """Separate missing samples by cause: clocks that were set, and samples never sent.
 
@@ -183,7 +183,7 @@ class TransportMonitor:
         # the latter from both sensor streams, if there are two. They are dropped before they are
         # found missing, so the maximum counts. The decision on the latest samples may still be
         # revised, so only the number that two calls agree on counts.
-        explained = c.not_finite + c.backward + 2 * (reception.lost - self._lost_before)
+        explained = c.not_finite + c.backward + 2 * (transport.lost - self._lost_before)
         absent = c.lost - self._leapt - self._elsewhere - explained
         self._absent = max(self._absent, min(absent, self._absent_before))
         self._absent_before = absent
@@ -191,22 +191,22 @@ class TransportMonitor:
     def _silence(
         self,
         time_s: float,
-        reception: TransportStatistics,
+        transport: TransportStatistics,
         publishers: tuple[str, ...],
         stale_after: float,
     ) -> list[Finding]:
         topic, seconds = self._topic, self.silence_s(time_s)
-        starting = not reception.received and time_s - self._began < STARTUP_S
+        starting = not transport.received and time_s - self._began < STARTUP_S
         if seconds > stale_after:
             if starting:
                 return []
             if count := len(publishers):
                 return [finding('input_silent', topic=topic, seconds=seconds, publishers=count)]
-            if reception.received:
+            if transport.received:
                 return [finding('input_stopped', topic=topic, seconds=seconds)]
             return [finding('no_publisher', topic=topic)]
         unusable = time_s - self._last_usable
-        if reception.received and unusable > stale_after:
+        if transport.received and unusable > stale_after:
             return [finding('input_unusable', topic=topic, seconds=unusable)]
         return []
 
