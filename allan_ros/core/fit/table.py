@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,9 +291,11 @@ class PooledTable:
         self._pooled_count = sums.count.copy()
         for part in self._kept:
             self._pooled_count[: len(part.pairs.m)] -= part.pairs.count
-        self._pooled_terms = self._pooled_shift(())
+        # without self: a reference cycle would keep the tables until Python collects garbage
+        shift = partial(pooled_shift, sums.classes, self.m, sums.stride, self._pooled_count)
+        self._pooled_terms = shift(())
         longest = max((s.samples for s in self.segments), default=1)
-        self._pooled_drifts = DriftShift(longest, lambda t: self._pooled_shift(t)[:, 4:])
+        self._pooled_drifts = DriftShift(longest, lambda t: shift(t)[:, 4:])
 
     def _with_pooled_ramps(self, squares: Floats, times: tuple[float, ...]) -> Floats:
         """Add, in place, what removing the ramps of pooled segments does to the last products."""
@@ -302,10 +304,6 @@ class PooledTable:
             if effect is not None:
                 squares[:, part.at] += part.ramp_squares(effect, times)[-len(squares) :]
         return squares
-
-    def _pooled_shift(self, times: Sequence[float] | Floats) -> Floats:
-        sums = self.sums
-        return pooled_shift(sums.classes, self.m, sums.stride, self._pooled_count, times)
 
     @property
     def segments(self) -> Sequence[SegmentRecord]:

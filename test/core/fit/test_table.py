@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The expected table of pooled segments against that of each segment by itself."""
 
+import gc
 from collections import Counter
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from allan_ros.core.allan.sums import LENGTH_CLASS_RATIO, LengthClass, counts, grid_for
 from allan_ros.core.fit.model import avar_terms
 from allan_ros.core.fit.ramp import fixed_effect, pooled_shift, ramp_geometry
+from allan_ros.core.fit.table import PooledTable
 
 POWER = np.array([0.0, 1.0, 0.01, 1e-4])
 """A walk that rules from 100 samples on."""
@@ -68,3 +70,15 @@ def test_pooled_segments_expect_what_each_of_them_does(kind, allowed):
     each = ((got - want)[seen] @ POWER) / number[seen]
     left = avar_terms(m[seen]) @ POWER + (want[seen] @ POWER) / number[seen]
     assert np.max(np.abs(each) / left) <= allowed
+
+
+def test_the_tables_of_a_fit_are_not_in_a_reference_cycle(small_run) -> None:
+    """Else some MB stay until Python looks for cycles: the memory of a node would grow."""
+    sums, _ = small_run
+    gc.collect()
+    gc.disable()
+    try:
+        PooledTable(sums)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
