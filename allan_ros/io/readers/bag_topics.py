@@ -11,15 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import AllanError
-from .cdr import (
-    IMU_TYPE,
-)
+from .cdr import IMU_TYPE
 from .open import BagFiles, bag_files, open_storage
-from .storage import (
-    Cut,
-    Topic,
-    optional_package,
-)
+from .storage import Cut, Topic, optional_package
 
 ENCODINGS = ('cdr', 'ros1')
 """Serializations that can be read."""

@@ -20,14 +20,7 @@ from typing import Any, NamedTuple
 from ...core.errors import AllanError
 from ..files import open_regular, read_bounded
 from .recording import ReadOptions, Recording
-from .storage import (
-    Storage,
-    damaged,
-    decompress_file,
-    frame_compression,
-    normal_type,
-    translated,
-)
+from .storage import Storage, damaged, decompress_file, frame_compression, normal_type, translated
 
 _LFS_MAGIC = b'version https://git-lfs'
 

@@ -18,13 +18,7 @@ from ...core.findings import finding
 from ...core.imu import AXES, NANOSECONDS, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .bag_topics import ENCODINGS, ImuSource, chosen_source, definitions_of, no_message, survey_bag
-from .cdr import (
-    DecodedImus,
-    Encoding,
-    MalformedMessage,
-    decode_imus,
-    decode_temperature,
-)
+from .cdr import DecodedImus, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .open import METADATA, BagFiles, bag_files, open_storage
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import (
