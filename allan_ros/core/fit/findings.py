@@ -34,14 +34,9 @@ LEAST_POINTS = 8
 
 
 def lattice_step(phase: Floats, deviation: float) -> float | None:
-    """Return the step of which all phase points are multiples, or None.
+    """Return the step of which all points of a coarse phase record are multiples, or None.
 
-    Parameters
-    ----------
-    phase : (points,) float64 array
-        Coarse phase record of one axis.
-    deviation : float
-        Standard deviation of the white noise per sample: far finer steps are negligible.
+    ``deviation`` is that of the white noise per sample; far finer steps are negligible.
     """
     least = COARSEST_IGNORED * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -108,12 +103,7 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def rounding_step(phase: Floats, white: float) -> float | None:
     """Return the step to which samples are rounded, or None if it is small beside their noise.
 
-    Parameters
-    ----------
-    phase : (points,) float64 array
-        Coarse phase record of one axis.
-    white : float
-        Variance of the white noise per sample.
+    ``phase`` is the coarse phase record, ``white`` the variance of the white noise per sample.
     """
     step = lattice_step(phase, math.sqrt(max(white, 0.0)))
     return step if step is not None and step * step / 12.0 > ROUNDING_SHARE * white else None

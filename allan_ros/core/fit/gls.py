@@ -87,7 +87,7 @@ def _fit_axis(
         )
         value = _consistent(selected.fit.table, alone, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
-    ramp = ramp_interval(pooled, axis, selected.fit, intervals[K].upper)
+    ramp = ramp_interval(pooled, axis, selected.fit, intervals[K].high)
     noise['R'] = _ramp(ramp, tau0)
     fit = AxisFit(
         noise,
@@ -135,7 +135,7 @@ def _coefficient(
     """Return a random term in SI units."""
     if not (interval.observable and math.isfinite(interval.high)):
         return _unresolved(
-            coefficient_to_si(name, power, tau0), coefficient_to_si(name, interval.upper, tau0)
+            coefficient_to_si(name, power, tau0), coefficient_to_si(name, interval.high, tau0)
         )
     ends = (min(interval.low, power), max(interval.high, power))
     return Coefficient(

@@ -133,7 +133,7 @@ def best_case_goodness(table: Table, power: Floats) -> Goodness:
     if not first.fails or first.z > Z_HOPELESS:
         return first
     most = power.copy()
-    most[K] = coefficient_interval(table, K, power).upper
+    most[K] = coefficient_interval(table, K, power).high
     if not np.isfinite(most[K]):
         return first
     other = goodness(table, most)

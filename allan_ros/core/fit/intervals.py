@@ -67,12 +67,11 @@ LITTLE_SKEW = 1e-3
 
 @dataclass(frozen=True)
 class CoefficientInterval:
-    """The interval of one variance coefficient: z at zero, and both ends or the upper limit."""
+    """The interval of one variance coefficient and z at zero; from 0 to a limit if unresolved."""
 
     z_zero: float
     low: float
     high: float
-    upper: float
 
     @property
     def observable(self) -> bool:
@@ -95,18 +94,18 @@ class Score:
         self.misfit = misfit
         self.estimate = 0.0
         self.deviation = 0.0
-        self._neighbours = Neighbours(power)
+        self._start = power
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
         """Return z(c) as a normal deviate, an estimate below ``at_least`` counting as that."""
         power, whitening, white = iterate(
             self.table,
-            self._neighbours.at(c),
+            self._start,
             fixed={self.term: c},
             signed=self.term != Q,
             misfit=self.misfit,
         )
-        self._neighbours.add(c, power)
+        self._start = power
         active = [a for a, p in enumerate(power) if a == self.term or p != 0.0]
         contrast = _contrast(white[:, active], active.index(self.term))
         self.estimate = float(contrast @ white[:, -1])
@@ -116,27 +115,6 @@ class Score:
         third = 2.0 * float(np.sum(weights * scatter**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation
         return normal_deviate(z, third / self.deviation**3)
-
-
-class Neighbours:
-    """The coefficients of the last two fits, extrapolated to where the next one begins."""
-
-    def __init__(self, power: Floats) -> None:
-        self._known: list[tuple[float, Floats]] = [(np.nan, power)]
-
-    def at(self, c: float) -> Floats:
-        """Return the coefficients at c by linear extrapolation, those that were 0 staying 0."""
-        end, last = self._known[-1]
-        begin, first = self._known[0]
-        if len(self._known) < 2 or begin == end:
-            return last
-        moved = last + (last - first) * (c - end) / (end - begin)
-        return np.where(moved * last > 0.0, moved, last)
-
-    def add(self, c: float, power: Floats) -> None:
-        """Remember a fit."""
-        known = [k for k in self._known if k[0] != c and not np.isnan(k[0])]
-        self._known = [*known[-1:], (c, power)]
 
 
 def _inverse(design: Floats) -> tuple[Floats, Floats]:
@@ -184,12 +162,12 @@ def coefficient_interval(
         reach = Z_95 * score.deviation
         high = cross(score, -Z_95, known, middle + reach, np.inf)
         low = cross(score, Z_95, known, middle - reach, 0.0)
-        return CoefficientInterval(z_zero, low, high, high)
+        return CoefficientInterval(z_zero, low, high)
     # An estimate below zero counts as zero: the limit is then that of the length of the record.
     known = [(0.0, max(z_zero, 0.0))]
     reach = middle + Z_95 * deviation
     upper = cross(lambda c: score(c, 0.0), -Z_95, known, reach, np.inf)
-    return CoefficientInterval(z_zero, 0.0, upper, upper)
+    return CoefficientInterval(z_zero, 0.0, upper)
 
 
 def cross(

@@ -96,7 +96,7 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
     interval = coefficient_interval(fit.table, B, fit.power)
     assert not interval.observable
     assert interval.low == 0.0
-    assert 0.0 < interval.upper < np.inf
+    assert 0.0 < interval.high < np.inf
 
 
 @pytest.mark.parametrize('factor', [30.0, 1e4])
