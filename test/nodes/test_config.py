@@ -63,6 +63,36 @@ def test_the_launch_file_names_what_there_is(repository: Path):
     assert dotted and dotted <= known
 
 
+def test_every_launch_argument_has_a_launch_test(repository: Path):
+    def assigned(file: str, name: str) -> ast.expr:
+        tree = ast.parse((repository / file).read_text())
+        (value,) = [
+            n.value
+            for n in tree.body
+            if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == name
+        ]
+        return value
+
+    arguments = ast.literal_eval(assigned('launch/allan_ros.launch.py', 'ARGUMENTS'))
+    cases = ast.literal_eval(assigned('test/launch/test_launch_arguments.py', 'CASES'))
+    assert {name for given, _, _ in cases.values() for name in given} == {*arguments, 'config'}
+
+
+def test_several_imus_in_separate_processes_are_refused(repository: Path):
+    pytest.importorskip('launch_ros')
+    from launch.actions import IncludeLaunchDescription
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+    import launch
+
+    source = PythonLaunchDescriptionSource(str(repository / 'launch' / 'allan_ros.launch.py'))
+    arguments = {'imu': '/left/imu,/right/imu', 'apart': 'true', 'config': ''}
+    include = IncludeLaunchDescription(source, launch_arguments=arguments.items())
+    service = launch.LaunchService()
+    service.include_launch_description(launch.LaunchDescription([include]))
+    assert service.run() == 1
+
+
 def test_the_launch_file_describes_itself(repository: Path):
     pytest.importorskip('launch_ros')
     from launch.launch_description_sources import get_launch_description_from_python_launch_file
