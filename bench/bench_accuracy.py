@@ -49,15 +49,15 @@ class Scenario:
     rate, seconds : float
         In Hz and s.
     seed : int
-        What its draws begin from; it stays whatever scenarios come and go.
+        Seed of the random numbers. It does not depend on the other scenarios.
     segments : int
-        Into how many the record is cut.
+        Number of segments.
     at_random : bool
-        Whether it is cut at random instants instead of into equal segments.
+        Whether the segments have random instead of equal lengths.
     line : (amplitude, frequency)
-        A sinusoid beside the noise: its amplitude over the white noise per sample, and Hz.
+        An additional sinusoid: amplitude relative to the white noise per sample, and Hz.
     gauss_markov : (share, correlation time)
-        Gauss-Markov noise: its variance over that of the white noise per sample, and s.
+        Gauss-Markov noise: variance relative to that of the white noise per sample, and s.
     """
 
     truth: NoiseTerms
@@ -248,7 +248,7 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
     return '\n'.join(lines)
 
 
-def beside(scenario: str, fits: list[AxisFit]) -> str:
+def additional_terms(scenario: str, fits: list[AxisFit]) -> str:
     """Return how often the fit rejected the five terms, and the additional processes it found."""
     failed = np.mean([fit.gof_z >= Z_FAIL for fit in fits])
     lines = [f'fit rejected in {failed:.1%} of runs']
@@ -291,7 +291,7 @@ def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None
         print(f'\n{scenario}, {method}, {len(got)} runs, {cost:.1f} ms of CPU per axis\n')
         print(table(scenario, got), flush=True)
         if method == 'gls':
-            print(f'\n{beside(scenario, got)}', flush=True)
+            print(f'\n{additional_terms(scenario, got)}', flush=True)
 
 
 def main(arguments: list[str] | None = None) -> None:

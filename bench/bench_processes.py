@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of the process model: Gauss-Markov processes in addition to the five terms.
 
-    python bench/bench_processes.py humps --rate 20       one process beside table 1, X
+    python bench/bench_processes.py humps --rate 20       one process added to table 1, X
     python bench/bench_processes.py bounds                how often it can be found at all
     python bench/bench_processes.py growth --blocks 1     predicted against actual angle growth
     python bench/bench_processes.py adis                  measured curve over drawn model
@@ -71,7 +71,7 @@ def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
 
 
 def bounds() -> None:
-    """Print the power of the likelihood ratio test for one process beside table 1, X.
+    """Print the power of the likelihood ratio test for one process added to table 1, X.
 
     Twice the Kullback-Leibler divergence (Whittle 1953) of the record from the nearest noise of N,
     B and K is the noncentrality of the test. The first frequency counts half: the ramp is free.

@@ -229,9 +229,9 @@ class Trial:
         Parameters
         ----------
         fault, note : str
-            What was done, and what to add to what was lost.
+            Name of the fault, and a note on what was lost.
         same : bool
-            Whether the sums can be held against an offline run of what was sent.
+            Whether the sums are compared with an offline run of what was sent.
         """
         self.hearing.until(lambda: not math.isnan(self.hearing.grew_since(self.ended)))
         grows = self.hearing.grew_since(self.ended)

@@ -141,7 +141,7 @@ def sim_time_jumps(client: Client, folder: Path) -> Row:
 
 @fault()
 def starved(client: Client, folder: Path) -> Row:
-    """The monitor has the lowest priority beside busy processes."""
+    """Run the monitor at the lowest priority while other processes are busy."""
     trial = Trial(client, folder, prefix=('nice', '-n', '19'))
     with trial.fault():
         busy = [Process('-c', BUSY, prefix=('nice', '-n', '1')) for _ in range(BUSY_PROCESSES)]
@@ -176,7 +176,7 @@ def publisher_anew(client: Client, folder: Path) -> Row:
         trial.spin(5.0)
         trial.stream.open()
         trial.stream.silent = False
-    return trial.row("the driver's participant destroyed, made anew after 5 s", same=False)
+    return trial.row('the participant of the driver destroyed, created again after 5 s', same=False)
 
 
 @fault()

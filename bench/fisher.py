@@ -45,7 +45,7 @@ def bend_covariance(lags: int, step: int) -> Floats:
 
 
 def spectra(step: int) -> tuple[Floats, Floats]:
-    """Return frequencies and the spectra of those differences per unit power, (4, frequencies)."""
+    """Return frequencies, and the spectra for coefficients of 1, (4, frequencies)."""
     rows = bend_covariance(LAGS, step)
     even = np.concatenate([rows, rows[:, -2:0:-1]], axis=1)
     return np.arange(LAGS) / (2.0 * LAGS - 2.0), fft.rfft(even, axis=1).real

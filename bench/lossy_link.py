@@ -4,8 +4,8 @@
 
     python bench/lossy_link.py FIRST SECOND FILE
 
-FILE holds the percentage; it may be written anew at any time. Needs root. (``tc netem`` would do
-the same where the kernel has it.)
+FILE contains the percentage and may be rewritten at any time. Needs root. (Where the kernel has
+``tc netem``, it does the same.)
 """
 
 from __future__ import annotations

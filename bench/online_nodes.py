@@ -31,7 +31,7 @@ RELIABLE = (
 
 
 def use_udp() -> None:
-    """Let all nodes of this run talk over UDP: a killed one may leave shared memory locked."""
+    """Let all nodes of this run use UDP, because a killed one may leave shared memory locked."""
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'  # as the profile has it
     for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         os.environ[variable] = str(ROOT / 'config' / 'fastdds' / 'loopback_udp.xml')

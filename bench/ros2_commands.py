@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every ROS 2 command of the documentation, run in a workspace against running nodes.
+"""Run every ROS 2 command of the documentation in a workspace, against running nodes.
 
     source install/setup.bash && python bench/ros2_commands.py
 
@@ -128,7 +128,7 @@ def main() -> None:
                 os.killpg(process.pid, signal.SIGINT)
             codes = [process.wait(60) for process in running]
     for command, code in zip((launch, player), codes):
-        table.put((f'`{command}`', str(code), 'ran beside the others, ended by SIGINT'))
+        table.put((f'`{command}`', str(code), 'ran in the background, ended by SIGINT'))
 
 
 if __name__ == '__main__':

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Process a month of one IMU as fast as possible, by the code that the node and `allan` share.
+"""Process a simulated month of one IMU as fast as possible, with the code of the node and `allan`.
 
-Every sample is drawn anew: white noise of a known N and a random walk of a known K on each axis,
-with what happens to a robot put in. Once an hour of its time the sums are checkpointed and read
-back, every twelve hours they are fitted.
+The samples are white noise of a known N and a random walk of a known K on each axis, with drives,
+knocks, gaps and other events of a robot. Once per simulated hour the sums are checkpointed and read
+back; every twelve hours they are fitted.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Running nodes over DDS: Imu messages of any bytes, foreign documents, odd parameters.
 
-One monitor with a relay and one estimator run all the time; whatever comes, both must answer
-afterwards, on `/diagnostics` and on their services, and a good message must be told from the bad.
+One monitor with a relay and one estimator run all the time. After every input both must still
+publish `/diagnostics`, answer their services and accept a valid message.
 """
 
 from __future__ import annotations

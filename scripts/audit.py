@@ -77,14 +77,14 @@ def main() -> int:
     for name, distribution in packages.items():
         print(f'{name:20} {distribution.version:16} {licence(distribution)}')
     if options.offline:
-        print(f'{len(packages)} packages; nobody was asked about vulnerabilities')
+        print(f'{len(packages)} packages; vulnerabilities were not checked')
         return 0
     answers = audited(packages)
     for answer in answers:
         for found in answer.get('vulns', ()):
-            mended = ', '.join(found['fix_versions']) or 'no version yet'
+            fixed = ', '.join(found['fix_versions']) or 'no version yet'
             which = f'{answer["name"]} {answer["version"]}'
-            print(f'VULNERABLE: {which}: {found["id"]}, mended in {mended}')
+            print(f'VULNERABLE: {which}: {found["id"]}, fixed in {fixed}')
     known = [answer for answer in answers if 'vulns' in answer]
     if left := len(packages) - len(known):
         print(

@@ -78,7 +78,7 @@ SHAPES = (
 
 
 def analysed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
-    """Return the results of the paper's IMU, where only what a picture shows moves."""
+    """Return the results of the simulated IMU of the paper, with the faults given."""
     recording = ar.simulate(hours, RATE, seed=seed, **faults)
     return ar.analyze(recording, rate=RATE, motion_gate=False, skip=0)
 

@@ -4,8 +4,8 @@
 
 usage: report_pictures.py FOLDER
 
-The IMU is that of `allan simulate --preset paper`. On Tuesday a fan runs beside it, somebody moves
-it, and the recorder loses half a minute.
+The IMU is that of `allan simulate --preset paper`. On Tuesday a fan runs next to it, it is
+moved once, and the recorder loses half a minute.
 """
 
 from __future__ import annotations

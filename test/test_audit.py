@@ -58,7 +58,7 @@ def test_a_vulnerability_is_named(
 ) -> None:
     answer(audit, monkeypatch, vulns=[{'id': 'PYSEC-1', 'fix_versions': ['2.0']}])
     assert audit.main() == audit.VULNERABLE
-    assert 'VULNERABLE: numpy 1: PYSEC-1, mended in 2.0' in capsys.readouterr().out
+    assert 'VULNERABLE: numpy 1: PYSEC-1, fixed in 2.0' in capsys.readouterr().out
 
 
 def test_what_was_skipped_is_not_taken_for_good(
