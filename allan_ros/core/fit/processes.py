@@ -1,20 +1,38 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gauss-Markov processes and sinusoids as columns of an Allan table.
+"""Gauss-Markov processes and sinusoids in an Allan table, and their part of its covariance.
 
 Both are linear in their variance and have one more parameter, their shape: a correlation time or a
 frequency.
+
+The covariance of two Allan variances is a sum of squared covariances of differences over all lags
+(module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum, g
+and h being processes and k one of the four terms. A correlation time breaks the scaling between
+octaves that `covariance` relies on, so these sums are computed for the table at hand. Three facts
+keep that at some 50 ms:
+
+- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) with E a sum of nine exponentials.
+- C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so
+  half of the lags is enough. The number of pairs depends on max(2 m_j, m_i + m_j + u) only and
+  falls linearly until the segment ends: all segments share the values of C.
+- Between its corners at u = 0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
+  Gauss-Legendre quadrature. The Euler-Maclaurin formula turns the integral into the sum over the
+  lattice of lags: every corner adds a twelfth of its change of slope.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from ..noise import gauss_markov_sums, sinusoid_avar
-from .model import RANDOM_TERMS, Floats, Ints
+from .model import RANDOM_TERMS, Floats, Ints, walk_from_cubic
+
+Q = RANDOM_TERMS.index('Q')
 
 LINE_PEAK = 0.371
 """f m where sin^4(pi f m)/(pi f m)^2 is largest."""
@@ -104,3 +122,259 @@ def line_rest(
         share = np.minimum(1.0, segments / np.maximum(swing, 1e-9) ** 2 / 2.0)
         out[1, :, n] = column[:, n] ** 2 / 2.0 * share
     return out
+
+
+# --- covariance of Gauss-Markov processes ---------------------------------------------------------
+
+NODES = 14
+"""Quadrature points between two corners."""
+
+TAIL = (1.5, 9.0)
+"""Ends of the quadrature beyond the last corner, in the longest correlation time."""
+
+PAIRS_AT_ONCE = 512
+"""Pairs of factors summed together: a few megabytes of work space."""
+
+CORNER_WEIGHTS = np.array([4.0, -4.0, -4.0, 2.0, 2.0])
+"""Of C at the corners, both signs of u together: products of (1, -2, 1) and (1, -2, 1)."""
+
+_GAUSS, _GAUSS_WEIGHTS = legendre.leggauss(NODES)
+_EVEN, _WEIGHTS = (1.0 + _GAUSS) / 2.0, _GAUSS_WEIGHTS / 2.0
+_DENSITY = _EVEN**2 + (1.0 - _EVEN) ** 2
+_GRADED = _EVEN**2 / _DENSITY
+"""Quadrature points on 0..1 that are denser at both ends, where C changes within a correlation
+time."""
+_SLOPES = 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
+_POLYNOMIALS = (_WEIGHTS[:, None] * legendre.legvander(_GAUSS, NODES - 1)).T
+_UP_TO = 0.5 * _POLYNOMIALS
+"""From P_k+1 - P_k-1 of Legendre to the weights of an integral from 0 to there."""
+_AT = (2.0 * np.arange(NODES) + 1.0)[:, None] * _POLYNOMIALS
+"""From P_k of Legendre to the weights of a value there."""
+
+
+def process_pairs(processes: int) -> list[tuple[int, int]]:
+    """Return the products (a, b) that processes add to those of the four terms.
+
+    Index 4 is the first process: (0, 4), (1, 4) .. (4, 4), (0, 5) .. (5, 5) and so on.
+    """
+    four = len(RANDOM_TERMS)
+    return [(a, b) for b in range(four, four + processes) for a in range(b + 1)]
+
+
+def process_squares(
+    m: Ints,
+    stride: Ints,
+    lengths: Sequence[tuple[float, int]],
+    times: Sequence[float],
+) -> Floats:
+    """Return the sums over all pairs of differences of the products with processes.
+
+    Parameters
+    ----------
+    m, stride : (factors,) int64 arrays
+        Averaging factors and samples between two starts.
+    lengths : sequence of (samples, number)
+        Segments by length.
+    times : sequence of float
+        Correlation times in samples.
+
+    Returns
+    -------
+    (products, pairs) float64 array
+        For the `process_pairs`, at the pairs i <= j of `numpy.triu_indices`, in the convention of
+        `covariance.PairSums.squares`: products of two different processes count twice.
+    """
+    i, j = np.triu_indices(len(m))
+    segments = _Segments(lengths)
+    products = process_pairs(len(times))
+    out = np.empty((len(products), len(i)))
+    for first in range(0, len(i), PAIRS_AT_ONCE):
+        part = slice(first, first + PAIRS_AT_ONCE)
+        lags = _Lags(m[i[part]], m[j[part]], stride[i[part]], stride[j[part]], segments)
+        out[:, part] = lags.sums(times, products)
+    return out
+
+
+class _Segments:
+    """Number of segments of at least some length, and their samples."""
+
+    def __init__(self, lengths: Sequence[tuple[float, int]]) -> None:
+        by_length = sorted(lengths)
+        self.samples = np.array([n for n, _ in by_length], float)
+        self.number = np.array([count for _, count in by_length], float)
+        self._number = np.append(np.cumsum(self.number[::-1])[::-1], 0.0)
+        total = np.cumsum((self.number * self.samples)[::-1])[::-1]
+        self._total = np.append(total, 0.0)
+
+    def longer(self, than: Floats) -> tuple[Floats, Floats]:
+        """Return the number of segments longer than that, and their samples."""
+        at = np.searchsorted(self.samples, than, side='right')
+        return self._number[at], self._total[at]
+
+    def differences(self, reach: Floats, stride: Floats) -> Floats:
+        """Return the number of differences of that reach, one start every ``stride`` samples."""
+        each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
+        return np.asarray(np.maximum(each, 0.0) @ self.number)
+
+    def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
+        """Return the mean number of samples after the last difference of segments of at least some
+        length."""
+        enough = (self.samples >= least[:, None]) * self.number
+        rest = np.mod(self.samples - reach[:, None], stride[:, None])
+        return np.asarray((rest * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
+
+
+class _Lags:
+    """Quadrature over the lags of some pairs of factors."""
+
+    def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
+        self.mi, self.mj = mi.astype(float), mj.astype(float)
+        self.stride = si.astype(float)
+        stride_j = sj.astype(float)
+        self.norm = 1.0 / (2.0 * self.mi * self.mj)
+        self.near, self.far = self.mj - self.mi, self.mj + self.mi
+        self.ratio = stride_j / self.stride
+        self.lost = (1.0 - 1.0 / self.ratio) / 2.0
+        self.segments, self.stride_j = segments, stride_j
+        self.plateau = segments.differences(2.0 * self.mj, stride_j)
+        self.dense = self.mj < NODES * self.stride
+        # A segment has pairs of differences up to the lag of its samples less this. Lags of one
+        # sign end with the last difference at m_i, those of the other with the last at m_j.
+        unused = [
+            segments.unused(2.0 * m, s, 2.0 * self.mj)
+            for m, s in ((self.mi, self.stride), (self.mj, stride_j))
+        ]
+        self.less = self.far - stride_j * (1.0 - self.lost) + (unused[0] + unused[1]) / 2.0
+        self.end = segments.samples[-1] - self.less
+
+    def pairs_at(self, u: Floats) -> Floats:
+        """Return the number of pairs of differences at lags u, (pairs, lags)."""
+        lost = u + self.less[:, None]
+        number, samples = self.segments.longer(np.maximum(lost, 2.0 * self.mj[:, None] - 0.5))
+        falling = (samples - number * lost) / self.stride_j[:, None]
+        return np.where(u <= self.near[:, None], self.plateau[:, None], falling)
+
+    def covariances(self, u: Floats, times: Sequence[float]) -> Floats:
+        """Return C of unit w, b, k and of the processes at lags u, (3 + processes, pairs, lags)."""
+        norm, scale = self.norm[:, None], self.mj[:, None]
+        absolute = 4.0 * u
+        flicker = _square_log(u, scale) * 4.0
+        cubic = 4.0 * u**3
+        decays = [np.exp(-u / time) for time in times]
+        exponentials = [4.0 * decay for decay in decays]
+        for weight, offset in zip((-2.0, -2.0, 1.0, 1.0), (self.mi, self.mj, self.near, self.far)):
+            shift = offset[:, None]
+            for t in (u + shift, np.abs(u - shift)):
+                absolute += weight * t
+                flicker += weight * _square_log(t, scale)
+                cubic += weight * t**3
+            for e, decay, time in zip(exponentials, decays, times):
+                e += weight * (decay * np.exp(-shift / time) + np.exp(-t / time))
+        white = -0.5 * norm * absolute
+        out = [
+            white,
+            flicker * norm / (2.0 * np.pi),
+            walk_from_cubic(white, cubic * norm / 12.0),
+        ]
+        for e, time in zip(exponentials, times):
+            slope, step = (float(x[0]) for x in gauss_markov_sums(time))
+            out.append(slope * white - 0.5 * step * norm * e)
+        return np.stack(out)
+
+    def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
+        """Return twice (or four times) the sums over lags of the products, (products, pairs)."""
+        u, weight = self._weights(max(times))
+        c = self.covariances(u, times)
+        corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)
+        at_corners = self.pairs_at(corners) * CORNER_WEIGHTS * self.norm[:, None]
+        c_corners = self.covariances(corners, times)
+        near = 3
+        inner, _ = self._staircase()
+        longer, _ = self.segments.longer(2.0 * self.mj - 0.5)
+        at_near = np.where(self.dense, 0.0, 2.0 * longer * inner)
+        kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: of w, b, k
+        for time in times:
+            slope, step = (float(x[0]) for x in gauss_markov_sums(time))
+            kink.append(slope - step / time)
+        twelfth = np.where(self.dense, 0.0, self.stride / 12.0)[:, None]
+        out = np.empty((len(products), len(self.mi)))
+        for row, (a, b) in enumerate(products):
+            if a == Q:  # white phase: C is not 0 at the corners only
+                out[row] = 4.0 * (at_corners * c_corners[b - 1]).sum(axis=1)
+                continue
+            total = np.einsum('pu,pu,pu->p', weight, c[a - 1], c[b - 1])
+            total += at_near * c_corners[a - 1, :, near] * c_corners[b - 1, :, near]
+            bent = kink[a - 1] * c_corners[b - 1] + kink[b - 1] * c_corners[a - 1]
+            total += (at_corners * bent * twelfth).sum(axis=1)
+            out[row] = (2.0 if a == b else 4.0) * total
+        return out
+
+    def _weights(self, longest: float) -> tuple[Floats, Floats]:
+        """Return lags, (pairs, nodes), and the weights there of products of C in their sum.
+
+        The number of pairs has a bend where a segment ends. A segment that ends between two
+        corners is integrated up to its end, by the polynomial through the nodes.
+        """
+        lags, weights = [], []
+        for low, high in pairwise(self._bounds(longest)):
+            width = (high - low)[:, None]
+            u = low[:, None] + width * _GRADED
+            number, samples = self.segments.longer(high + self.less)
+            level = (samples - number * self.less)[:, None] - number[:, None] * u
+            inside = high <= self.near
+            level[inside] = (self.plateau * self.stride_j)[inside, None]
+            weight = level / self.stride_j[:, None] * (width * _SLOPES * _WEIGHTS)
+            weight *= (2.0 / self.stride)[:, None]
+            self._add_ends(weight, low, high, u)
+            lags.append(u)
+            weights.append(weight)
+        u, weight = np.concatenate(lags, axis=1), np.concatenate(weights, axis=1)
+        # Corners a few samples apart: all lags one by one, 0 counting half.
+        each, dense = np.arange(u.shape[1]), self.dense
+        u[dense] = each * self.stride[dense, None]
+        weight[dense] = np.where(each == 0, 1.0, 2.0) * self.pairs_at(u)[dense]
+        return u, weight
+
+    def _add_ends(self, weight: Floats, low: Floats, high: Floats, u: Floats) -> None:
+        """Add the weights of the segments whose last lag is in low..high."""
+        _, outer = self._staircase()
+        width = (high - low)[:, None]
+        first = np.maximum(np.maximum(low, self.near) + self.less, 2.0 * self.mj - 1.0)
+        for samples, number in zip(self.segments.samples, self.segments.number):
+            at = np.flatnonzero((first < samples) & (samples <= high + self.less))
+            if not len(at):
+                continue
+            end = samples - self.less[at]
+            part = np.clip((end - low[at]) / width[at, 0], 0.0, 1.0)
+            part = np.sqrt(part) / (np.sqrt(part) + np.sqrt(1.0 - part))
+            powers = legendre.legvander(2.0 * part - 1.0, NODES)
+            falling = (end[:, None] - u[at]) / self.stride_j[at, None] * (width[at] * _SLOPES)
+            before = np.concatenate([np.full((len(at), 1), -1.0), powers[:, : NODES - 1]], axis=1)
+            integral = (powers[:, 1:] - before) @ _UP_TO
+            weight[at] += (2.0 * number / self.stride[at, None]) * falling * integral
+            weight[at] += 2.0 * number * outer[at, None] * (powers[:, :NODES] @ _AT)
+
+    def _bounds(self, longest: float) -> list[Floats]:
+        """Return the lags between which C is smooth, ascending."""
+        corners = np.sort(
+            np.stack([np.zeros_like(self.mi), self.mi, self.near, self.mj, self.far]), axis=0
+        )
+        tail = [self.far + end * longest for end in TAIL]
+        return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
+
+    def _staircase(self) -> tuple[Floats, Floats]:
+        """Return the difference of sum and integral at the lag where the number of pairs begins to
+        fall and at its end, in units of C squared.
+
+        The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
+        """
+        ratio, lost = self.ratio, self.lost
+        bend = np.where(ratio <= self.mi / self.stride, (ratio - 1.0 / ratio) / 12.0, lost / 2.0)
+        inner = lost / 2.0 - bend + 1.0 / (12.0 * ratio)
+        outer = (1.0 - lost) / 2.0 + bend - (1.0 - lost) ** 2 * ratio / 2.0 - 1.0 / (12.0 * ratio)
+        return inner, outer
+
+
+def _square_log(t: Floats, scale: Floats) -> Floats:
+    """Return t^2 ln(t/scale); the scale adds a multiple of t^2, which has no second difference."""
+    return np.asarray(t * t * np.log(np.maximum(t, 1e-9) / scale))

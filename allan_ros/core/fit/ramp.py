@@ -22,9 +22,9 @@ an exponential part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,12 @@ from .model import (
 )
 
 N = RANDOM_TERMS.index('N')
+
+SHIFTS_PER_OCTAVE = 4
+"""Correlation times at which `DriftShift` is computed; it is interpolated to 1e-4 of it."""
+
+SHORTEST_SHIFT = 0.25
+"""Shortest of these correlation times, in samples."""
 
 _FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)
 """Second differences of theta have the fourth difference of its covariance."""
@@ -382,3 +388,42 @@ def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
     effect = fixed_effect(samples, times)
     m = ramp_geometry(samples).m
     return np.zeros((len(m), len(RANDOM_TERMS) + len(times))) if effect is None else effect.shift(m)
+
+
+class DriftShift:
+    """What removing the ramps adds to the expected table of Gauss-Markov processes.
+
+    Over the long-term level of the process it is a smooth function of the logarithm of the
+    correlation time: it is computed once at `SHIFTS_PER_OCTAVE` and interpolated by cubics.
+
+    Parameters
+    ----------
+    samples : int
+        Length of the longest segment: the longest correlation time.
+    compute : callable
+        Returns it at some correlation times, (factors, processes).
+    """
+
+    def __init__(self, samples: int, compute: Callable[[Floats], Floats]) -> None:
+        self._samples, self._compute = samples, compute
+
+    @cached_property
+    def _values(self) -> Floats:
+        octaves = max(np.log2(self._samples / SHORTEST_SHIFT), 1.0)
+        steps = np.arange(-1, int(octaves * SHIFTS_PER_OCTAVE) + 3)
+        times = SHORTEST_SHIFT * 2.0 ** (steps / SHIFTS_PER_OCTAVE)
+        return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
+
+    def __call__(self, times: Floats) -> Floats:
+        """Return it for processes of unit variance, (factors, processes)."""
+        u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
+        at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
+        x = np.maximum(u - at, 0.0)
+        weights = (
+            -x * (x - 1.0) * (x - 2.0) / 6.0,
+            (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
+            -(x + 1.0) * x * (x - 2.0) / 2.0,
+            (x + 1.0) * x * (x - 1.0) / 6.0,
+        )
+        out = sum(w * self._values[:, at + n] for n, w in enumerate(weights))
+        return np.asarray(out * gauss_markov_sums(times)[0])

@@ -12,18 +12,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.sums import AllanSums, SegmentRecord, allan_variance
-from ..noise import gauss_markov_sums, sampled_gauss_markov_avar, sinusoid_avar
+from ..noise import sampled_gauss_markov_avar, sinusoid_avar
 from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, filled_white, pair_sums
 from .model import RANDOM_TERMS, Floats, Ints, avar_terms
-from .process_covariance import process_pairs, process_squares
-from .processes import Extra, GaussMarkovTerm, correlation_times, line_rest, line_scatter
+from .processes import (
+    Extra,
+    GaussMarkovTerm,
+    correlation_times,
+    line_rest,
+    line_scatter,
+    process_pairs,
+    process_squares,
+)
 from .ramp import (
+    DriftShift,
     Noise,
     RampEffect,
     RampGeometry,
@@ -50,51 +58,6 @@ SHARED = 24
 
 SHAPE_STEP = 1.02
 """Ratio of the two shapes whose difference is the derivative of a column."""
-
-SHIFTS_PER_OCTAVE = 4
-"""Correlation times at which `DriftShift` is computed; it is interpolated to 1e-4 of it."""
-
-SHORTEST_SHIFT = 0.25
-"""Shortest of these correlation times, in samples."""
-
-
-class DriftShift:
-    """What removing the ramps adds to the expected table of Gauss-Markov processes.
-
-    Over the long-term level of the process it is a smooth function of the logarithm of the
-    correlation time: it is computed once at `SHIFTS_PER_OCTAVE` and interpolated by cubics.
-
-    Parameters
-    ----------
-    samples : int
-        Length of the longest segment: the longest correlation time.
-    compute : callable
-        Returns it at some correlation times, (factors, processes).
-    """
-
-    def __init__(self, samples: int, compute: Callable[[Floats], Floats]) -> None:
-        self._samples, self._compute = samples, compute
-
-    @cached_property
-    def _values(self) -> Floats:
-        octaves = max(np.log2(self._samples / SHORTEST_SHIFT), 1.0)
-        steps = np.arange(-1, int(octaves * SHIFTS_PER_OCTAVE) + 3)
-        times = SHORTEST_SHIFT * 2.0 ** (steps / SHIFTS_PER_OCTAVE)
-        return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
-
-    def __call__(self, times: Floats) -> Floats:
-        """Return it for processes of unit variance, (factors, processes)."""
-        u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
-        at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
-        x = np.maximum(u - at, 0.0)
-        weights = (
-            -x * (x - 1.0) * (x - 2.0) / 6.0,
-            (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
-            -(x + 1.0) * x * (x - 2.0) / 2.0,
-            (x + 1.0) * x * (x - 1.0) / 6.0,
-        )
-        out = sum(w * self._values[:, at + n] for n, w in enumerate(weights))
-        return np.asarray(out * gauss_markov_sums(times)[0])
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 from allan_ros.core.allan.sums import counts, grid_for
 from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
 from allan_ros.core.fit.model import DIFFERENCE, phase_covariance
-from allan_ros.core.fit.process_covariance import process_pairs, process_squares
+from allan_ros.core.fit.processes import process_pairs, process_squares
 from allan_ros.core.noise import gauss_markov_sums, sampled_gauss_markov_avar
 
 SAMPLES = 2048
