@@ -170,7 +170,7 @@ def test_a_checkpoint_of_another_imu_is_kept(graph, still_imu, tmp_path: Path):
     assert checkpoint.read_bytes() == before
 
 
-def test_troubles_with_the_checkpoint_are_said_and_survived(graph, still_imu, tmp_path: Path):
+def test_problems_of_the_checkpoint_are_reported_and_survived(graph, still_imu, tmp_path: Path):
     corrupt = tmp_path / 'corrupt.json'
     corrupt.write_text('{"schema": "allan_ros/sums_file/1", "sums": [')
     node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(corrupt)})
@@ -292,7 +292,7 @@ def test_no_input_ends_it(graph, still_imu):
     assert node.stop() == 0, node.output
 
 
-def test_two_publishers_on_one_topic_are_said(graph, still_imu):
+def test_two_publishers_on_one_topic_are_reported(graph, still_imu):
     graph.start('accumulator', **FAST)
     graph.send(graph.publisher(), still_imu(100))
     graph.send(graph.publisher(), still_imu(100))

@@ -115,7 +115,7 @@ def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):
     assert status_of(sums, comparisons=(within,)).level == DiagnosticStatus.OK
 
 
-def test_a_change_is_told_in_the_coefficient_that_rules_there(sums):
+def test_a_change_is_reported_in_the_dominant_coefficient(sums):
     tau = 0.04
     recent = replace(recent_noise(sums, 60.0)['gyro_z'], since_s=2400.0, tau=tau)
     ratio = (1.48, 1.52)
@@ -141,7 +141,7 @@ def view(**changes) -> InputView:
     return replace(given, **changes)
 
 
-def test_the_input_is_told_by_its_gravest_finding():
+def test_the_message_of_the_input_is_its_most_severe_finding():
     silent = finding('input_silent', topic='/imu', seconds=3.2, publishers=1)
     several = finding('several_publishers', topic='/imu', count=2, names='/a, /b')
     status = input_status('node: imu input', 'imu', view(findings=(silent, several)))

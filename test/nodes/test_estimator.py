@@ -185,7 +185,7 @@ def test_several_imus_have_their_labels(graph, still_imu, tmp_path: Path):
     }
 
 
-def test_a_rate_that_halves_and_an_axis_that_sticks_are_said(graph, still_imu):
+def test_a_halved_rate_and_a_stuck_axis_are_reported(graph, still_imu):
     graph.start('monitor', **QUICK)
     publisher = graph.publisher()
     graph.send(publisher, still_imu(4000))

@@ -63,7 +63,7 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
     assert 'Noise of unit 7' in read(page.address + 'other/sums')
 
 
-def test_strangers_and_unknown_paths_are_refused(page: LivePage) -> None:
+def test_other_hosts_and_unknown_paths_are_refused(page: LivePage) -> None:
     port = int(page.address.rsplit(':', 1)[1].strip('/'))
     for host, path, code in (('evil.example', '/', 403), ('localhost', '/none', 404)):
         connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10.0)

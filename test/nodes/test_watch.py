@@ -56,7 +56,7 @@ def test_the_terms_are_those_in_datasheet_units():
     assert gyro().remark == '20.0 min of static data; B shows soon'
 
 
-def test_the_gravest_comes_first_and_what_is_silent_is_stale():
+def test_the_most_severe_comes_first_and_a_silent_status_is_stale():
     assert [r.level for r in rows()] == ['ERROR', 'STALE', 'WARN', 'ok']
     assert headline(rows()) == 'allan_ros: 1 ERROR, 1 STALE, 1 WARN, 1 ok; last message 0.1 s ago'
     assert plain_line(rows()[1]) == 'STALE imu accel z: N 0.01 (12 s old)'
@@ -89,7 +89,7 @@ def test_scripts_get_one_document(graph):
     assert 0.0 <= told['age_s'] < 60.0
 
 
-def test_when_nobody_speaks_it_says_what_to_check(graph):
+def test_without_a_status_it_reports_what_to_check(graph):
     watch = graph.start('watch', '--once', '--seconds', '1')
     assert watch.wait() == 1
     said = ' '.join(watch.output.split())
