@@ -197,7 +197,7 @@ def cross(
     points = list(known)
     start, value = points[-1]
     side = 1.0 if limit > start else -1.0
-    if side * (value - target) <= 0.0:
+    if side * (value - target) <= 0.0 or guess == start:
         return start
     inner, outer, met = start, limit, False
     c, first, steps = side * min(side * guess, side * limit), abs(guess - start), 0
@@ -211,7 +211,8 @@ def cross(
             return limit
         else:
             inner = c
-        if abs(value - target) < ENOUGH or abs(outer - inner) < ENOUGH / 2.0 * abs(outer - start):
+        precise = ENOUGH / 2.0 * max(abs(outer - start), ENOUGH * first)
+        if abs(value - target) < ENOUGH or (met and abs(outer - inner) <= precise):
             return c
         # z jumps where a neighbour becomes 0: only halving the bracket is certain to end there.
         steps = steps + 1 if not met or abs(outer - inner) > width / 2.0 else 0

@@ -58,6 +58,9 @@ def test_the_end_of_a_deviation_that_is_linear_takes_two_evaluations():
 def test_where_z_jumps_over_its_target_the_end_is_at_the_jump():
     end = cross(lambda c: 1.0 - c - (c > 2.5), -2.0, [(0.0, 1.0)], 1.0, np.inf)
     assert end == pytest.approx(2.5, rel=1e-3)
+    end = cross(lambda c: -1.0 - 5.0 * (c > 0.0), -2.0, [(0.0, -1.0)], 1.0, np.inf)
+    assert end == pytest.approx(0.0, abs=1e-6)
+    assert cross(lambda c: -1.0, -2.0, [(0.0, -1.0)], 0.0, np.inf) == 0.0
 
 
 def test_what_is_never_reached_is_the_limit():
