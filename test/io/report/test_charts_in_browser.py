@@ -196,9 +196,9 @@ def test_saved_pictures_are_complete(browser: Chromium, pages: dict[str, Path]) 
     assert 'N at 1 s' in texts
     clicked = (
         'new Promise(done => { const click = HTMLAnchorElement.prototype.click;'
-        'HTMLAnchorElement.prototype.click = function () { done(this.download); };'
-        'document.querySelector("SELECTOR").click();'
-        'setTimeout(() => { HTMLAnchorElement.prototype.click = click; }, 500); })'
+        'HTMLAnchorElement.prototype.click = function () {'
+        ' HTMLAnchorElement.prototype.click = click; done(this.download); };'
+        'document.querySelector("SELECTOR").click(); })'
     )
     for selector, name in (
         ('.allan [data-form=SVG]', 'allan_gyro.svg'),
