@@ -119,8 +119,7 @@ class ImuWatch:
         health, stream_findings = self._outlook()
         if (self.frame_id, self._axes) != self._published_imu:
             self._publish(self._total())
-        statistics, publishers = self._input.statistics(), self._input.publishers()
-        graph = self._input.graph_findings()
+        statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
         stale_after = self._settings.input.value.stale_after
         found = self._health.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph

@@ -11,7 +11,7 @@ it, a plain raw callback receives the same bytes.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import compress
 from typing import Any
 
@@ -191,13 +191,13 @@ class ImuInput:
         if len(decoded.frames):
             yield from self._split(decoded, received)
 
-    def publishers(self) -> tuple[str, ...]:
-        """Return the full names of the nodes that publish on the topic, one per publisher."""
-        return tuple(map(full_name, self._node.get_publishers_info_by_topic(self.topic)))
-
-    def graph_findings(self) -> tuple[Finding, ...]:
-        """Return why publishers on the topic do not match this subscription, by the graph."""
+    def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
+        """Return the nodes that publish on the topic, one per publisher, and mismatches."""
         known = self._node.get_publishers_info_by_topic(self.topic)
+        return tuple(map(full_name, known)), self._mismatches(known)
+
+    def _mismatches(self, known: Sequence[Any]) -> tuple[Finding, ...]:
+        """Return why publishers on the topic do not match this subscription, by the graph."""
         imus = [p for p in known if p.topic_type == IMU_TYPE]
         if known and not imus:
             types = ', '.join(sorted({p.topic_type for p in known}))
