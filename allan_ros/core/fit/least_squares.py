@@ -237,10 +237,8 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     found = Found((), np.zeros(len(RANDOM_TERMS)), math.inf)
     z = 0.0
     for _ in range(3):  # errors of the measured curve, then of the model
-        whitening = Whitening.of(np.diag((relative * model) ** 2))
-        search = ProcessSearch(
-            table, whitening, float(len(m)), round(seconds / unit), signed=False, walk=True
-        )
+        covariance = np.diag((relative * model) ** 2)
+        search = ProcessSearch(table, covariance, round(seconds / unit), signed=False, walk=True)
         five = search.fitted(())
         z = search.z(five)
         found = five if z < Z_DETECT else search.search(found.extras)
@@ -248,7 +246,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
         if found.extras:
             model = model + table.columns(found.extras) @ found.power[len(RANDOM_TERMS) :]
         model = np.maximum(model, np.finfo(float).tiny)
-    return _curve_fit(table, found, whitening, z, relative, unit)
+    return _curve_fit(table, found, Whitening.of(covariance), z, relative, unit)
 
 
 def _decimated(tau: Floats, avar: Floats) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .goodness import Z_FAIL
+from .goodness import Z_FAIL, degrees_of_freedom
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
 from .solve import B, K, N, Q, Whitening, nonnegative_least_squares
@@ -100,10 +100,7 @@ class ProcessSearch:
     ----------
     table : Table
         Of the four terms.
-    whitening : Whitening
-        Of its covariance.
-    freedom : float
-        Degrees of freedom of the table.
+    covariance : (factors, factors) float64 array
     samples : int
         Length of the longest segment.
     signed : bool
@@ -115,15 +112,15 @@ class ProcessSearch:
     def __init__(
         self,
         table: Table,
-        whitening: Whitening,
-        freedom: float,
+        covariance: Floats,
         samples: int,
         *,
         signed: bool,
         walk: bool,
     ) -> None:
-        self.table, self.freedom, self.signed = table, freedom, signed
-        self._to_white = whitening.apply(np.eye(len(table.m)))
+        self.table, self.signed = table, signed
+        self.freedom = degrees_of_freedom(covariance)
+        self._to_white = Whitening.of(covariance).apply(np.eye(len(table.m)))
         self._terms, self._target = self._to_white @ table.terms, self._to_white @ table.avar
         if not walk:
             self._terms[:, K] = 0.0

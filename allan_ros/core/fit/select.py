@@ -15,7 +15,6 @@ from .goodness import (
     Z_FAIL,
     Goodness,
     best_case_goodness,
-    degrees_of_freedom,
     goodness,
     long_tau_deficit,
     misfit_of,
@@ -231,14 +230,14 @@ def _search_with(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch
     table = options.table(pooled, axis, fit.options.noise(fit.power))
     used = fit.table.rows(np.isin(fit.table.m, table.m))
     covariance = weights_at(used, fit.power, NO_MISFIT)
-    return ProcessSearch(
-        table.rows(np.isin(table.m, used.m)),
-        Whitening.of(covariance),
-        degrees_of_freedom(covariance),
-        pooled.segments[0].samples,
-        signed=options.signed,
-        walk=options.walk,
-    )
+    return _search(pooled, table.rows(np.isin(table.m, used.m)), covariance, options)
+
+
+def _search(
+    pooled: PooledTable, table: Table, covariance: Floats, options: FitOptions
+) -> ProcessSearch:
+    samples = pooled.segments[0].samples
+    return ProcessSearch(table, covariance, samples, signed=options.signed, walk=options.walk)
 
 
 def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
@@ -325,18 +324,9 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
     """
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.power))
-    covariance = _scaled_covariance(table)
-    samples = pooled.segments[0].samples
+    search = _search(pooled, table, _scaled_covariance(table), options)
     extras: tuple[Extra, ...] = fit.options.extras
     for _ in range(ROUNDS):
-        search = ProcessSearch(
-            table,
-            Whitening.of(covariance),
-            degrees_of_freedom(covariance),
-            samples,
-            signed=options.signed,
-            walk=options.walk,
-        )
         found = search.search(extras)
         settled = _same_shapes(found.extras, extras)
         extras = found.extras
@@ -348,9 +338,7 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
             break
         if settled or search.z(found) > hopeless:
             break
-        table = options.table(pooled, axis, fit.options.noise(fit.power))
-        covariance = weights_at(fit.table, fit.power, NO_MISFIT)
-        table = table.rows(np.isin(table.m, fit.table.m))
+        search = _search_with(pooled, axis, fit)
     return fit
 
 
