@@ -18,7 +18,10 @@ from .sums import sums_of
 NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 """Pattern of texts that must not appear in any output."""
 
-SIGNED = {'reference', 'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'}
+SIGNED = {
+    *('reference', 'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'),
+    'relative',
+}
 """Fields whose numbers may be below zero."""
 
 
