@@ -30,7 +30,7 @@ FLAGS = (
 READ_FD, WRITE_FD = 3, 4
 """Where Chromium reads commands and writes what happens; messages end with a zero byte."""
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 """Until an answer that does not come is a failure: far longer than a loaded machine takes."""
 
 
