@@ -104,6 +104,7 @@ setup(
             'hypothesis>=6.100',
             'ipykernel>=6',
             'nbclient>=0.6',
+            'pandas>=1.3',
             'pytest>=7',
             'pytest-xdist>=3',
             DASK,
