@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from .model import (
     Coefficient,
     Floats,
     NoiseModel,
+    Processes,
+    Sinusoid,
     coefficient_to_si,
 )
 from .processes import GaussMarkovTerm, SinusoidTerm
@@ -34,6 +37,9 @@ from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
 """With no more averaging factors than terms, a table cannot determine the terms."""
+
+MAIN_LOBE = 2.0
+"""Width of the spectrum of a sinusoid, between its zeros, times the length of the record."""
 
 AT_AN_END = 1e-9
 """Relative distance from an end of its interval at which a value counts as that end."""
@@ -94,7 +100,9 @@ def _fit_axis(
         options.misfit.size,
         options.m_min,
         selected.first.z,
-        processes_of(selected.fit, table, tau0),
+        _joined(
+            processes_of(selected.fit, table, tau0), MAIN_LOBE / (pooled.segments[0].samples * tau0)
+        ),
     )
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
 
@@ -164,3 +172,23 @@ def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient
 def _nothing() -> AxisFit:
     """Return the fit of an axis without coefficients."""
     return AxisFit({term: _unresolved(None, np.inf) for term in TERMS})
+
+
+def _joined(processes: Processes, resolution: float) -> Processes:
+    """Return the processes, sinusoids closer than a resolution in Hz as one.
+
+    The mean square of the differences of a sinusoid depends on its phase. Far above the noise, a
+    fit needs two sinusoids side by side for that.
+    """
+    out: list[Sinusoid] = []
+    for line in processes.sinusoid:
+        if out and line.frequency - out[-1].frequency < resolution:
+            both = (out.pop(), line)
+            size = math.hypot(*(each.amplitude for each in both))
+            strong = max(both, key=lambda each: each.amplitude)
+            low, high = (end * size / strong.amplitude for end in strong.amplitude_ci95)
+            middle = sum(each.frequency * (each.amplitude / size) ** 2 for each in both)
+            ends = [end for each in both for end in each.frequency_ci95]
+            line = Sinusoid(size, (low, high), middle, (min(ends), max(ends)))
+        out.append(line)
+    return replace(processes, sinusoid=tuple(out))

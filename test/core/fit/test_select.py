@@ -94,13 +94,24 @@ def test_a_line_far_above_the_noise_ends_in_a_fit():
     assert findings
 
 
-@pytest.mark.parametrize('amplitude, hertz', [(1e-3, 3.0), (1e-3, 7.0), (3e-3, 12.0)])
-def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz):
-    """Three to ten times the noise: its frequency must be exact for the residual to be noise."""
+@pytest.mark.parametrize(
+    'amplitude, hertz, phase',
+    [
+        (1e-3, 3.0, 5.0),
+        (1e-3, 7.0, 5.0),
+        (3e-3, 12.0, 5.0),
+        (3e-3, 3.0, 5.0),
+        (3e-3, 3.0, 2.0),
+        (1e-2, 3.0, 0.0),
+        (1e-2, 7.0, 5.0),
+    ],
+)
+def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz, phase):
+    """Three to thirty times the noise: its frequency must be exact for the residual to be noise."""
     rate, n = 50.0, 18_000
     truth = NoiseTerms(N=5e-5, B=2e-5, K=2e-6)
     y = simulate_axis(n, 1.0 / rate, truth, np.random.default_rng(1))
-    y = y + amplitude * np.sin(2.0 * np.pi * hertz / rate * np.arange(n) + 5.0)
+    y = y + amplitude * np.sin(2.0 * np.pi * hertz / rate * np.arange(n) + phase)
     engine = RunningAllan(axes=('gyro_x',))
     engine.update(y.reshape(-1, 1), 0, round((n - 1) / rate * 1e9))
     engine.end_segment()
