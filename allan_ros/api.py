@@ -342,16 +342,19 @@ def simulate(
     Parameters
     ----------
     hours, rate : float
-        Length, and sample rate in Hz.
+        Duration in h, and sample rate in Hz.
     preset : str
         A name of `core.simulate.PRESETS`; '' for none.
     sensor : str
-        A datasheet, whose limits are taken instead of the preset.
-    gyro, accel : mapping of term to value, or three of these, optional
-        Terms to replace, in datasheet units, for all three axes: ``{'N': 0.3, 'B': 7}``; or for
-        each: a list in the order x, y, z, or a mapping such as ``{'z': {'N': 0.3}}``.
+        Name of a datasheet whose limits replace the preset.
+    gyro, accel : mapping or list of mappings, optional
+        Coefficients that replace those of the preset, in datasheet units. For all axes:
+        ``{'N': 0.3, 'B': 7}``. Per axis: a list of three such mappings (x, y, z), or a mapping by
+        axis such as ``{'z': {'N': 0.3}}``.
     seed : int
+        Seed of the random numbers.
     frame_id : str
+        The frame_id of the messages.
     **faults
         Fields of `core.simulate.Faults`: ``motion``, ``gaps``, ``low_pass`` ...
 

@@ -97,7 +97,7 @@ class Hearing:
     ----------
     client : Client
     ending : str
-        Of the name of the status of the input whose static data are followed.
+        End of the name of the input's status, whose static data are followed.
 
     Attributes
     ----------
@@ -161,11 +161,11 @@ class Trial:
     ros : sequence of str
         Parameters of the node.
     name : str
-        Of the node.
+        Name of the node.
     stream : callable
         Makes the stream.
     label : str
-        Of the IMU, where the node watches several.
+        Label of the IMU, if the node watches several.
     **how
         To `start`.
 

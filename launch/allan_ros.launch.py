@@ -20,7 +20,7 @@ ARGUMENTS = {
     'labels': ('', 'short name of each of several IMUs, separated by commas; else from the topic'),
     'namespace': ('', 'namespace of the nodes'),
     'sensor': ('', 'datasheet to compare with: a name in config/sensors, or a file'),
-    'baseline': ('', 'results.json of a former run to compare with'),
+    'baseline': ('', 'results.json of an earlier run to compare with'),
     'checkpoint': ('', 'file in which the sums survive a restart; a folder for several IMUs'),
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
     'relay': ('false', 'true: republish with covariances, to imu/data_with_covariance'),

@@ -50,7 +50,7 @@ LAUNCH_HEAD = """## Launch arguments
 
 CLI_HEAD = """# Options of `allan`
 
-Every option with its default. `allan VERB --help` says the same. Inside a ROS workspace put
+Every option with its default. `allan VERB --help` prints the same. Inside a ROS workspace put
 `ros2 run allan_ros` before each command.
 """
 

@@ -108,7 +108,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
 def read_jobs(
     paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
 ) -> list[ReadJob]:
-    """Return the recordings to read, as the options of `add_reading_arguments` say."""
+    """Return the recordings to read, by the options of `add_reading_arguments`."""
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
@@ -179,7 +179,7 @@ def fitted(
 
 
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
-    """Fit the sums, write the files where ``--output`` says, and print the results.
+    """Fit the sums, write the files to ``--output``, and print the results.
 
     The exit code is 3 where ``--fail-on`` applies, 1 where nothing could be computed, else 0.
     """
@@ -205,7 +205,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
 
 
 def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
-    """Return whether a finding is as severe as ``--fail-on`` says."""
+    """Return whether a finding is at least as severe as ``--fail-on``."""
     if severity is None:
         return False
     enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
@@ -215,7 +215,7 @@ def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
 def _spread(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
-    """Read the recordings in this process, in several, or on a cluster, as the arguments say."""
+    """Read the recordings in this process, in several, or on a cluster."""
     if args.scheduler:
         from .batch import on_cluster
 

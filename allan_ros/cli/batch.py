@@ -103,7 +103,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 
 
 def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Do the jobs in this process, in several, or on a Dask cluster, in their order."""
+    """Run the jobs in this process, in several, or on a Dask cluster, in their order."""
     names = names_of(jobs)
     if args.scheduler:
         read = on_cluster(jobs, args.scheduler, Console.of(args))
@@ -271,10 +271,11 @@ def on_cluster(
     console: Console,
     work: Callable[[ReadJob], RecordingSums] = read_recording,
 ) -> Iterator[RecordingSums | Finding]:
-    """Do the jobs on a cluster whose workers have this package and see the same paths.
+    """Run the jobs on a Dask cluster, and yield the sums of each, or a finding.
 
-    Jobs of a worker that dies are repeated by another. A job that kills several workers
-    (``distributed.scheduler.allowed-failures``) is given up and replaced by a finding. Raises
+    The workers need this package and the same paths. Jobs of a worker that dies are repeated by
+    another. A job that kills several workers
+    (``distributed.scheduler.allowed-failures``) yields a finding. Raises
     AllanError when Dask is not installed, or no scheduler with workers answers at the address.
     """
     try:

@@ -19,7 +19,7 @@ from typing import Any, TextIO
 from ..core.errors import one_line
 
 WIDTH = 100
-"""Columns where there is no terminal and ``COLUMNS`` does not say."""
+"""Columns where there is no terminal and ``COLUMNS`` is not set."""
 
 LABEL = 30
 """Most characters of the label of a progress bar; a longer one loses its beginning."""
@@ -53,7 +53,7 @@ class Progress:
 
 
 def _bar(total: int | None) -> Any:
-    """Return the bar of rich, which erases itself; None where rich is not installed."""
+    """Return a progress bar of rich that is erased at its end; None if rich is not installed."""
     try:
         from rich.console import Console as Terminal
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -71,7 +71,7 @@ NARROWEST = 40
 """Columns below which text is not squeezed: the terminal breaks the lines then."""
 
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colours (ECMA-48): cyan, yellow, red. They only repeat what the word says."""
+"""ANSI colours (ECMA-48): cyan, yellow, red. They only emphasize the severity word."""
 
 
 def add_console_options(parser: argparse.ArgumentParser) -> None:
@@ -143,7 +143,7 @@ def width() -> int:
 
 
 def coloured(stream: TextIO) -> bool:
-    """Return whether to write colours: on a terminal, unless the environment says otherwise.
+    """Return whether to write colours: on a terminal, unless the environment overrides it.
 
     ``NO_COLOR`` forbids and ``FORCE_COLOR`` demands them where they are not empty, as
     no-color.org and force-color.org have it.

@@ -130,7 +130,7 @@ class AllanParser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f'{self.prog}: {message}{hint}\n')
 
     def _meant(self, message: str) -> str:
-        """Return the option or choice most like a wrong one in the message; '' for none."""
+        """Return the known option or choice closest to the wrong one in the message, or ''."""
         wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: ([^\s=]*)", message)
         if wrong is None:
             return ''

@@ -28,7 +28,7 @@ T = TypeVar('T')
 class Command:
     """One verb of the command line."""
 
-    description: str  # what its help says first, with examples
+    description: str  # the start of its help text, with examples
     add_arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
     exits: Mapping[int, str] = field(default_factory=dict)  # exit codes of its own

@@ -45,10 +45,10 @@ MIN_EDF = 3.0
 """Fewest degrees of freedom on either side: with fewer, no ratio below 10 is significant."""
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
-"""Degrees of freedom among which those of a curve's limits are looked up."""
+"""Grid of degrees of freedom for the interpolation from the width of a curve's limits."""
 
 SMALLEST_SCALE = 1e-12
-"""Relative width of an interval that is taken for one of no width."""
+"""Relative width below which an interval counts as having no width."""
 
 LARGEST_EXPONENT = 709.0
 """exp of more is beyond the largest float."""
@@ -183,7 +183,7 @@ class Difference:
 
 
 class Measured(NamedTuple):
-    """What a run knows of one axis: its coefficients by term, its curve, or both."""
+    """Results of one axis of a run: its coefficients by term, its curve, or both."""
 
     noise: Mapping[str, Coefficient] | None
     curve: AxisCurve | None
@@ -307,10 +307,10 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
-    """Return the logarithm of upper / lower, at least half of that of the complete interval.
+    """Return ln(upper / lower), but at least half the logarithmic width of the interval ``of``.
 
-    An interval inverts a test in which the other terms are refitted, so an estimate may lie at one
-    of its ends; that does not make this end more precise.
+    The interval inverts a test in which the other terms are refitted, so the estimate may coincide
+    with one end. Its distance of 0 from that end would understate the standard error.
     """
     return max(math.log(upper) - math.log(lower), (math.log(of[2]) - math.log(of[1])) / 2.0)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The one base error of the package: its message says what is wrong, where, and what to do."""
+"""The one base error of the package: its message states what is wrong, where, and what to do."""
 
 SHOWN_START, SHOWN_END = 1500, 500
 """Characters kept at the start and at the end of a longer line: the place and the remedy."""

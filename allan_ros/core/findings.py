@@ -335,8 +335,8 @@ levels_off: info
   The drift is bounded: K overestimates it beyond {tau}.
   > Use a first-order Gauss-Markov bias in the filter.
 rounding: info
-  The samples are multiples of {step:.3g} {unit}; rounding makes {share:.0%} of the white noise.
-  > Select a finer range or resolution to lower N; this is not Q.
+  The samples are multiples of {step:.3g} {unit}; rounding causes {share:.0%} of the white noise.
+  > Select a finer range or resolution to lower N; rounding does not add to Q.
 drift_not_separable: info
   There is drift, but random walk (K) and ramp (R) cannot be separated.
   > If either matters, record for longer, warmed up and at a steady temperature.
@@ -344,7 +344,7 @@ ramps_differ: info
   The segments drift at significantly different rates; R is that of the longest one.
   > If R matters, let the sensor warm up and keep its temperature steady.
 record_longer: info
-  Not resolved, and large enough to matter within 100 s: {terms}.
+  Not resolved: {terms}, whose upper limit still matters within 100 s.
   > Record {how_long} at rest in one piece.
 
 # the files
@@ -362,8 +362,8 @@ export_half_of_noise: info
   variance.
   > Write N sqrt(2f) with --exact, or use --inflate.
 export_no_gauss_markov: info
-  No Gauss-Markov process was fitted; sigma and correlation time are those whose error growth
-  matches the model over {horizons}.
+  No Gauss-Markov process was fitted; sigma and correlation time are chosen to match the error
+  growth of the model over {horizons}.
   > Choose the range with --horizon, or use state_space for all processes.
 export_two_numbers: warning
   N and K cannot describe this sensor: they overestimate the error growth by a factor of up to
@@ -388,7 +388,7 @@ CATALOGUE = dict(_parsed(_TEXT))
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing a user should know, and what to do about it."""
+    """A message to the user: the cause with its numbers, and the remedy."""
 
     id: str
     severity: Severity
@@ -402,7 +402,7 @@ class Finding:
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding with that id, its numbers filled in; ``when`` may be left out.
+    """Return the finding ``id``, its numbers filled in; ``when`` may be left out.
 
     No axes means all of them.
     """

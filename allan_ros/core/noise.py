@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise terms of one axis and the Allan variance each of them makes."""
+"""The noise terms of one axis and their contributions to the Allan variance."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
 PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     # Gyro: Cong, Wang, Yan 2019, table 1, the ADIS16475-3 they measured. Accelerometer: B such that
     # the curve's minimum, 0.664 B, is the 3.6 ug of the ADIS16475 data sheet (Rev. D, features);
-    # its N, in no source at hand, is one usual for its class.
+    # its N, which no source states, is typical of its class.
     'paper': {
         'gyro_x': {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242},
         'gyro_y': {'Q': 0.124, 'N': 0.168, 'B': 4.972, 'K': 8.169, 'R': 11.068},
@@ -370,7 +370,8 @@ def disturb_stamps(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the header stamps and the record times of samples taken at the given times, in ns.
 
-    Jitter moves both; a bursty host stamps what it finds when it reads, in quick succession.
+    Jitter moves both. With bursts, the host reads the sensor at intervals and stamps all samples
+    that have arrived since the last read in quick succession.
     """
     jitter_seed, burst_seed = seed.spawn(2)
     out = stamps_ns

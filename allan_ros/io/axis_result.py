@@ -331,7 +331,7 @@ def fit(
 ) -> AxisResult:
     """Return the coefficients of an Allan curve that was computed elsewhere.
 
-    `analyze` gives better intervals, because it knows the covariance of the points.
+    `analyze` gives better intervals, because it uses the covariance of the points.
 
     Parameters
     ----------

@@ -161,7 +161,7 @@ class Checkpoint:
 
 
 class CheckpointKeeper:
-    """Adds the sums of former runs of the node to the present ones, and saves the total.
+    """Adds the sums of earlier runs of the node to the present ones, and saves the total.
 
     Every problem becomes a finding and is logged once; the node continues without its checkpoint.
     A path that another node has locked is neither read nor written.
@@ -317,7 +317,7 @@ class CheckpointKeeper:
             self._done(writing.result)
 
     def _done(self, write: Callable[[], None]) -> bool:
-        """Return whether a write succeeds, and note its time or its error."""
+        """Complete a write, record its time or its error, and return whether it succeeded."""
         try:
             write()
         except AllanError as error:

@@ -77,7 +77,7 @@ MARK_EVERY = 6
 """Points between two marks of a curve; those of the next run are shifted by one."""
 
 BAND_OPACITY = 0.18
-"""Of the 68.3 % limits about a curve."""
+"""Opacity of the band between the 68.3 % limits of a curve."""
 
 RATIO_TICKS = (
     (1.1, 1.2),

@@ -3,7 +3,7 @@
 """Datasheets of IMUs: YAML files with the figures of a sensor, read as limits in SI.
 
 Figures stand in a file as the datasheet states them, in its own unit; what they mean for N and B is
-computed here. A datasheet rarely says which of two customary meanings a number has. Its file says
+computed here. A datasheet rarely states which of two customary meanings a number has. Its file says
 what is known (``sided``, ``stated_as``); where that is ``unknown`` the limit is the wider of the
 two meanings and carries a note, so that an ambiguous datasheet causes no false alarm.
 
@@ -66,7 +66,7 @@ instability -> what its value may be -> the factor that makes it N or B, and a n
 class Source:
     """Where figures come from: a document, its number and revision, and the manufacturer's page.
 
-    ``seen`` tells whether the document itself was read, or ``via``, which quotes it.
+    ``seen`` is whether the document itself was read, or ``via``, which quotes it.
     """
 
     title: str
@@ -83,7 +83,7 @@ class Source:
 class Limit:
     """The limit of one term in SI, and the number and unit that the datasheet states.
 
-    ``note`` tells how one follows from the other, ``condition`` is that of the number (typical,
+    ``note`` states how one follows from the other, ``condition`` is that of the number (typical,
     range, bandwidth), ``source`` the key of its source; '' where there is none.
     """
 

@@ -175,7 +175,7 @@ def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return the path itself, or if it is a folder the file of that name in it."""
+    """Return the path, or if it is a folder the file ``name`` in it."""
     if not Path(path).is_dir():
         return str(path)
     inside = Path(path) / name

@@ -126,7 +126,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
-    """Remove the drafts of this path, older than so many s, that killed processes left behind.
+    """Remove drafts of this path that killed processes left, if they are older than ``older_s``.
 
     0 s is allowed only where no other process writes this path.
     """
@@ -269,7 +269,7 @@ def config_names(kind: str) -> list[str]:
 
 
 def config_file(kind: str, name: str, called: str) -> Path:
-    """Return the file of that name, or the path that was given."""
+    """Return the file named ``name``, or the path that was given."""
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
         return path.expanduser()

@@ -56,7 +56,7 @@ class Results:
     provenance : Provenance
         Recordings, segments, counts and settings.
     findings : tuple of Finding
-        Of the recording, of the fit, and of the comparison with a datasheet.
+        Findings of the recording, the fit, and the comparison with a datasheet.
     datasheet : DatasheetComparison or None
         The comparison with a datasheet, if one was named.
     baselines : mapping of name to Results

@@ -232,10 +232,10 @@ def summarize_signal(
     cuts: Mapping[str, int] | None = None,
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of the signals in about so many bins, or None if none has two bins.
+    """Return the summary of the signals in about ``bins`` bins, or None if none has two bins.
 
     There is one signal, and one temperature or None, per recording. ``cuts`` is how often a
-    segment ended for which reason: it tells what ended the last one.
+    segment ended for which reason; it determines what ended the last one.
     """
     temperatures = temperatures or [None] * len(signals)
     known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]

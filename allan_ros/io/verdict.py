@@ -38,7 +38,7 @@ ODD_AXIS = 2.0
 """Ratio from which an axis is suspect; the third axis of many accelerometers reaches 1.5."""
 
 CHANGES_NUMBERS = ('settled_part',)
-"""Notes that come first, because they say which part of the data the numbers are from."""
+"""Notes that come first, because they state which part of the data was used."""
 
 NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
 """Findings that need no action, or only a longer record, which is advised in one line."""
@@ -255,7 +255,7 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def finding_text(finding: Finding, results: Results) -> str:
-    """Return the message of a finding with its axes in front, by sensor where all are meant."""
+    """Return the message of a finding, preceded by its axes (or sensor, for all of one)."""
     return f'{_where(finding, results)}{finding.message}'
 
 
@@ -268,7 +268,7 @@ def _axis(axis: str) -> str:
 
 
 def _axes_text(axes: Sequence[str], results: Results) -> str:
-    """Return axes by name, or by sensor where all of one are meant."""
+    """Return axes by name, or by sensor where all axes of one are given."""
     if set(axes) >= set(results.axes):
         return 'all axes'
     words: list[str] = []

@@ -229,7 +229,7 @@ class ImuWatch:
     # --- sums out ---------------------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums as if the input ended now, with those of former runs of the node."""
+        """Return the sums as if the input ended now, with those of earlier runs of the node."""
         if self._outdated:
             self._known, self._outdated = self._stream.result(), False
         known, name = self._known, self._node.get_fully_qualified_name()

@@ -164,7 +164,7 @@ def _state_text(view: InputView) -> str:
 
 
 RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
-"""Averaging times at which the recent deviation is compared with the former one."""
+"""Averaging times at which the recent deviation is compared with the earlier one."""
 
 NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
 """Findings of the fit that the status of an axis shows."""
@@ -175,8 +175,8 @@ class AxisView:
     """What the status of one axis shows.
 
     ``sums`` is None before there are any, ``result`` before the first fit; ``problems`` are a
-    failed fit and a withdrawn model; ``changes`` are the differences of the recent noise from the
-    former; ``noted`` are findings of the fit that do not change the level.
+    failed fit and a withdrawn model; ``changes`` are the differences of the recent noise from
+    the earlier; ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -250,7 +250,7 @@ def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, 
 
 
 def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
-    """Return the ratio of recent to former deviation at a few averaging times."""
+    """Return the ratio of recent to earlier deviation at a few averaging times."""
     pairs: list[tuple[str, object]] = []
     for tau in RECENT_TAUS_S:
         d = _nearest(view.changes, tau)
@@ -328,7 +328,7 @@ def _summary(view: AxisView, static_s: float, upcoming: str) -> str:
 
 
 def _next_term(view: AxisView) -> str:
-    """Return how long a rest resolves what is missing and matters; '' where nothing is."""
+    """Return the time at rest that resolves the missing terms that matter; '' if there are none."""
     if view.result is None or view.method != 'gls':
         return ''  # the prediction holds for that fit only
     limits = {c.term: c.limit for c in view.comparisons if c.tau is None}

@@ -33,10 +33,10 @@ TYPES = ['std_msgs/msg/String']
 
 
 class LivePage:
-    """Subscribes the sums of all accumulators and serves their reports by HTTP.
+    """Subscribes to the sums of all accumulators and serves their reports over HTTP.
 
-    Pages are rendered when they are asked for: no browser, no cost. The port is one of the loopback
-    interface, 0 for any free one; AllanError is raised if it is in use.
+    A page is rendered only when a browser requests it. ``port`` is a port of the loopback
+    interface, 0 for any free one. Raises AllanError if it is in use.
     """
 
     def __init__(self, node: Node, port: int) -> None:

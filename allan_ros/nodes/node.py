@@ -129,7 +129,7 @@ class Parameters:
 
 
 def descriptor(info: ParameterInfo, default: Any) -> ParameterDescriptor:
-    """Return what ``ros2 param describe`` shows of a setting."""
+    """Return the parameter descriptor of a setting, which ``ros2 param describe`` shows."""
     unit = f' [{info.unit}]' if info.unit else ''
     choices = f'one of {", ".join(info.choices)}' if info.choices else ''
     described = ParameterDescriptor(
@@ -201,7 +201,7 @@ class AllanNode(Node):
     """A node that is made of parts.
 
     An exception that nothing else catches is logged once with its traceback and reported as ERROR
-    on `/diagnostics`; the node and its other parts go on.
+    on `/diagnostics`; the node and its other parts continue.
     """
 
     def __init__(self, name: str) -> None:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets parameters of another node from the noise model, through its parameter services.
 
-Each time it is due it first reads the values of the node: it keeps the former values, sets nothing
-that is already right, and recognizes a restarted node. The node may refuse; its reason is shown,
-and the same value is not sent again.
+Before each update it reads the values of the node: to store the previous ones, to skip those that
+are already right, and to detect a restart of the node. If the node refuses a value, its reason is
+shown and the value is not sent again.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ class ParameterPush:
             )
 
     def _note(self, name: str, note: str) -> None:
-        """Keep a note of a parameter ('' for the node), and log it when it is new."""
+        """Store the message on a parameter ('' for the node), and log it if it is new."""
         if self._notes.get(name) != note:
             self._log.info(f'{name}: {note}' if name else note)
         self._notes[name] = note
@@ -216,7 +216,7 @@ class ParameterPush:
     async def _on_restore(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Restore the former values; nothing is set until push.enabled is true again."""
+        """Restore the previous values; nothing is set until push.enabled is true again."""
         if self._mapping is not None:
             off = Parameter('push.enabled', Parameter.Type.BOOL, False)
             self._owner.set_parameters([off])

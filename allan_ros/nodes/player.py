@@ -73,7 +73,7 @@ class _Asked:
 class Handshake:
     """Waits until every subscriber has discovered a publisher.
 
-    A publisher knows a subscriber before that subscriber knows the publisher, and best effort
+    A publisher discovers a subscriber before that subscriber discovers it, and best effort
     messages in between are lost. Endpoints are announced in order, so a node that answers a client
     created after the publisher has discovered the publisher, too. Create the handshake after the
     publisher, which is one of the node's, and call `update` from the thread that runs the node's

@@ -143,7 +143,7 @@ class EstimatorSettings(CheckedSettings):
         '', 'Datasheet to compare with: a name in config/sensors or a file; empty: none.'
     )
     baseline: str = fixed_parameter(
-        '', 'Former results to compare with, a results.json; empty: none.'
+        '', 'Earlier results to compare with, a results.json; empty: none.'
     )
     margin: float = parameter(
         MARGIN,
@@ -247,7 +247,7 @@ class PushSettings(CheckedSettings):
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
     filter: str = fixed_parameter('', 'Mapping: a name in config/filters, or a file.')
     enabled: bool = parameter(
-        True, 'Whether parameters are set; ~/restore restores the former values and turns it off.'
+        True, 'Whether parameters are set; ~/restore restores the previous values and turns it off.'
     )
     ratio: float = parameter(
         1.5,

@@ -97,7 +97,7 @@ def run(
 
     A reason not to start (bad parameters, a missing file) is logged in one line: exit code 1.
     After any number of signals the node is closed: exit code 0. An exception in a callback of the
-    node is passed to ``node.fault``, if it has one, and the node goes on.
+    node is passed to ``node.fault``, if it has one, and the node continues.
 
     ``make_node`` gets an event that ends the node when set, and the options that the parser made of
     the command line without the ROS arguments. The node must have a timer: signals are handled when

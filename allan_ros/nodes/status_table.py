@@ -140,7 +140,7 @@ def picture(rows: Sequence[Row], columns: int) -> RenderableType:
 
 
 class Display(Protocol):
-    """Output of the rows; the hint says what to check where there are none."""
+    """Output of the rows; the hint names what to check if there are none."""
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
         """Show the present state."""

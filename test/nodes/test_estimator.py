@@ -20,7 +20,7 @@ from allan_ros.io.results import analyse_sums
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 N = 1e-3 * 200.0**-0.5
-"""Of the gyros of the still IMU, rad/s/sqrt(Hz)."""
+"""N of the gyro axes of the still IMU in rad/s/sqrt(Hz)."""
 
 FAST = {
     'qos_overrides./imu/data.subscription.reliability': 'reliable',

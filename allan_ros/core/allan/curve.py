@@ -163,14 +163,14 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 def local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
     """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
 
-    NaN where fewer than two points with a weight and a positive variance are near.
+    The slope is NaN where fewer than two points in reach have a weight and a positive variance.
 
     Parameters
     ----------
     m : (factors,) int64 array
     avar : (factors, axes) float64 array
     weights : (factors,) float64 array
-        Of the points, such as their degrees of freedom; 0 leaves one out.
+        Weights of the points, such as their degrees of freedom; a point of weight 0 is ignored.
     """
     x = np.log(m.astype(float))
     span = np.log(SLOPE_SPAN) * (1.0 + 1e-9)

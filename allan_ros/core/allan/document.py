@@ -125,7 +125,7 @@ def _packed(values: NDArray[Any]) -> str:
     """Return an array as text: its numbers in little-endian bytes, byte by byte, compressed.
 
     Floats are those of `history.short`: the upper half of double precision. 'z4:' (floats) or 'z8:'
-    (whole numbers) in front of the base64 text tells the bytes per number.
+    (whole numbers) in front of the base64 text is the number of bytes per number.
     """
     kind, size = ('<f8', 4) if values.dtype.kind == 'f' else ('<i8', 8)
     data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)[:, 8 - size :]
@@ -135,7 +135,7 @@ def _packed(values: NDArray[Any]) -> str:
 def _unpacked(fields: Fields, key: str, most: int, former: str) -> NDArray[Any]:
     """Return the at most ``most`` numbers of a packed text.
 
-    Texts of former versions are not compressed, of numbers of the type ``former``.
+    Texts of earlier versions are not compressed; their numbers have the type ``former``.
     """
     where = f'{fields.where}.{key}'
     kind, _, coded = fields.text(key, longest=12 * most + 100).rpartition(':')
@@ -168,7 +168,7 @@ def _floats(
 
 
 def _integers(fields: Fields, key: str, most: int) -> NDArray[np.int64]:
-    """Return whole numbers of 0 or above, packed or, in former versions, as a list."""
+    """Return whole numbers of 0 or above, packed or, in earlier versions, as a list."""
     if isinstance(fields.value(key), list):
         return fields.integers(key, len(fields.sequence(key, most)))
     values = _unpacked(fields, key, most, '<i8').astype(np.int64)
@@ -371,7 +371,7 @@ def _recording(fields: Fields, axes: int) -> Recording:
 
 def _period_counts(fields: Fields, length: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the ages at which periods begin, and the counts (periods, levels) in them."""
-    if 'period' in fields:  # a former version: periods of equal length
+    if 'period' in fields:  # an earlier version: periods of equal length
         rows = fields.sequence('level_count', MOST_PERIODS)
         levels = len(rows[0]) if rows and isinstance(rows[0], list) else 0
         count = fields.table('level_count', len(rows), levels, least=0.0).astype(np.int64)

@@ -207,9 +207,10 @@ def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
 
 
 class _SparsePhase:
-    """The phase of a segment, which begins at the age ``offset``, at multiples of a step.
+    """The phase of a segment, kept at the ages that are multiples of a step.
 
-    The step, a power of two, doubles whenever the last age reaches ``points`` steps.
+    The segment begins at the age ``offset``. The step is a power of two and doubles whenever the
+    last age reaches ``points`` steps.
     """
 
     def __init__(self, axes: int, points: int, offset: int = 0) -> None:
@@ -218,7 +219,7 @@ class _SparsePhase:
         self.points = np.empty((axes, 0))
 
     def extended(self, theta: Floats, base: Floats, first: int) -> tuple[Floats, int]:
-        """Return points and step with base + theta added, whose first point has that index."""
+        """Return points and step after appending base + theta, whose first index is ``first``."""
         age, step = self._offset + first, self.step
         points = np.concatenate([self.points, theta[:, -age % step :: step] + base], axis=1)
         while age + theta.shape[1] - 1 >= self._limit * step:

@@ -9,8 +9,8 @@ The age of a sample is the number of sample periods since the first sample of it
   Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. They make it possible to
   leave out the early part of a recording afterwards (`parts.settled_sums`).
 - `Recording`: the means of up to 512 cells of equal length, and the sums of squares at every
-  second octave of about 100 periods, shorter ones towards the end. The stationarity tests and the
-  comparison of the recent noise with the former use them.
+  second octave of about 100 periods, which are shorter towards the end. The stationarity tests and
+  the comparison of the recent noise with the earlier noise use them.
 
 Everything is a function of the samples and their number alone, so any chunking gives the same
 values, and the values of several recordings add.
@@ -139,7 +139,7 @@ class PeriodSums:
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
     def add(self, begins: range, sums: Floats) -> None:
-        """Add sums, (periods, axes), of periods of which the first is the last one or follows."""
+        """Add sums, (periods, axes), of periods; the first is the last one known, or follows it."""
         if self.begins and begins[0] <= self.begins[-1]:
             self.sums[-1] = self.sums[-1] + sums[0]
             begins, sums = begins[1:], sums[1:]
@@ -230,7 +230,7 @@ class Recording(ByValue):
         return 4 ** np.arange(self.level_count.shape[1])
 
     def cells(self, first: int, last: int | None = None) -> Recording:
-        """Return the recording with only some of its cells; periods and length stay."""
+        """Return the recording with only some of its cells; periods and length are unchanged."""
         number, means = self.cell_samples[first:last], self.cell_means[first:last]
         return replace(self, cell_samples=number, cell_means=means)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of recordings, from their sums by age: the settled part, and the recent against the former.
+"""Parts of recordings, from their sums by age: the settled part, and recent against earlier noise.
 
 Where the level of an axis stepped within a recent window, the time before the first step is
 compared with the time since the last one, otherwise the window with all the time before it. Steps
@@ -176,7 +176,7 @@ def _settled_classes(
     return tuple(rest)
 
 
-# --- the recent noise against the former ---------------------------------------------------------
+# --- recent against earlier noise ----------------------------------------------------------------
 
 LONGEST_TAU_SHARE = 0.25
 """Longest averaging time that is compared, as a fraction of the window."""
@@ -202,7 +202,7 @@ class RecentNoise:
 
 
 def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
-    """Return the recent and the former noise of each axis; {} without enough data.
+    """Return the recent and the earlier noise of each axis; {} without enough data.
 
     The recent window of ``window_s`` seconds ends with the latest recording.
     """
@@ -243,7 +243,7 @@ def _rows(
 ) -> tuple[Ints, Floats, Ints]:
     """Return counts, sums of squares and ages of the time before the window and its periods.
 
-    Without former data the first period counts as the time before.
+    Without earlier data the first period counts as the time before.
     """
     begins, count, sum_sq = latest.period_begin, latest.level_count, latest.level_sum_sq
     first = int(np.searchsorted(begins, start))

@@ -353,7 +353,7 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
 
 
 def _levels(factors: int) -> int:
-    """Return the number of levels of the grid with that many factors, at least 1."""
+    """Return the number of levels of a grid with ``factors`` factors, at least 1."""
     return max(1, -(-(factors - 5) // 4))
 
 

@@ -46,9 +46,9 @@ class TurnOnBias:
     Attributes
     ----------
     recordings : int
-        How many there are.
+        Number of recordings.
     mean, std : float
-        Mean and standard deviation of their means, in the unit of the samples.
+        Mean and standard deviation of the means of the recordings, in the unit of the samples.
     ci95 : (low, high)
         Interval of ``std``, for normally distributed means.
     """
@@ -84,7 +84,7 @@ class BiasEstimate:
 
 
 class BiasModel(NamedTuple):
-    """What is known about the bias of one axis before it is measured."""
+    """Prior model of the bias of one axis: random processes and a constant slope."""
 
     processes: ProcessModel
     slope_std: float = 0.0  # standard deviation of a constant slope of the bias, per s; 0 for none

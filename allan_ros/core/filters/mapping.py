@@ -149,7 +149,7 @@ class Proposal:
         return self.high / self.low if self.low > 0.0 else math.inf
 
     def differs(self, current: Sequence[float], change: float) -> bool:
-        """Return whether a value differs from the current one by more than that fraction."""
+        """Return whether a value differs from the current one by over the fraction ``change``."""
         if len(current) != len(self.values):
             return True
         return any(abs(v - c) > change * abs(c) for v, c in zip(self.values, current))

@@ -71,7 +71,7 @@ class Level:
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """Level of one noise term of a sensor: x, y, z with inflation, and the axes they come from."""
+    """One noise term of a sensor: inflated values of x, y, z, and the levels they come from."""
 
     values: tuple[float, float, float]
     levels: tuple[Level, ...]

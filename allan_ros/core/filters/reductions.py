@@ -12,7 +12,7 @@ integral of the samples (angle or velocity) and the parts of the bias:
 Bias instability has no finite number of states. Four Gauss-Markov processes whose correlation
 times are a constant factor apart follow its Allan variance from about 3 s to 3000 s within 5 %.
 
-A filter with N and K only knows white noise and a random walk. Given the bare coefficients of a
+A filter with N and K only models white noise and a random walk. Given the bare coefficients of a
 sensor that also has bias instability, it underestimates its error. A `Reduction` chooses the
 parameters of the filter's states so that the growth of the error that the filter predicts is
 nowhere below that of the complete model, over a stated range of horizons. The bias counts as known

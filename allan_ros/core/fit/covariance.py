@@ -14,7 +14,7 @@ record only.
 cnt is piecewise linear in s, so it takes just the running sums of C_k C_l and of s C_k C_l at four
 lags. And the grid repeats itself every octave: the pair (2^a m, 2^a m') at lags 2^a s has the C of
 (m, m') at lags s up to a power of 2^a. One table of running sums, of pairs whose smaller factor
-stands on level 0, hence serves every pair of every record.
+stands on level 0, so it serves every pair of every record.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def _lag_table(octaves: int) -> _LagTable:
 
 @lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the pair sums of a record of that many samples; the last 80 are cached."""
+    """Return the pair sums of a record of ``samples`` samples; the last 80 are cached."""
     octaves = max(1, samples.bit_length() - 3)
     m, stride = grid(octaves)
     keep = 2 * m <= samples
@@ -317,7 +317,7 @@ def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
     filled : (lengths, ...) int64 array
         Gaps of 1, 2, ... filled samples.
     samples : int
-        Samples that they are among, the filled ones included.
+        Number of samples, including the filled ones.
 
     Returns
     -------

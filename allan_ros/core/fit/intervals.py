@@ -85,7 +85,7 @@ class Score:
     Attributes
     ----------
     estimate, deviation : float
-        Of the last fit.
+        Estimate of the term in the last fit, and its standard deviation.
     """
 
     def __init__(self, table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT) -> None:
@@ -126,7 +126,7 @@ def _inverse(design: Floats) -> tuple[Floats, Floats]:
 
 
 def _contrast(design: Floats, at: int) -> Floats:
-    """Return the weights on the whitened table whose sum is the estimate of one column."""
+    """Return weights w such that w @ (whitened table) is the estimate of one column."""
     inverse, size = _inverse(design)
     return np.asarray(design / size @ inverse[:, at] / size[at])
 
@@ -290,7 +290,7 @@ Z_DETECT_RAMP = 2.58
 
 
 AGREE = 0.01
-"""Segments whose ramps differ as much as noise makes them once in a hundred have their own."""
+"""p value of the test that all segments have one ramp; below it each has its own."""
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,10 @@ def phase_covariance(t: Floats) -> Floats:
 
 
 def coefficient_to_si(term: str, power: float, tau0: float) -> float:
-    """Return the SI coefficient of a variance coefficient (q, w, b, k) or of the ramp r; 0 below
-    0."""
+    """Return the SI coefficient of a variance coefficient (q, w, b, k) or of the ramp r.
+
+    A negative variance coefficient gives 0.
+    """
     if term == 'R':
         return power / tau0
     return math.sqrt(max(power, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])

@@ -8,7 +8,7 @@ frequency.
 The covariance of two Allan variances is a sum of squared covariances of differences over all lags
 (module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum, g
 and h being processes and k one of the four terms. A correlation time breaks the scaling between
-octaves that `covariance` relies on, so these sums are computed for the table at hand. Three facts
+octaves that `covariance` relies on, so these sums are computed for each table. Three facts
 keep that at some 50 ms:
 
 - A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) with E a sum of nine exponentials.
@@ -97,7 +97,7 @@ def line_scatter(samples: int, times: Sequence[float], lines: Sequence[Extra]) -
 def line_rest(
     m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Extra]
 ) -> Floats:
-    """Return `Table.line_rest` of some segments with that many samples in all.
+    """Return `Table.line_rest` of ``segments`` segments with ``samples`` samples in all.
 
     Differences at every s-th start also hold the noise at the aliases of the sinusoid. With C
     differences l_j of the sinusoid and d_j of white noise, the variance of mean(l d) is
@@ -207,12 +207,12 @@ class _Segments:
         self._total = np.append(total, 0.0)
 
     def longer(self, than: Floats) -> tuple[Floats, Floats]:
-        """Return the number of segments longer than that, and their samples."""
+        """Return the number of segments longer than ``than`` samples, and their total length."""
         at = np.searchsorted(self.samples, than, side='right')
         return self._number[at], self._total[at]
 
     def differences(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences of that reach, one start every ``stride`` samples."""
+        """Return the number of differences over ``reach`` samples, one every ``stride`` samples."""
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 

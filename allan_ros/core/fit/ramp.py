@@ -200,7 +200,7 @@ class RampGeometry:
 
 @lru_cache(maxsize=80)
 def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
-    """Return the geometry of a segment of that many samples; the last 80 are cached.
+    """Return the geometry of a segment of ``samples`` samples; the last 80 are cached.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ class Region:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Consecutive points on which one part has the largest share, or the join of several."""
+    """Consecutive points with one dominant part, or with several if stretches were joined."""
 
     terms: tuple[str, ...]
     points: slice
@@ -314,7 +314,7 @@ def _negligible(term: str, fit: AxisFit) -> float:
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length of record that resolves a term of that size."""
+    """Return the length of record that resolves a term of the given size."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     if term == 'K':
         return max(K_RESOLVED * n / size, (K_RESOLVED_BESIDE_B * b / size) ** 2)

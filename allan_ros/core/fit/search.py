@@ -35,7 +35,7 @@ LONGEST_CORRELATION = 8
 walk and a ramp."""
 
 FASTEST_LINE = 0.45
-"""Of the sample rate."""
+"""Highest frequency of a sinusoid, as a fraction of the sample rate."""
 
 LINE_CYCLES = 10
 """Periods of a sinusoid in the longest segment, at least."""
@@ -99,7 +99,7 @@ class ProcessSearch:
     Parameters
     ----------
     table : Table
-        Of the four terms.
+        Table of the four terms.
     covariance : (factors, factors) float64 array
     samples : int
         Length of the longest segment.

@@ -107,7 +107,7 @@ class Selection:
     ----------
     fit : PointFit
     first : Goodness
-        Of the five terms on the complete table.
+        Goodness of fit of the five terms on the complete table.
     z_quantization : float
         q of the five terms in its standard deviations; far below 0 behind a low-pass filter.
     filtered : bool
@@ -404,7 +404,7 @@ def _without_the_shortest(
 
 
 def _resized(fit: PointFit) -> PointFit:
-    """Return a fit in which the variances of the processes are 0, to be found again by a search."""
+    """Return the fit with the variances of all processes in its options set to 0."""
     power = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
     power[: len(RANDOM_TERMS)] = fit.power[: len(RANDOM_TERMS)]
     return replace(fit, power=power)

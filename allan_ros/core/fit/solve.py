@@ -199,7 +199,7 @@ class Whitening:
         return np.asarray(dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
     def scatter(self, contrast: Floats) -> Floats:
-        """Return the covariance of the table with that sum."""
+        """Return the covariance of the table with contrast @ (whitened table)."""
         return np.asarray(self.lower @ contrast * self.deviation)
 
 
@@ -298,7 +298,7 @@ def iterate(
 
 
 def white_floor(table: Table) -> float:
-    """Return the w below which white noise makes no difference to the table."""
+    """Return the w below which white noise has a negligible effect on the table."""
     positive = table.avar > 0.0
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 

@@ -165,7 +165,7 @@ def _has_drift(model: NoiseModel, axis: str) -> bool:
 
 
 def _tested(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
-    """Return the longest recordings, at most so many, that are long enough to test their drift."""
+    """Return up to ``most`` of the longest recordings that are long enough to test their drift."""
     least = LEAST_TESTED_S / (sums.tau0 or 1.0)
     return [one for one in sums.history.recordings[:most] if one.length >= least]
 

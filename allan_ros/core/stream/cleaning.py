@@ -183,9 +183,10 @@ OwnSamples = Literal['all', 'held', 'zero']
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The axes of a sensor stream, and how samples that are not its own are recognized.
+    """The axes of a sensor stream, and which samples of the messages belong to it.
 
-    ``own`` excludes those that repeat the previous one ('held'), those that are 'zero', or none.
+    ``own`` is 'all', 'held' to drop samples that repeat the previous one, or 'zero' to drop
+    samples that are zero.
     """
 
     axes: tuple[str, ...]

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a stream so far: counts, state, sums, segments, means and findings."""
+"""Results and state of a stream: counts, sums, segments, means and findings."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ class StreamHealth:
     stamps : str
         Which stamps are used: 'header' or 'record'.
     frame_id, evidence_frame_id : str
-        Of the latest sample, and of the sums with the longest time.
+        The frame_id of the latest sample, and that of the sums with the longest time.
     frame_changes : int
         How often a sample had another frame_id than the one before.
     discarded : int
@@ -249,10 +249,10 @@ class StreamSums(NamedTuple):
 class Accumulation:
     """The results of a stream so far.
 
-    There are sums of all axes, or of each sensor where their rates differ; a sensor without samples
-    has none. If the rate or the frame changed, ``sums`` are those of the longest time, ``current``
-    those of the present rate and frame. ``spectra`` (if requested) are in the order of ``sums``,
-    and ``segments`` are the listed ones of the first of these.
+    ``sums`` has one entry for all axes, or one per sensor if their rates differ; a sensor without
+    samples has none. After a change of rate or frame_id, ``sums`` belongs to the rate and frame_id
+    with the most data and ``current`` to the present ones. ``spectra`` (if requested) has the order
+    of ``sums``; ``segments`` lists the segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]

@@ -61,8 +61,8 @@ SPIKE_SIGMAS = 7.0
 1e-10 of the samples of white noise, whose variance changes by less than 1e-8."""
 
 SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""The samples next to a spike, and all but one of so many before and after it, must be closer to
-the mean than this fraction of its least height: a knock rings, a spike does not."""
+"""The samples next to a spike, and all but one of this number before and after it, must be closer
+to the mean than this fraction of its least height: a knock rings, a spike does not."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class NoiseFloor:
     Attributes
     ----------
     variance, mean : float64 array
-        Of the samples of a still window; the variance is about their mean.
+        Variance about the mean, and mean, of the samples of a still window.
     step : float64 array
         Standard deviation of the step between the means of neighboring windows.
     lsb : float64 array

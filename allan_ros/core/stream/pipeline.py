@@ -410,7 +410,7 @@ class SensorStream:
                 self._learn()
 
     def _change_rate(self) -> None:
-        """Keep the sums of the former rate, and start to learn the new one."""
+        """Keep the sums of the previous rate, and start to learn the new one."""
         assert self._clock is not None
         self._end_gate()
         self.counts.cuts['rate change'] += 1

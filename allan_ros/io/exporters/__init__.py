@@ -142,7 +142,7 @@ class Entry:
     is_limit: bool = False  # whether the number comes from a 95 % upper limit
     # whether to leave the value in the user's own file alone, because it is not measured
     keep: bool = False
-    findings: tuple[Finding, ...] = ()  # what the user should know about it
+    findings: tuple[Finding, ...] = ()  # facts for the user of the file
 
     @property
     def key(self) -> str:
@@ -204,7 +204,7 @@ class Target:
     form: Form
     rows: tuple[Row, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # the mappings that contain the keys
-    # required keys that are not measured; in the user's own file they stay
+    # required keys that are not measured; in the user's own file they are unchanged
     fixed: Mapping[str, Value] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # further facts for the user of this file
     # yields the entries from the noise, for files that a table cannot describe
@@ -222,14 +222,14 @@ class Target:
 
 @dataclass(frozen=True)
 class Export:
-    """A file for a filter as text, and what the user should know about it."""
+    """A file for a filter as text, and notes on it for the user."""
 
     text: str
     findings: tuple[Finding, ...]
 
 
 def target_of(name: str) -> Target:
-    """Return the target of that name.
+    """Return the target named ``name``.
 
     Raises
     ------

@@ -284,7 +284,7 @@ def _mappings(node: yaml.Node | None, path: Path = ()) -> Iterator[tuple[Path, y
 
 
 def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:
-    """Return the key and the value of that name."""
+    """Return the nodes of a key and of its value; None if the mapping lacks it."""
     return next(((name, value) for name, value in node.value if name.value == key), None)
 
 

@@ -205,7 +205,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
             step, turn_on = axis.rounding, axis.turn_on
             yield Entry((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
             yield Entry((*path, 'mean'), 0.0)
-            # at least half of the variance, lest rounding stops the noise altogether
+            # at least half of the variance, so that rounding does not suppress the noise completely
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
             yield Entry((*path, 'stddev'), rounded(stddev), white_words, white.is_limit)
@@ -294,7 +294,7 @@ SIMULATORS = {
         notes=(
             'put it into <sensor type="imu">; f must be its update_rate',
             'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
-            'where rounding makes more than a tenth of the white noise',
+            'where rounding causes more than a tenth of the white noise',
         ),
         three=True,
     ),

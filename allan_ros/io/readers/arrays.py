@@ -129,7 +129,7 @@ def _members(path: Path) -> tuple[str, ...]:
 
 @contextmanager
 def _opened(path: Path, name: str) -> Iterator[IO[bytes]]:
-    """Open that array of a zip, or the file itself if there is no name."""
+    """Open the array ``name`` of a zip archive, or the file itself if the name is ''."""
     with open_regular(path) as file:
         if name:
             with zipfile.ZipFile(file) as archive:
@@ -229,7 +229,7 @@ def _frame_id(path: Path) -> str:
 def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
     """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, where known, ``record_ns``.
 
-    Column t is in seconds, for readers that do not know ``stamps_ns``. Memory stays constant: the
+    Column t is in seconds, for readers without support of ``stamps_ns``. Memory stays constant: the
     arrays are collected in temporary files, because their length is known only at the end.
 
     Raises AllanError when the batches have several frames, or only some of them have record times.
@@ -359,7 +359,7 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 
 
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
-    """Return the axes by name; ``columns`` is how many there are (0: as many as are named)."""
+    """Return the axes by name; ``columns`` is their number (0: any)."""
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(

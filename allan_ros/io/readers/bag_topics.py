@@ -124,7 +124,7 @@ def no_message(path: Path, source: ImuSource) -> AllanError:
 
 
 def _named(path: Path, survey: Survey, wanted: str) -> list[ImuSource]:
-    """Return the one source with that name, which is a topic or topic:field."""
+    """Return a list of the only source that matches ``wanted``, a topic or topic:field."""
     name, plain = wanted.lstrip('/'), _plain(survey)
     there = [key for key in survey.topics if key[0].lstrip('/') == name.split(':')[0]]
     fitting = [s for s in plain if s.label.lstrip('/') == name]

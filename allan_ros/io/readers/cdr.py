@@ -381,8 +381,8 @@ def without_gyro_bias(
 ) -> bytes:
     """Return an Imu message in CDR with a bias in rad/s taken off the angular velocity.
 
-    The same object comes back where the stamp is outside of ``first_ns`` .. ``last_ns``, in which
-    the bias is valid, or an angular velocity is not a number or differs from the bias by more than
+    The bias is valid for stamps from ``first_ns`` to ``last_ns``. The payload itself is returned
+    for other stamps, and where an angular velocity is NaN or differs from the bias by more than
     ``rate_limit`` in rad/s.
 
     Raises MalformedMessage when the payload is not an Imu message in plain CDR.
@@ -417,7 +417,7 @@ def _layout(payload: bytes) -> tuple[str, dict[str, int], bytes]:
 
 @lru_cache(maxsize=256)
 def _offsets(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> dict[str, int]:
-    """Return the offsets of the fields in a payload of that length (0: of the shortest)."""
+    """Return the offsets of the fields in a payload of ``length`` bytes (0: of the shortest)."""
     try:
         fields = imu_dtype(encoding, order, frame_bytes, length).fields
     except ValueError as error:

@@ -139,7 +139,7 @@ def _payloads(data: bytes, start: NDArray[np.int64], end: NDArray[np.int64]) -> 
 
 @lru_cache(maxsize=64)
 def _message_dtype(length: int) -> np.dtype[np.void] | None:
-    """Return the layout of message records of that length, or None when they are empty."""
+    """Return the layout of message records of ``length`` bytes, or None when they are empty."""
     if length <= MESSAGE_HEAD.size:
         return None
     return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
@@ -302,7 +302,7 @@ class McapStorage(ChunkStorage):
             self._chunks.append(Chunk(log_time, offset, length, loose=True))
 
     def _learn(self, opcode: int, data: bytes, at: int, stop: int) -> None:
-        """Count a message, or take note of a schema, a channel or the statistics."""
+        """Count a message, or record a schema, a channel or the statistics."""
         if opcode == MESSAGE:
             self._counts[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1
         elif opcode == SCHEMA:

@@ -55,7 +55,7 @@ def open_recordings(
 
 
 def topics_of(path: str | os.PathLike[str]) -> list[str]:
-    """Return the Imu topics of a bag; none of another recording, or where it cannot be read."""
+    """Return the Imu topics of a bag; an empty list for other formats and unreadable files."""
     place = Path(path)
     try:
         if not place.is_dir() and _family(place) != 'bag':

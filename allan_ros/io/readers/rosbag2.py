@@ -38,7 +38,7 @@ Decoder = Callable[[Payloads], DecodedImus]
 def open_bag(path: Path, options: ReadOptions) -> Recording:
     """Open a bag as one recording of its Imu topic.
 
-    Raises AllanError when it is not a readable bag, or several topics could be meant.
+    Raises AllanError when it is not a readable bag, or the Imu topic is ambiguous.
     """
     bag = bag_files(path)
     survey = survey_bag(bag)

@@ -148,7 +148,7 @@ DEBIAN_PACKAGES = {name: f' or "apt install python3-{name}"' for name in ('lz4',
 
 
 def optional_package(module: str, purpose: str) -> Any:
-    """Import a module; where it is missing, raise AllanError that tells how to install it."""
+    """Import a module; where it is missing, raise AllanError with the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -303,7 +303,7 @@ class Chunk:
 
 
 class ChunkStorage(ABC):
-    """An open file that consists of chunks; subclasses know the format.
+    """An open file that consists of chunks; subclasses implement the format.
 
     `DAMAGE` is what reading a damaged file raises, `REMEDY` what the user can do about it.
     """

@@ -279,7 +279,7 @@ def _coefficient_cell(axis: str, term: str, coefficient: Coefficient) -> str:
 
 
 def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) -> str:
-    """Return the heading of a term's row; ``html`` stands in place of its name."""
+    """Return the heading of a term's row; ``html`` replaces its name."""
     units = in_units(lambda system: escape(pretty_unit(shown_unit(sensor, term, system).name)))
     what = html or escape(TERM_NAMES[sensor][term])
     name = f'<small>{what}</small>' if named else ''
@@ -296,7 +296,7 @@ def in_units(html_of: Callable[[str], str]) -> str:
 
 
 COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
-"""Of the table for spreadsheets."""
+"""Columns of the table for spreadsheets."""
 
 
 def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
