@@ -119,7 +119,7 @@ def state_space(model: ProcessModel) -> StateSpace:
     correlation time T adds the random walk of these processes, K^2 = B^2/(3 pi T).
 
     Sinusoids are not noise states, quantization is not a process and a ramp is not random: they
-    are left out. `reduce_model` covers the ramp by the walk.
+    are left out. `reduce_model` covers the ramp and slow sinusoids by the walk.
     """
     terms = model.terms
     flicker = flicker_processes(terms.B, terms.N) if terms.B else ()
@@ -234,8 +234,8 @@ def reduce_model(
     none          N is raised until white noise alone bounds the growth.
     walk          N is kept and K raised until the growth is bounded.
     gauss_markov  N is kept; of the processes that bound the growth, the closest one is taken.
-    processes     Everything is kept: B becomes four Gauss-Markov processes. Only a ramp, for
-                  which there is no state, raises K.
+    processes     Everything is kept: B becomes four Gauss-Markov processes. Only a ramp and slow
+                  sinusoids, for which there is no state, raise K.
     ============  ================================================================================
 
     Where the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count
@@ -284,10 +284,11 @@ def _reduced(complete: ProcessModel, quick: int, states: States, horizons: Horiz
         closest = closest_process(with_white, horizons)
         processes = (closest,) if closest else ()
     else:
-        if states == 'processes':  # only the ramp has no state of its own
+        if states == 'processes':  # only ramp and sinusoids have no states of their own
             space = state_space(with_white)
             processes = space.gauss_markov
-            drift = ProcessModel(NoiseTerms(K=space.walk, R=terms.R))
+            terms = NoiseTerms(K=space.walk, R=terms.R)
+            drift = ProcessModel(terms, sinusoids=drift.sinusoids)
         needed = _variance(drift, horizons) / _unit_variance('K', 0.0, horizons)
         walk = math.sqrt(float(np.max(needed)))
     made = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))

@@ -64,6 +64,7 @@ class SensorProcess(NamedTuple):
     tau: tuple[float, ...]
     words: str
     findings: tuple[Finding, ...]
+    is_limit: bool = False  # whether it follows from a 95 % upper limit of K
 
     @property
     def driving(self) -> tuple[float, ...]:
@@ -178,7 +179,10 @@ class FilterNoise:
             values = tuple(sigma / UNITS[row.unit].factor for sigma in sigmas)
         written = [rounded(value) for value in values]
         three = self.target.three
-        return Entry(path, written if three else written[0], words, findings=bias.findings)
+        is_limit = bias.is_limit and row.what != 'tau'
+        return Entry(
+            path, written if three else written[0], words, is_limit, findings=bias.findings
+        )
 
     def entry(
         self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
@@ -244,17 +248,19 @@ class FilterNoise:
         levels = [Level(name, 'sigma', sigma) for name, (sigma, _) in zip(names, pairs)]
         sigma = sensor_level(levels, self.rule, self.options.inflate).values
         unit = SI_UNITS[sensor]['B']
+        axes = self.results.axes
+        others = tuple(name for name in names if not axes[name].fit.selected.gauss_markov)
+        limits = [n for n in others if self.reduction(n, 'processes').levels['K'].is_limit]
         described = '; '.join(
             f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s'
+            + (' from the 95 % upper limit of K' if name in limits else '')
             for name, (s, t) in zip(names, pairs)
         )
         bounds = 'bounds' if self.target.bound else 'follows'
         words = f'sigma and correlation time whose growth {bounds} that of the model: {described}'
-        axes = self.results.axes
-        others = tuple(name for name in names if not axes[name].fit.selected.gauss_markov)
         note = finding('export_no_gauss_markov', others, horizons=self.horizons)
         taus = tuple(tau for _, tau in pairs)
-        return SensorProcess(sigma, taus, words, (note,) if others else ())
+        return SensorProcess(sigma, taus, words, (note,) if others else (), bool(limits))
 
     @cached_property
     def common_tau(self) -> float:
@@ -358,7 +364,7 @@ def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> lis
     They state source, date, convention, units, rate, axes, intervals and warnings.
     """
     results, target, inflate = noise.results, noise.target, noise.options.inflate
-    limits = [entry.key for entry in entries if entry.is_limit]
+    limits = dict.fromkeys(entry.key for entry in entries if entry.is_limit)
     lines = [
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '

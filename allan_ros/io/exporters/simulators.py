@@ -216,7 +216,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
                 sigma = rounded(noise.options.inflate * turn_on.std)
                 yield Entry((*path, 'bias_stddev'), sigma, words)
             driving = Entry((*path, 'dynamic_bias_stddev'), rounded(bias.driving[i]), driving_words)
-            yield replace(driving, findings=bias.findings)
+            yield replace(driving, is_limit=bias.is_limit, findings=bias.findings)
             yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
             if step:
                 words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
@@ -265,8 +265,8 @@ SIMULATORS = {
         entries=_document,
         notes=(
             'walk is a state even if it is 0: it holds the turn-on bias',
-            'walk covers a ramp over the horizon, because a ramp has no state of its own; where K '
-            'is not resolved it contains 15 % of the expected K^2',
+            'walk covers a ramp and slow sinusoids over the horizon, because they have no states '
+            'of their own; where K is not resolved it contains 15 % of the expected K^2',
         ),
     ),
     'state_space_python': _python(

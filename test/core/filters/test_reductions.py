@@ -93,6 +93,12 @@ def test_vibration_is_no_drift():
     assert reduce_model(warming).walk > 0.0
 
 
+def test_the_walk_covers_a_slow_sinusoid_that_has_no_state():
+    warming = ProcessModel(NoiseTerms(N=1e-4), sinusoids=((4e-4, 0.05),))
+    reduction = reduce_model(warming, 'processes')
+    assert reduction.walk > 0.0 and reduction.ratio[0] >= 1.0 - 1e-9
+
+
 def test_a_misnamed_option_is_refused():
     with pytest.raises(AllanError, match='choose one of'):
         reduce_model(FLICKER, 'two')  # type: ignore[arg-type]

@@ -13,10 +13,11 @@ import pytest
 from support.allan_table import allan_table
 from support.exports import near, numbers, run_python, with_process
 
+from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.filters.reductions import STATES
-from allan_ros.core.fit import Coefficient
-from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.core.fit import Coefficient, Processes, Sinusoid
+from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.results import Results
 
 
@@ -88,6 +89,34 @@ def test_a_bias_without_a_fitted_process_is_explained(known_results: Results) ->
     made = make_export(known_results, 'kf_gins')
     assert {said.id for said in made.findings} == {'export_no_gauss_markov'}
     assert numbers(known_results, 'kf_gins')['gbstd'][2] > 20.6265  # more than B alone
+
+
+def with_drift(results: Results, processes: Processes) -> Results:
+    """Return results in which no term but N is resolved, with these processes on each axis."""
+    axes = {}
+    for axis, result in results.axes.items():
+        limit = Coefficient(None, None, 1e-5, 'not_observable')
+        noise = {**dict.fromkeys(result.fit.noise, limit), 'N': result.fit.noise['N']}
+        axes[axis] = replace(result, fit=replace(result.fit, noise=noise, processes=processes))
+    return replace(results, axes=axes)
+
+
+@pytest.mark.parametrize('target', ['kf_gins', 'ob_gins', 'navego', 'gazebo', 'px4_sitl'])
+def test_a_bias_from_the_limit_of_k_is_named_a_limit(known_results: Results, target: str) -> None:
+    known = with_drift(known_results, Processes())
+    made = make_export(known, target)
+    assert 'export_limits' in {said.id for said in made.findings}
+    assert 'from the 95 % upper limit of K' in made.text
+    assert 'upper limits instead of measurements: none' not in made.text
+    with pytest.raises(AllanError, match='not observable'):
+        make_export(known, target, ExportOptions(strict=True))
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_a_slow_sinusoid_may_be_the_only_drift(known_results: Results, target: str) -> None:
+    slow = Sinusoid(4e-3, (3e-3, 5e-3), 0.05, (0.04, 0.06))
+    known = with_drift(known_results, Processes(sinusoid=(slow,)))
+    assert make_export(known, target).text
 
 
 def test_the_module_has_the_matrices_of_the_document(known_results: Results) -> None:
