@@ -21,7 +21,7 @@ from typing import Any
 import allan_ros
 from allan_ros.cli.console import add_console_options
 from allan_ros.cli.main import EXITS, VERBS, command_of
-from allan_ros.core.findings import CATALOGUE
+from allan_ros.core.findings import CATALOGUE, PLURAL
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
 
@@ -290,8 +290,9 @@ def _with_words(entry: str) -> str:
 
 
 def _without_numbers(template: str) -> str:
-    """Return a `str.format` template with … in place of its fields."""
-    return re.sub(r'\{[^{}]*\}', '…', template.replace('{when}', '')).replace('<', '&lt;')
+    """Return a template of a finding in the plural, with … in place of its fields."""
+    text = PLURAL.sub(r'\3', template.replace('{when}', ''))
+    return re.sub(r'\{[^{}]*\}', '…', text).replace('<', '&lt;')
 
 
 def pages() -> dict[str, str]:

@@ -3,7 +3,8 @@
 """Compare runs, or runs with a datasheet: which differences are significant.
 
 An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
-a datasheet. The first run is what the others are compared with.
+a datasheet. The first run is what the others are compared with. --method is for recordings and
+sums; a results.json is not fitted again.
 
   allan compare monday tuesday
   allan compare run1 run2 --label cold --label warm -o compared

@@ -354,6 +354,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_NO_READER
     except OSError as error:
         return _stopped(f'{name}: {error}: check the path, its rights and the disk', EXIT_ERROR)
+    except ModuleNotFoundError as error:
+        if (error.name or '').split('.')[0] == __package__.split('.')[0]:
+            return _stopped(f'{name}: {_fault_text(error)}', EXIT_FAULT)
+        return _stopped(
+            f'{name}: needs the Python package {error.name}, which is not installed: install it '
+            'with pip or apt',
+            EXIT_ERROR,
+        )
     except MemoryError:
         return _stopped(
             f'{name}: not enough memory: use a larger machine or fewer --jobs', EXIT_ERROR

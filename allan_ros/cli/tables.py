@@ -27,7 +27,7 @@ from ..io.format import (
     value_text,
 )
 from ..io.results import Results, headline
-from ..io.verdict import CHANGES_NUMBERS, WORDS, Level, Verdict, finding_text
+from ..io.verdict import CHANGES_NUMBERS, WORDS, Level, Verdict, finding_text, too_short
 from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
 
 LEVEL_COLOURS: dict[Level, str] = {
@@ -192,7 +192,7 @@ def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
 def _deviation(results: Results, axis: str) -> str:
     deviation = results.axes[axis].fit.deviation
     large = deviation is not None and abs(deviation.relative) >= SMALL_DEVIATION
-    return deviation_text(deviation) if large else NOTHING
+    return deviation_text(deviation) if large and not too_short(results) else NOTHING
 
 
 def table_lines(

@@ -8,7 +8,7 @@ A message states the cause and the number, a remedy the next step; each is one s
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,11 +51,12 @@ rate_differs: warning
   The stamps give {measured:.5g} Hz, but {declared:.5g} Hz was declared; the stamps are used.
   > Correct the declared rate, or the clock that sets the stamps.
 rate_changed: warning
-  The sample rate changed {times} times{when} and is now {rate:.5g} Hz; the results are those of the
-  longest data at one rate.
+  The sample rate changed {times} {times:time|times}{when} and is now {rate:.5g} Hz; the results are
+  those of the longest data at one rate.
   > Keep the rate constant: the noise of a digital sensor depends on it.
 frame_changed: warning
-  frame_id changed {times} times{when} and is now "{frame_id}"; each frame_id counts as another IMU.
+  frame_id changed {times} {times:time|times}{when} and is now "{frame_id}"; each frame_id counts as
+  another IMU.
   > Give each IMU its own topic; the results are those of the IMU with the longest data.
 sensor_absent: info
   The messages have no {sensor} (covariance[0] is -1, or the values are NaN).
@@ -72,22 +73,25 @@ held: warning
   their own rate.
   > No action is needed here, but a filter that uses every message counts samples twice.
 gaps: info
-  {lost} samples are missing; {cuts} gaps split the recording.
+  {lost} {lost:sample is|samples are} missing; {cuts} {cuts:gap splits|gaps split} the recording.
   > If this is unexpected, check the queue depth of the recorder and the load of the machine.
 bridged: warning
-  {bridged} lost samples ({share:.2%}) were interpolated; N is corrected for it.
+  {bridged} lost {bridged:sample|samples} ({share:.2%}) {bridged:was|were} interpolated; N is
+  corrected for it.
   > Record with a deeper queue or a reliable publisher.
 not_finite: warning
-  {count} samples{when} are NaN or infinite and were dropped.
+  {count} {count:sample|samples}{when} {count:is|are} NaN or infinite and {count:was|were} dropped.
   > Check the driver.
 duplicates: warning
-  {count} samples{when} repeat the previous stamp and values and were dropped.
+  {count} {count:sample|samples}{when} {count:repeats|repeat} the previous stamp and values and
+  {count:was|were} dropped.
   > Check for two recorders or two publishers on one topic.
 backward_stamps: warning
-  {count} samples{when} have a stamp before the latest one and were dropped.
+  {count} {count:sample|samples}{when} {count:has|have} a stamp before the latest one and
+  {count:was|were} dropped.
   > Check for two publishers on one topic, or a driver that stamps out of order.
 clock_jumps: warning
-  The clock was set back {count} times{when}; the data are split there.
+  The clock was set back {count} {count:time|times}{when}; the data are split there.
   > Use a steady clock for the stamps, or let the clock settle first.
 motion: info
   The IMU moved for {share:.1%} of the time; only data at rest are used.
@@ -99,13 +103,15 @@ relearned: warning
   The recording began in motion; data from before the IMU came to rest were discarded.
   > Start with the IMU at rest.
 stuck: warning
-  An axis repeated one value for {count} samples{when}, which were dropped.
+  An axis repeated one value for {count} {count:sample|samples}{when}, which {count:was|were}
+  dropped.
   > Check the sensor, its cable and the driver.
 saturated: warning
-  {count} samples are at the end of the measurement range.
+  {count} {count:sample is|samples are} at the end of the measurement range.
   > Select a wider range if the motion matters; an IMU at rest should not reach it.
 spikes: info
-  {count} isolated spikes ({share:.3%} of the samples) were replaced by the mean of their neighbors.
+  {count} isolated {count:spike|spikes} ({share:.3%} of the samples) {count:was|were} replaced by
+  the mean of {count:its|their} neighbors.
   > Check the cable and the driver if there are many.
 noise_louder: warning
   The noise rose to {ratio:.1f} times its floor for {seconds:.0f} s although the IMU was at rest;
@@ -128,7 +134,7 @@ short: warning
   There are only {seconds:.3g} s of data at rest.
   > Record minutes for N, hours for B and K.
 nothing_left: error
-  None of {received} samples is usable.
+  None of {received} {received:sample|samples} is usable.
   > See the other findings for the reasons.
 
 # the nodes: input and checkpoint
@@ -136,7 +142,8 @@ no_publisher: error
   Nothing publishes on {topic}.
   > Start the driver, or remap imu/data to its topic.
 input_silent: error
-  No message on {topic} for {seconds:.1f} s, although {publishers} publisher(s) are connected.
+  No message on {topic} for {seconds:.1f} s, although {publishers} {publishers:publisher
+  is|publishers are} connected.
   > Check the driver, the cable and power of the sensor, and the network.
 wrong_type: error
   {topic} has type {types}, not sensor_msgs/msg/Imu.
@@ -155,10 +162,11 @@ several_publishers: warning
   {count} publishers on {topic} ({names}): their samples are mixed.
   > Give each IMU its own topic; a killed publisher is listed for about 20 s more.
 messages_lost: warning
-  {lost} messages ({share:.2%}) were lost in transport in the last minute.
+  {lost} {lost:message|messages} ({share:.2%}) {lost:was|were} lost in transport in the last minute.
   > Raise input.queue_depth, or check the load of the machine and the network.
 samples_missing: warning
-  {count} samples ({share:.2%}) of the last minute were never sent, according to the stamps.
+  {count} {count:sample|samples} ({share:.2%}) of the last minute {count:was|were} never sent,
+  according to the stamps.
   > Check the driver, the bus of the sensor and the load of the machine.
 stamps_leapt: warning
   The stamps jumped ahead by {seconds:.0f} s in the last minute; the data are split there.
@@ -223,14 +231,15 @@ relay_nothing_to_fill: warning
   The noise model has no variance of the {sensor}; its covariance is left unchanged.
   > Keep the IMU at rest for longer, and fit with method gls.
 relay_other_frame: warning
-  {count} messages have frame_id "{found}", but the noise model is for "{expected}"; they are passed
-  on unchanged.
+  {count} {count:message has|messages have} frame_id "{found}", but the noise model is for
+  "{expected}"; {count:it is|they are} passed on unchanged.
   > Relay the topic that is measured: rotated axes have other variances.
 relay_malformed: warning
-  {count} messages are not valid Imu messages and are passed on unchanged; the last: {reason}.
+  {count} {count:message is not a valid Imu message and is|messages are not valid Imu messages and
+  are} passed on unchanged; the last: {reason}.
   > Check the publisher of {topic}.
 relay_unpublished: warning
-  {count} messages could not be published.
+  {count} {count:message|messages} could not be published.
   > Check for a reliable subscriber that stopped reading.
 
 # the recording: unreadable parts
@@ -241,21 +250,21 @@ bag_cut: warning
   {path}: {read} of {size} bytes could be read: the file is truncated or damaged.
   > Stop the recorder with Ctrl-C and wait for it to exit; "mcap recover" repairs the file.
 count_differs: warning
-  {path} states {stated} messages, {read} were read.
+  {path} states {stated} {stated:message|messages}, {read} {read:was|were} read.
   > Copy the recording again, or repair it with "mcap recover", "ros2 bag reindex" or "sqlite3 FILE
     .recover".
 log_damaged: warning
   {path}: parts of the log are damaged and were skipped.
   > Copy the log again.
 log_dropouts: info
-  {path}: the logger dropped messages {count} times, {seconds:.3g} s in all.
+  {path}: the logger dropped messages {count} {count:time|times}, {seconds:.3g} s in all.
   > Use a faster SD card, or log less.
 log_decimated: warning
   {path}: {topic} is logged at {rate:.4g} Hz, but sampled at {full:.4g} Hz: N is too large.
   > Log every sample (SDLOG_PROFILE high rate).
 covariance_ignored: warning
-  {count} of {read} messages declare the {sensor} absent (covariance[0] is -1 or NaN), but contain
-  valid data, which were used.
+  {count} of {read} {read:message|messages} {count:declares|declare} the {sensor} absent
+  (covariance[0] is -1 or NaN), but {count:contains|contain} valid data, which were used.
   > Set the covariance in the driver, or drop the data with --trust-covariance.
 unit_assumed: warning
   {path}: the header states no unit for the {sensor}; {unit} was assumed.
@@ -266,7 +275,7 @@ recording_lost: error
 
 # the fit: methods 'paper' and 'relative'
 too_few_points: warning
-  The curve has {points} points, but five terms need at least {needed}.
+  The curve has {points} {points:point|points}, but five terms need at least {needed}.
   > Record for an hour or more.
 negative_coefficient: warning
   Plain least squares makes the square of {terms} negative, because the long averaging times scatter
@@ -278,7 +287,7 @@ overlap_gain: info
 
 # the fit: method 'gls'
 record_too_short: warning
-  The longest segment has {samples} samples, too few to separate the terms.
+  The longest segment has {samples} {samples:sample|samples}, too few to separate the terms.
   > Record at least a minute at rest, and hours for B and K.
 low_pass: info
   Low-pass filter detected. N is valid within its pass band; Q cannot be measured.
@@ -316,7 +325,7 @@ warm_up: warning
   The sensor is warming up ({what}) and settles {when}.
   > Record for at least {how_long} in total.
 bias_steps: warning
-  The bias steps at least {count} times, by up to {size:.3g} {size_unit}: K is {before:.3g} {unit}
+  The bias has {count} or more steps of up to {size:.3g} {size_unit}: K is {before:.3g} {unit}
   with these steps, {after:.3g} without.
   > Look for switching heaters, loose connections or popcorn noise.
 level_changes: warning
@@ -370,7 +379,10 @@ export_two_numbers: warning
   {ratio:.1f} over {horizons}.
   > Use a filter with Gauss-Markov states (state_space), or adjust --horizon.
 """
-"""``id: severity``, the message, and after ``>`` the remedy, which may each have several lines."""
+"""``id: severity``, the message, and after ``>`` the remedy, which may each have several lines.
+
+``{count:sample is|samples are}`` is the first text where count is 1, else the second.
+"""
 
 
 def _parsed(text: str) -> Iterator[tuple[str, Wording]]:
@@ -401,6 +413,16 @@ class Finding:
         return f'{where}{self.message} {self.remedy}'
 
 
+PLURAL = re.compile(r'\{(\w+):([^{}|]*)\|([^{}|]*)\}')
+"""A field of a template with the texts for one and for any other number."""
+
+
+def _filled(template: str, values: Mapping[str, object]) -> str:
+    """Return a template in one line with its numbers, and its words in singular or plural."""
+    text = PLURAL.sub(lambda field: field[2 if values[field[1]] == 1 else 3], template)
+    return one_line(text.format(**values))
+
+
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     """Return the finding ``id``, its numbers filled in; ``when`` may be left out.
 
@@ -408,7 +430,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     """
     wording = CATALOGUE[id]
     values = {'when': '', **values}
-    message, remedy = (one_line(t.format(**values)) for t in (wording.message, wording.remedy))
+    message, remedy = (_filled(text, values) for text in (wording.message, wording.remedy))
     return Finding(id, wording.severity, message, remedy, axes)
 
 

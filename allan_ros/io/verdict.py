@@ -95,7 +95,7 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
     severities = {finding.severity for finding in results.findings}
     if {finding.id for finding in results.findings} & set(SENSOR_FAULTS):
         return 'failed'
-    if _too_short(results):
+    if too_short(results):
         return 'unknown'
     if 'beyond' in {c.verdict for c in comparisons}:
         return 'failed'
@@ -104,7 +104,8 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
     return 'attention' if 'warning' in severities else 'healthy'
 
 
-def _too_short(results: Results) -> bool:
+def too_short(results: Results) -> bool:
+    """Return whether there is too little data at rest to judge the IMU, or the fit."""
     return not measured(results) or results.duration_s < TOO_SHORT_S
 
 
@@ -120,7 +121,7 @@ def _judged(comparisons: Sequence[Comparison]) -> bool:
 def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     beyond = [c for c in comparisons if c.verdict == 'beyond']
-    if beyond and not _too_short(results):
+    if beyond and not too_short(results):
         return f'Above {_references(beyond)}: {_and(list(_excesses(results, beyond, units)))}.'
     if faults:
         return f'{_where(faults[0], results)}{faults[0].message}'
@@ -246,7 +247,7 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
         seconds, terms = advice
         time = duration_text(seconds)
         yield f'Record {time} at rest, warmed up, to resolve or bound {_and(terms)}.'
-    elif _too_short(results) and level == 'unknown' and not remedies:
+    elif too_short(results) and level == 'unknown' and not remedies:
         yield 'Record at least a minute at rest.'
     if not comparisons and measured(results):
         yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'

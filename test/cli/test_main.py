@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import allan_ros
@@ -21,6 +22,9 @@ from allan_ros.cli import analyze
 from allan_ros.cli.main import EXITS, VERBS, main
 
 ALLAN = [sys.executable, '-m', 'allan_ros.cli.main']
+
+LONG = 2_000_000
+"""Samples of a recording that takes seconds to read."""
 
 
 def exit_code(words: Sequence[str]) -> object:
@@ -176,12 +180,16 @@ def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_all_processes_of_an_analysis_in_one_line(
-    recording: Path, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    other = tmp_path / 'other.npz'
-    other.write_bytes(recording.read_bytes())
+    # Two recordings, long enough that no worker has read its own before the signal arrives.
+    paths = [str(tmp_path / f'{number}.npz') for number in range(2)]
+    for seed, path in enumerate(paths):
+        imu = np.tile(np.random.default_rng(seed).normal(size=(1000, 7)), (LONG // 1000, 1))
+        imu[:, 0] = seed * LONG + np.arange(LONG) / 100.0
+        np.savez(path, imu=imu)
     process = subprocess.Popen(
-        [*ALLAN, 'analyze', str(recording), str(other), '--jobs', '2', '-o', str(tmp_path / 'out')],
+        [*ALLAN, 'analyze', *paths, '--jobs', '2', '-o', str(tmp_path / 'out')],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
@@ -195,6 +203,21 @@ def test_ctrl_c_ends_all_processes_of_an_analysis_in_one_line(
     assert process.returncode == 130
     assert said.strip() == 'allan analyze: interrupted, nothing more is written'
     assert not (tmp_path / 'out').exists()
+
+
+def test_a_package_that_is_missing_is_one_line_and_exit_1(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in [name for name in sys.modules if name.startswith('allan_ros.io.plots')]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    words = ['analyze', str(recording), '--method', 'paper', '-q', '-o', str(tmp_path / 'out')]
+    assert main(words) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith('allan analyze: needs the Python package matplotlib')
 
 
 def test_a_reader_that_leaves_is_not_an_error_to_shout_about(recording: Path) -> None:

@@ -74,6 +74,8 @@ def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Result
     rows = [line for line in lines_of(results, 'si', 200) if line.startswith('deviation')]
     assert len(rows) == 1
     assert rows[0].endswith('-12% at 32 s')
+    brief = lines_of(replace(results, duration_s=4.8), 'si', 200)
+    assert not any(line.startswith('deviation') for line in brief)
 
 
 def test_findings_are_coloured_only_when_asked(small_results: Results) -> None:

@@ -29,7 +29,7 @@ from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, grouped, significant, text_in_units
 from ..results import Results, used_samples
 from ..signal import SignalSummary
-from ..verdict import CHANGES_NUMBERS, WORDS, Verdict, finding_text, verdict_of
+from ..verdict import CHANGES_NUMBERS, WORDS, Verdict, finding_text, too_short, verdict_of
 from .chart_data import sensor_charts, temperature_chart, to_script
 from .tables import (
     baseline_table,
@@ -173,7 +173,7 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
     ]
     for sensor, axes in sensors.items():
         body += [
-            *_sensor_section(sensor, axes),
+            *_sensor_section(sensor, axes, not too_short(results)),
             *(datasheet_table(sensor, axes, results.datasheet) if results.datasheet else ()),
         ]
         for run, baseline in results.baselines.items():
@@ -304,12 +304,12 @@ def _block(finding: Finding, results: Results) -> str:
     )
 
 
-def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
+def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], deviations: bool) -> Iterator[str]:
     name = SENSOR_NAMES[sensor]
     yield f'<section id="{sensor}" class="sensor"><h2>{name}</h2>'
     yield f'<div class="charts curve" data-sensor="{sensor}" hidden></div>'
     yield f'<h3>Coefficients</h3><div class="copy" data-sensor="{sensor}" hidden></div>'
-    yield from coefficient_table(sensor, axes)
+    yield from coefficient_table(sensor, axes, deviations)
     yield (
         '<noscript><p class="note">The charts of this page need JavaScript; '
         f'<a href="allan_{sensor}.png">allan_{sensor}.png</a> shows the same.</p></noscript>'

@@ -58,14 +58,16 @@ MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict -> its symbol, which repeats the meaning of word and colour."""
 
 
-def coefficient_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
+def coefficient_table(
+    sensor: str, axes: Mapping[str, AxisResult], deviations: bool = True
+) -> Iterator[str]:
     """Yield the table of the five terms, one column per axis; a note where none is known."""
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
         yield '<p class="note">Nothing could be measured: neither a value nor a limit.</p>'
         return
     rows = [*_coefficient_rows(sensor, axes, TERMS)]
-    if any(result.fit.deviation for result in axes.values()):
+    if deviations and any(result.fit.deviation for result in axes.values()):
         texts = (deviation_text(result.fit.deviation) or '–' for result in axes.values())
         cells = ''.join(f'<td>{text}</td>' for text in texts)
         rows.append(
