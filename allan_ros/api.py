@@ -391,7 +391,7 @@ def simulate(
 
 
 def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping[str, float]]:
-    """Return sensor or axis -> terms, of terms for all axes of a sensor or for each of them."""
+    """Return the changes as a mapping from the sensor, or from each axis, to its terms."""
     if not given:
         return {}
     if isinstance(given, Mapping):

@@ -281,7 +281,7 @@ def share(names: list[str], records: int, write: bool) -> None:
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> dict[int, list[bool]]:
-    """Return whether the interval of the bias contains it, by seconds ahead, at every so many s."""
+    """Return whether the bias is in its interval, by seconds ahead, at every ``every`` s."""
     seconds = len(samples) // round(BIAS_RATE)
     means, drift = (
         values.reshape(seconds, -1).mean(axis=1) for values in (samples, samples - white)

@@ -191,8 +191,8 @@ class Fields:
     def record(self, kind: type[T], signed: Collection[str] = (), **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are keys of this object.
 
-        They are of type str, int, float, (low, high), a literal, or one of these or None; those
-        ``signed`` may be negative, those ``known`` are not read.
+        Field types are str, int, float, (low, high), a literal, or one of these or None. Fields in
+        ``signed`` may be negative; those in ``known`` have the given values and are not read.
         """
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for key, hint in _hints(kind).items():  # type: ignore[arg-type]

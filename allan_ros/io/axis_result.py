@@ -62,7 +62,7 @@ class Quantity:
     sign: int = 0
 
     def to(self, unit: str) -> Quantity:
-        """Return the same in another unit of the same quantity.
+        """Return the quantity converted to another unit.
 
         Raises
         ------

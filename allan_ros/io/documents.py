@@ -52,7 +52,7 @@ MAX_SETTINGS = 100
 """Largest number of settings, and of the entries of one."""
 
 LISTED_SEGMENTS = 1000
-"""How many segments are listed, the longest; their number is always given."""
+"""Number of the longest segments that are listed; the total number is always given."""
 
 
 def results_to_document(

@@ -104,7 +104,7 @@ class RecordingSums:
         )
 
     def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:
-        """Return the same with further findings."""
+        """Return a copy with further findings."""
         return replace(self, provenance=self.provenance + Provenance(findings=tuple(findings)))
 
 

@@ -300,7 +300,7 @@ class Results:
         baseline: Results | str | os.PathLike[str] = '',
         margin: float = MARGIN,
     ) -> Results:
-        """Return the same, compared with a datasheet and an earlier run, as `check` does."""
+        """Return a copy with the comparison with a datasheet and an earlier run, as in `check`."""
         from .documents import labels_of, load
 
         expect((Results, *PATH), 'results or a path', baseline=baseline)
@@ -318,7 +318,7 @@ class Results:
         return results.against_datasheet(sheet, margin)
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
-        """Return the same with the comparison with a datasheet, and a finding for each excess."""
+        """Return a copy with the comparison with a datasheet, and a finding for each excess."""
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = datasheet_findings(self.noise, comparison)
         return replace(self, datasheet=comparison, margin=margin, findings=(*self.findings, *found))

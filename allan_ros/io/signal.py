@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw signal for plots: its lowest and highest value in each of up to 2048 bins, and all
-recordings on one axis of time, with the samples that are not used, and why.
+"""Summary of the raw signal for plots, in memory that does not depend on the recording length.
 
-A day at 1 kHz drawn this way shows every knock and needs the memory of a few thousand numbers.
+`SignalEnvelope` keeps the lowest and highest value in each of up to 2048 bins, so that a plot of a
+day at 1 kHz shows every knock. `SignalSummary` places all recordings on one time axis, with the
+samples that are not used and the reasons.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ class ParameterPush:
     def _proposals(
         self, mapping: FilterMapping, results: Results, settings: PushSettings
     ) -> list[Proposal]:
-        """Return the values that are known well enough, and note the others."""
+        """Return the values that are to be set, and store the reason for each uncertain one."""
         fits = {name: axis.fit for name, axis in results.axes.items()}
         known = fits, results.rate_hz, mapping.constants, mapping.horizon
         made = []

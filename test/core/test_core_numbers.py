@@ -115,7 +115,7 @@ def test_a_refusal_tells_of_a_number_without_being_none(huge: float) -> None:
 
 
 def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
-    """Return the sums of white, flicker and walk as they are expected of so many segments."""
+    """Return the sums of white, flicker and walk expected of this number of segments."""
     m, stride = grid_for(samples)
     count, groups = segments * counts(samples, m, stride), segments * counts(samples, m, m)
     twice = 2.0 * m.astype(float) ** 2 * term_avar(m, PERIOD_NS * 1e-9, TRUTH).sum(axis=1)

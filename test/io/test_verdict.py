@@ -18,7 +18,7 @@ from allan_ros.io.verdict import verdict_of
 
 
 def against_itself(results: Results, factor: float) -> list[Comparison]:
-    """Return the comparison with limits so many times the upper ends of its own N and B."""
+    """Return the comparison with limits of ``factor`` times the upper ends of its own N and B."""
     limits = {
         axis: {t: factor * (terms[t].ci95 or (0.0, terms[t].upper95))[1] for t in 'NB'}
         for axis, terms in results.noise.items()

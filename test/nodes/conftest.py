@@ -163,7 +163,7 @@ class Graph:
         return publisher
 
     def introduce(self, publisher: Any, wanted: int = 1) -> None:
-        """Wait until so many subscribers, or more, and this publisher have found each other."""
+        """Wait until this publisher and at least ``wanted`` subscribers have found each other."""
         from allan_ros.nodes.player import Handshake
 
         handshake = Handshake(self.node, publisher, wanted)
@@ -226,7 +226,7 @@ class Graph:
         return self.ask(Trigger, service, Trigger.Request())
 
     def model_of(self, samples: int) -> dict[str, Any]:
-        """Let the monitor fit so many samples and return its model: fits on the way are of fewer.
+        """Let the monitor fit this number of samples, and return its model.
 
         It fits no more by itself after that, until more samples come.
         """

@@ -5,7 +5,7 @@
 The age of a sample is the number of sample periods since the first sample of its recording.
 
 - `AgeBin`: the Allan sums of the second differences that *start* in a range of ages. Segments are
-  not split, so all averaging factors stay, and the sum over the bins is the sum of the recording.
+  not split: all averaging factors are kept, and the bins add up to the sums of the recording.
   Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. They make it possible to
   leave out the early part of a recording afterwards (`parts.settled_sums`).
 - `Recording`: the means of up to 512 cells of equal length, and the sums of squares at every
@@ -53,7 +53,7 @@ PERIOD_OVER_FACTOR = 16
 """A period has sums at averaging factors up to its length over this."""
 
 KEPT_RECORDINGS = 32
-"""How many recordings keep their means and periods."""
+"""Number of recordings that keep their means and periods."""
 
 MOST_PIECES = 512
 """Sums by period are merged to the periods of the recording beyond this many."""
@@ -259,7 +259,7 @@ class Recording(ByValue):
         return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
 
     def rounded(self) -> Recording:
-        """Return the same as precisely as it is stored."""
+        """Return a copy with the precision in which it is stored."""
         means, squares = short(self.cell_means), short(self.level_sum_sq)
         return replace(self, cell_means=means, level_sum_sq=squares)
 
@@ -333,7 +333,7 @@ class History(ByValue):
         ).rounded()
 
     def rounded(self) -> History:
-        """Return the same as precisely as it is stored: with 16 significant bits."""
+        """Return a copy with the precision in which it is stored: 16 significant bits."""
         return replace(
             self,
             bins=tuple(replace(b, sum_sq=short(b.sum_sq)) for b in self.bins),
@@ -341,7 +341,7 @@ class History(ByValue):
         )
 
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
-        """Return the same with segments that are from now on kept by their length class alone.
+        """Return a copy in which these segments are kept by their length class alone.
 
         Each is the age of its first sample, (class index, segments, samples), and its ramp
         correction.
@@ -359,7 +359,7 @@ class History(ByValue):
         return replace(self, bins=_add_bins(self.bins, more))
 
     def _from(self, first: int) -> History:
-        """Return the same with all bins below an edge merged into the first."""
+        """Return a copy with all bins below an edge merged into the first."""
         if first <= self.first:
             return self
         early = [b for b in self.bins if b.index < first]

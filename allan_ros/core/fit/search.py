@@ -66,7 +66,7 @@ LINE_FINE = 32
 """The same for a sinusoid: chi^2 has many minima near that of a strong one."""
 
 ZOOM = 4.0
-"""How much finer each round of a refinement is than the one before."""
+"""Factor by which each round of a refinement is finer than the one before."""
 
 LINE_ZOOMS = 9
 """Bound on these rounds for a sinusoid. Far above the noise, the curve determines its frequency to

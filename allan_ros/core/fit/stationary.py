@@ -35,7 +35,7 @@ SHIFT, LEAST_SHIFT = 0.02, 0.005
 """Relative changes of a value: one that matters in any case, and one below which none does."""
 
 TESTED_RECORDINGS = 8
-"""How many of the longest recordings are tested."""
+"""Number of the longest recordings that are tested."""
 
 LEAST_TESTED_S = 120.0
 """Seconds of a recording from which its drift is tested. Shorter ones are compared by means over
@@ -45,7 +45,7 @@ STEPS_MATTER = 0.96
 """Steps are reported if without them the variance of the walk is below this fraction."""
 
 NAMED_CHANGES = 3
-"""How many changed coefficients a finding names."""
+"""Number of changed coefficients that a finding names."""
 
 
 @dataclass(frozen=True)

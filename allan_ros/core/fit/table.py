@@ -107,7 +107,7 @@ class Table:
 
     @property
     def lines(self) -> int:
-        """How many sinusoids there are."""
+        """Number of sinusoids."""
         return len(self.line_scatter)
 
     def columns(self, extras: Sequence[Extra]) -> Floats:

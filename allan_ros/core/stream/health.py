@@ -225,7 +225,7 @@ class StreamHealth:
 
 
 LISTED_SEGMENTS = 1000
-"""How many of the longest segments are listed."""
+"""Number of the longest segments that are listed."""
 
 
 class StreamSums(NamedTuple):

@@ -234,7 +234,7 @@ def target_of(name: str) -> Target:
     Raises
     ------
     AllanError
-        When it is unknown; it lists the known.
+        When it is unknown; the message lists the known targets.
     """
     if name not in TARGETS:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)

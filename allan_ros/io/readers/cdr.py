@@ -255,7 +255,7 @@ def _fill(records: NDArray[Any], wire: _Wire, rows: Rows, into: DecodedImus) -> 
 
 
 def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
-    """Return the distinct items of an array, and the number of that of each item."""
+    """Return the distinct items of an array, and for each item its index among them."""
     if not names.itemsize:
         return [b''], np.zeros(len(names), np.intp)
     size, flat = names.itemsize, names.copy().view(np.uint8)

@@ -98,7 +98,7 @@ class Ros1Storage(ChunkStorage):
                 self._learn_connections(self._data(chunk))
 
     def _record(self, at: int) -> tuple[dict[str, bytes], int, int] | None:
-        """Return header, first byte and end of the record there; None where it is incomplete."""
+        """Return header, first byte and end of the record at ``at``; None if it is incomplete."""
         self._file.seek(at)
         prefix = self._file.read(LENGTH.size)
         if len(prefix) < LENGTH.size:

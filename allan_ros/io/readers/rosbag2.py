@@ -231,7 +231,7 @@ def _temperature(
 def nested_decoder(
     topic: Topic, field: tuple[str, ...], trust_covariance: bool
 ) -> Callable[[Payloads], DecodedImus]:
-    """Return a function that decodes the Imu in that field of the topic's messages."""
+    """Return a function that decodes the Imu in a field of the topic's messages."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)

@@ -60,7 +60,7 @@ def assert_accounted(result):
 
 
 def moves(times, every, samples):
-    """Return 1 in the first samples of every so many, else 0, as a column."""
+    """Return 1 in the first ``samples`` of each ``every`` samples, else 0, as a column."""
     return (np.arange(len(times)) % every < samples)[:, None]
 
 

@@ -115,7 +115,7 @@ def test_pages_hold_the_rows_of_the_table(
 
 
 def recorded(path: Path, others: int = 0) -> Path:
-    """Write what a recorder leaves of an Imu, and of so many messages of another topic."""
+    """Write a bag of an Imu topic, and of ``others`` messages of another topic."""
     stretches = [Stretch(3000, 1, 1, START_NS, 5_000_000, 324, 0)]
     stretches += [Stretch(others, 3001, 2, START_NS + 3000 * 5_000_000, 5_000_000, 9000, 0)]
     write_database(path, stretches, 4096, seed=0)
