@@ -286,5 +286,6 @@ class ImuWatch:
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
     """Return what changes in the health of a stream when more than data at rest is added."""
-    cuts = sum(health.counts.cuts.values())
-    return health.state, health.discarded, health.frame_id, health.frame_changes, cuts
+    c = health.counts
+    began, cuts = c.used > 0, sum(c.cuts.values())
+    return health.state, health.discarded, health.frame_id, health.frame_changes, cuts, began

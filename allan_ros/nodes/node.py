@@ -256,7 +256,8 @@ class AllanNode(Node):
                 statuses += part.statuses(now)
             except Exception as error:
                 self.fault(f'{type(part).__name__} diagnostics', error)
-        if recent := [f for at, f in self._faults.values() if now - at <= FAULT_SHOWN_S]:
+        faults = list(self._faults.values())  # a thread of a part may add one meanwhile
+        if recent := [f for at, f in faults if now - at <= FAULT_SHOWN_S]:
             statuses.append(status_of(status_name(self, 'node'), recent, '', ()))
         array = DiagnosticArray(status=statuses)
         array.header.stamp = self.get_clock().now().to_msg()

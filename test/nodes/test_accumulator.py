@@ -18,6 +18,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers.open import open_recordings
 from allan_ros.io.writing import write_recording
+from allan_ros.nodes.accumulation import _events
 
 FAST = {
     # reliable, so that nothing is lost: a full queue makes the publisher wait
@@ -336,3 +337,16 @@ def test_parameters_change_at_run_time_within_reason(graph):
     response = graph.ask(DescribeParameters, '/allan_accumulator/describe_parameters', request)
     described = response.descriptors[0]
     assert described.description.endswith('[s]') and described.floating_point_range[0].to_value
+
+
+def test_the_first_data_at_rest_count_as_an_event(still_imu):
+    """Else the findings of the time without sums stay until the sums are next published."""
+    batch, stream = still_imu(1500), ImuStream()
+    batch.samples[:300] += np.random.default_rng(3).normal(size=(300, 6))  # it is moved at first
+    stream.update(batch[:800])
+    before = stream.result()
+    stream.update(batch[800:])
+    after = stream.result()
+    assert before.health.state == after.health.state == 'learning'
+    assert 'nothing_left' in {f.id for f in before.findings} - {f.id for f in after.findings}
+    assert _events(before.health) != _events(after.health)

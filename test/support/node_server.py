@@ -38,6 +38,7 @@ class NodeServer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            start_new_session=True,  # after Ctrl-C the tests still need it to end their nodes
         )
 
     def ask(self, request: Any) -> Any:

@@ -62,6 +62,28 @@ class StampChoice:
         return even_stamps(self._placed - len(batch), len(batch), self._rate)
 
 
+class WarmUp:
+    """Leaves out the samples of the first seconds of a stream; ``skipped`` counts them."""
+
+    def __init__(self, seconds: float) -> None:
+        self.skipped = 0
+        self._length_ns = round(seconds * 1e9)
+        self._end_ns: int | None = None
+        self._over = not self._length_ns
+
+    def take(self, stamps: Stamps) -> int:
+        """Return how many of the next samples, at least one, belong to the warm-up."""
+        if self._over:  # a backward clock step later skips no more samples
+            return 0
+        if self._end_ns is None:
+            self._end_ns = int(stamps[0]) + self._length_ns
+        late = stamps >= self._end_ns
+        self._over = bool(late.any())
+        count = int(np.argmax(late)) if self._over else len(stamps)
+        self.skipped += count
+        return count
+
+
 class StampFilter:
     """Drops samples that are not finite, repeat the previous one, or go back in time."""
 

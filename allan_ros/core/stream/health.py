@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..allan.engine import RunningAllan
 from ..allan.spectrum import SpectrumSums
 from ..allan.sums import LONGEST_FILLED, AllanSums
+from ..errors import AllanError
 from ..findings import Finding, finding
 from ..imu import NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
 from ..settings import SegmenterSettings
@@ -243,6 +244,19 @@ class StreamSums(NamedTuple):
             [*self.segments, *other.segments], key=lambda segment: (-segment.samples, segment)
         )
         return StreamSums(self.sums + other.sums, both, tuple(sorted(segments[:LISTED_SEGMENTS])))
+
+
+def joined_by_rate(former: list[StreamSums], present: StreamSums) -> list[StreamSums]:
+    """Return the sums at each rate; those of a rate that returned are continued."""
+    if not present.sums.samples:
+        return former
+    for i, each in enumerate(former):
+        try:
+            joined = each.joined(present)
+        except AllanError:  # another rate
+            continue
+        return [*former[:i], joined, *former[i + 1 :]]
+    return [*former, present]
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from ..allan.engine import RunningAllan
 from ..allan.spectrum import RunningSpectrum
 from ..allan.sums import AllanSums
-from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
-from .cleaning import SampleHoldFilter, SensorPlan, StampChoice, StampFilter, plan_sensors
+from .cleaning import SampleHoldFilter, SensorPlan, StampChoice, StampFilter, WarmUp, plan_sensors
 from .health import (
     LISTED_SEGMENTS,
     Accumulation,
@@ -36,6 +35,7 @@ from .health import (
     State,
     StreamHealth,
     StreamSums,
+    joined_by_rate,
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
@@ -195,8 +195,7 @@ class FrameStream:
         self._options = options
         self._learning: list[ImuBatch] = []
         self._learned = 0
-        self._skipped = 0
-        self._skip_until: int | None = None
+        self._warm_up = WarmUp(settings.skip)
 
     @property
     def state(self) -> State:
@@ -209,7 +208,7 @@ class FrameStream:
     @property
     def counts(self) -> Counts:
         """Counts of the samples, except the number received."""
-        counts = Counts(skipped=self._skipped)
+        counts = Counts(skipped=self._warm_up.skipped)
         for sensor in self.sensors:
             counts.add(sensor.counts)
         return counts
@@ -248,19 +247,12 @@ class FrameStream:
         self._feed(first)
 
     def _feed(self, batch: ImuBatch) -> None:
-        stamps, rows, skip = self.stamps.of(batch), batch.samples.T, self._options.settings.skip
+        stamps, rows = self.stamps.of(batch), batch.samples.T
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
-            if skip > 0.0:
-                self._skip_until = self.first_ns + round(skip * 1e9)
         self.last_ns = int(stamps[-1])
-        if self._skip_until is not None:
-            late = stamps >= self._skip_until
-            start = int(np.argmax(late)) if late.any() else len(stamps)
-            if late.any():
-                self._skip_until = None  # a backward clock step later skips no more samples
-            self._skipped += start
-            stamps, rows = stamps[start:], rows[:, start:]
+        start = self._warm_up.take(stamps)
+        stamps, rows = stamps[start:], rows[:, start:]
         for sensor in self.sensors:
             sensor.feed(stamps, rows)
 
@@ -338,16 +330,7 @@ class SensorStream:
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at each rate; a rate that returns is continued."""
-        present = self.present
-        if not present.sums.samples:
-            return self._former
-        for i, former in enumerate(self._former):
-            try:
-                joined = former.joined(present)
-            except AllanError:  # another rate
-                continue
-            return [*self._former[:i], joined, *self._former[i + 1 :]]
-        return [*self._former, present]
+        return joined_by_rate(self._former, self.present)
 
     @property
     def means(self) -> Means | None:

@@ -145,7 +145,7 @@ def test_a_steady_turn_is_motion_though_it_is_smooth():
     assert not passed[9_000:14_000].any() and passed[15_000:].all()
 
 
-def test_evidence_gathered_in_motion_is_void_once_the_floor_is_known():
+def test_data_gathered_in_motion_is_void_once_the_floor_is_known():
     rows = white(120)
     rows[:, :8_000] += 50 * SIGMA * np.random.default_rng(1).normal(size=(6, 8000))
     out, _, passed = gate(rows)
@@ -219,7 +219,7 @@ def test_an_axis_that_is_stuck_is_none():
     assert counts.stuck >= 11_900 and counts.cuts == {'stuck': 1}
 
 
-def test_a_gap_ends_a_stretch_but_no_evidence():
+def test_a_gap_ends_a_stretch_but_keeps_the_data():
     out, _, passed = gate(white(60), cut_at=(3_333, 9_001))
     assert passed.all()
     assert [(r.cut, int(r.stamps[0])) for r in out if r.cut] == [('gap', 3_333), ('gap', 9_001)]

@@ -285,13 +285,13 @@ def test_frames_without_end_take_no_memory_without_end():
     assert_accounted(accumulator.result())
 
 
-def test_a_frame_that_comes_back_goes_on_with_its_evidence():
+def test_a_frame_that_comes_back_goes_on_with_its_data():
     t, x = still(9000)
     result = accumulate(t, x, frames=['imu_a'] * 4000 + ['imu_b'] * 1500 + ['imu_a'] * 3500)
     assert result.sums[0].identity.frame_id == 'imu_a' and result.sums[0].samples == 7500
 
 
-def test_a_rate_that_comes_back_goes_on_with_its_evidence():
+def test_a_rate_that_comes_back_goes_on_with_its_data():
     t, x = still(12000)
     slow = np.clip(np.arange(12000) - 5000, 0, 2000)
     result = accumulate(t + slow * PERIOD, x)

@@ -42,7 +42,7 @@ def test_some_backward_stamps_are_left_in_their_run(chunk):
     assert runs(stream, chunk) == [stream]
 
 
-def test_evidence_that_was_there_before_counts_as_the_run_before():
+def test_data_that_were_there_before_count_as_the_run_before():
     again = list(range(100))
     assert runs(again, 30, latest=500) == [[], again]
     assert runs(again, 30, latest=-1) == [again]

@@ -143,7 +143,7 @@ def test_a_clock_that_is_set_is_told_by_its_direction():
     assert source.second(backward=2) == ['clock_jumps', 'backward_stamps']
 
 
-def test_another_frame_is_said_until_its_evidence_is_shown():
+def test_another_frame_is_said_until_its_data_are_shown():
     source = Input()
     source.second()
     source.frames = ['other', 'imu', 1]

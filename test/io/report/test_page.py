@@ -186,7 +186,7 @@ def test_copied_numbers_are_those_of_the_fit(small_results: Results) -> None:
     assert {line.count('|') for line in made['Markdown'].splitlines()} == {5}
 
 
-def test_what_is_left_out_and_missing_is_told_from_the_evidence() -> None:
+def test_what_is_left_out_and_missing_is_told_from_the_data() -> None:
     n, period = 10_000, 20_000_000
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
     stamps[5000:] += 50 * 10**9  # 50 s are missing, after 100 s
@@ -205,7 +205,7 @@ def test_what_is_left_out_and_missing_is_told_from_the_evidence() -> None:
     assert np.isnan(summary.low).any(axis=1).sum() == 1
 
 
-def test_the_outline_says_why_and_knows_the_evidence() -> None:
+def test_the_outline_says_why_and_knows_the_data() -> None:
     n, second = 10_000, 10**9
     stamps = np.arange(n, dtype=np.int64) * 20_000_000  # 200 s
     samples = np.random.default_rng(4).normal(size=(n, 6))
