@@ -202,7 +202,7 @@ def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
 class ProcessModel:
     """The selected model of one axis: what is drawn, predicted from and exported.
 
-    Terms that are not resolved are 0. Where the five terms describe the curve, ``terms`` holds
+    Terms outside the model are 0. Where the five terms describe the curve, ``terms`` holds
     them and the tuples are empty; else ``terms`` holds N, K (and a signed R) next to them.
 
     Attributes

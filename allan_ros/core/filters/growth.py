@@ -188,8 +188,8 @@ def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
     """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
 
     With two integrals it is the position error of an accelerometer. K that is not resolved counts
-    as in `expected_model` (unless N is not resolved either), B and R as 0; at the upper end all are
-    at their 95 % limits.
+    as in `expected_model` (unless N is not resolved either), B and R only where they are in the
+    selected model; at the upper end all are at their 95 % limits.
     """
     h = np.array(GROWTH_S)
     model = drift_model(expected_model(fit) if fit.selected.terms.N else fit.selected)

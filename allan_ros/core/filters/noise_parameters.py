@@ -58,7 +58,7 @@ class Level:
     value: float  # finite and above 0: the estimate, or the 95 % upper limit where there is none
     ci95: tuple[float, float] | None = None  # interval of an estimate, where the method gives one
     is_limit: bool = False  # whether the value is only an upper limit
-    # the coefficient (0 where it is not resolved), if the value was raised to bound the growth of
+    # the coefficient (0 outside the selected model), if the value was raised to bound the growth of
     # the error
     raised_from: float | None = None
 
@@ -122,8 +122,8 @@ def reduce_axis(
 ) -> AxisReduction:
     """Return the reduction of the selected model of one axis for the states of a filter.
 
-    Terms that are not resolved count as 0, with two exceptions: N is replaced by its upper limit,
-    and if nothing drifts, K is.
+    Terms outside the selected model count as 0, with two exceptions: N is replaced by its upper
+    limit, and if nothing drifts, K is.
 
     Parameters
     ----------

@@ -145,7 +145,7 @@ def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     axis : str
         One of its axes.
     fit : AxisFit
-        Its selected model; terms that are not resolved have no share.
+        Its selected model; terms outside it have no share.
 
     Returns
     -------
