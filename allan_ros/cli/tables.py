@@ -49,11 +49,14 @@ LIMIT_DIGITS = 3
 """Significant digits of a limit, as in the tables of intervals."""
 
 
-def datasheet_lines(comparison: DatasheetComparison, units: str, columns: int) -> Iterator[str]:
+def datasheet_lines(
+    comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
+) -> Iterator[str]:
     """Yield a headline, and a line for each limit: the stated value, and the verdict on each
     axis."""
     sheet = comparison.datasheet
-    headline = f'compared with the datasheet of {sheet.name}: {HEADLINES[comparison.verdict]}'
+    found = HEADLINES[comparison.verdict] if judged else 'not judged'
+    headline = f'compared with the datasheet of {sheet.name}: {found}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Comparison]] = {}
     for c in comparison.comparisons:  # axes of one sensor that share a limit of a term
@@ -115,7 +118,8 @@ def results_lines(
     yield from wrapped(_legend(results), columns)
     if results.datasheet is not None:
         yield ''
-        yield from datasheet_lines(results.datasheet, units, columns)
+        judged = not too_short(results)
+        yield from datasheet_lines(results.datasheet, units, columns, judged)
     yield from findings_lines(results, units, columns, colours, complete)
     for i, step in enumerate(verdict.next_steps[:MOST_STEPS]):
         if i == 0:

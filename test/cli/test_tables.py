@@ -78,6 +78,14 @@ def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Result
     assert not any(line.startswith('deviation') for line in brief)
 
 
+def test_a_record_too_short_is_not_judged_by_its_datasheet(small_results: Results) -> None:
+    brief = replace(small_results.compared(sensor='adis16475-3'), duration_s=4.8)
+    lines = lines_of(brief, 'si', 200)
+    assert any(line.startswith('not judged: ') for line in lines)
+    (compared,) = (line for line in lines if line.startswith('compared with the datasheet'))
+    assert compared.endswith(': not judged')
+
+
 def test_findings_are_coloured_only_when_asked(small_results: Results) -> None:
     results = replace(small_results, findings=(LONG,))
     plain, coloured = (

@@ -214,8 +214,10 @@ class FilterNoise:
             When the sensor is absent.
         """
         names = AXES[SENSORS[sensor]]
-        if not all(name in self.results.axes for name in names):
-            raise AllanError(f'no {sensor} in these results: this file needs gyro and accel')
+        missing = [name for name in names if name not in self.results.axes]
+        if missing:
+            what = sensor if len(missing) == len(names) else ', '.join(missing)
+            raise AllanError(f'no {what} in these results: this file needs gyro and accel')
         return {name: self.results.axes[name] for name in names}
 
     def reduction(

@@ -139,3 +139,9 @@ def test_options_out_of_range_are_refused() -> None:
 def test_results_without_a_rate_are_refused(results: Results, tmp_path: Path, tau0: float) -> None:
     with pytest.raises(AllanError, match='no sample rate'):
         export(replace(results, tau0=tau0), 'kalibr', tmp_path)
+
+
+def test_the_axes_that_are_missing_are_named(small_results: Results) -> None:
+    axes = {name: axis for name, axis in small_results.axes.items() if name != 'gyro_x'}
+    with pytest.raises(AllanError, match='no gyro_x in these results'):
+        replace(small_results, axes=axes).export('kalibr')
