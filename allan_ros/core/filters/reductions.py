@@ -334,7 +334,8 @@ def closest_process(
     if not has_drift(complete):
         return None
     white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
-    needed = _variance(complete, horizons) - white
+    # above 0 where white noise leaves nothing but rounding
+    needed = np.maximum(_variance(complete, horizons) - white, np.finfo(float).tiny)
     grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
     own = [pair[1] for pair in complete.gauss_markov]
     best, least = (0.0, 1.0), math.inf

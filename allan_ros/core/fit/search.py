@@ -237,6 +237,8 @@ class ProcessSearch:
         power = np.delete(found.power, len(RANDOM_TERMS) + k)
         kind = self._of_kind[type(best)]
         grid = [e for e, here in zip(self._grid, kind) if here]
+        if not grid:  # the averages that are left are too few to adjust it
+            return found
         if everywhere:
             coarse = self._tried(others, power, self._columns[:, kind])
             if coarse.min() < found.chi_squared - LITTLE_GAIN:

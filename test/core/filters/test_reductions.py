@@ -16,6 +16,7 @@ from allan_ros.core.filters.reductions import (
     STATES,
     Horizons,
     StateSpace,
+    closest_process,
     flicker_processes,
     reduce_model,
 )
@@ -97,6 +98,15 @@ def test_the_walk_covers_a_slow_sinusoid_that_has_no_state():
     warming = ProcessModel(NoiseTerms(N=1e-4), sinusoids=((4e-4, 0.05),))
     reduction = reduce_model(warming, 'processes')
     assert reduction.walk > 0.0 and reduction.ratio[0] >= 1.0 - 1e-9
+
+
+def test_a_drift_of_the_size_of_rounding_has_a_closest_process():
+    for model in (
+        ProcessModel(NoiseTerms(N=1e-3, K=1e-12)),
+        ProcessModel(NoiseTerms(N=1.0), ((1e-9, 1e-3),)),
+    ):
+        found = closest_process(model, Horizons(1.0, 30.0), bound=False)
+        assert found is not None and found[0] > 0.0 and math.isfinite(found[0])
 
 
 def test_a_misnamed_option_is_refused():
