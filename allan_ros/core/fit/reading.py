@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.curve import AllanCurve, local_slopes
+from ..allan.curve import AllanCurve
 from ..noise import FLICKER_FLOOR
 from .model import AxisFit, Deviation, Floats
 
@@ -169,15 +169,6 @@ def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
         )
         for s in _stretches(list(parts), shares, edges)
     ]
-
-
-def curve_slopes(curve: AllanCurve) -> Floats:
-    """Return the local slope d log adev / d log tau at every point, (factors, axes).
-
-    Over two octaves each way, weighted by the degrees of freedom; NaN where adev is 0.
-    """
-    weights = np.nan_to_num(curve.edf.mean(axis=1))
-    return local_slopes(curve.m, curve.adev**2, weights) / 2.0
 
 
 def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:

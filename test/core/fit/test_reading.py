@@ -8,7 +8,7 @@ import pytest
 from allan_ros.core.allan.curve import AllanCurve
 from allan_ros.core.allan.sums import grid_for
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
-from allan_ros.core.fit.reading import curve_slopes, read_curve
+from allan_ros.core.fit.reading import read_curve
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import NoiseTerms, term_avar
 
@@ -106,13 +106,6 @@ def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
     assert region.term == term
     # The slope of K at one sample is that of discrete steps, less than 1/2.
     assert region.slope == pytest.approx(slope, abs=0.06 if term == 'K' else 0.02)
-
-
-def test_local_slopes_go_from_white_to_ramp():
-    curve, _ = exact(**PAPER)
-    slopes = curve_slopes(curve)
-    assert slopes[0] == pytest.approx([-0.5] * 3, abs=0.02)
-    assert (slopes[-1] > [0.6, -0.1, 0.4]).all()
 
 
 def test_unknown_terms_rule_nothing():
