@@ -21,16 +21,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError
+from ..core.imu import HOUR, NANOSECONDS
 from ..core.simulate import PRESETS, Faults, simulate_imu
 from .console import Console
 from .options import Command, add_settings, settings_of
 
 if TYPE_CHECKING:
     from ..core.imu import ImuBatch
-
-HOUR = 3600.0
-
-NANO = 1e9
 
 START = 1_577_836_800.0
 """First stamp, s: 2020-01-01 00:00 UTC, so that the same command gives the same file."""
@@ -108,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         terms[3:],
         seed=args.seed,
         faults=faults,
-        start_ns=round(args.start * NANO),
+        start_ns=round(args.start * NANOSECONDS),
         frame_id=args.frame_id,
     )
     written = write_recording(

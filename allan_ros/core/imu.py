@@ -102,6 +102,7 @@ def joined(batches: Sequence[ImuBatch]) -> ImuBatch:
 DEGREE = math.pi / 180.0
 
 HOUR = 3600.0
+"""In s."""
 
 NANOSECONDS = 10**9
 """In a second."""

@@ -44,7 +44,10 @@ GROWTH_WINDOW_S = 100.0
 """Horizons of `growth_table`, and the time over which the bias was averaged before, in s."""
 
 _SERIES_BELOW = 1.0
+"""Arguments below which `_remainder` sums a series, because differences would lose digits."""
+
 _SERIES_TERMS = 20
+"""Terms of that series; the first one left out is below 1/20!, less than rounding."""
 
 
 def predicted_growth(

@@ -40,6 +40,8 @@ Processes = tuple[tuple[float, float], ...]
 correlation time in s."""
 
 FLICKER_PROCESSES = 4
+"""Gauss-Markov processes that represent bias instability."""
+
 LONGEST_FLICKER_S = 1500.0
 SHORTEST_FLICKER_S = 1.5
 """Correlation times of the first and last process that represent bias instability. The first is
@@ -169,6 +171,7 @@ SHORTEST_HORIZON_S = 1.0
 """Lower end of a range of horizons that is given by its upper end only."""
 
 HORIZONS_PER_RANGE = 30
+"""Horizons, spaced evenly in their logarithm, at which two models are compared."""
 
 POOR_RATIO = 2.0
 """A reduction whose growth is off by more than this factor does not describe the sensor."""

@@ -198,6 +198,7 @@ FINE = 1000
 """Units of time in the shortest averaging time: there, samples and continuous time are the same."""
 
 LEAST_POINTS = 6
+"""Points from which a curve is fitted: one more than there are terms."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:

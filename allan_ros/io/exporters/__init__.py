@@ -10,6 +10,7 @@ comment, `forms` the text. A new target is an entry of a table and a line in `TA
 from __future__ import annotations
 
 import difflib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -179,16 +180,16 @@ def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
     return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
 
 
-class Form:
+class Form(ABC):
     """How the entries of a target become text."""
 
     no_merge = (
         'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
     )
 
+    @abstractmethod
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return a file with these entries and the header."""
-        raise NotImplementedError
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return the user's text with these entries in it, or raise `AllanError`."""
