@@ -185,23 +185,24 @@ def _without_early_part(
     certain = settle and max(part.excess for part in parts) >= CERTAIN
     # The selection of the model takes most of the time: once is enough.
     complete = fit_noise(sums, method, settled if certain else None)
+    # Coefficients of the other axes change too, by chance: they are estimated from fewer samples.
+    axes = tuple(a for i, a in enumerate(sums.axes) if any(i in part.axes for part in parts))
     every = [
-        _Change(axis, term, fit.noise[term], settled.axes[axis].noise[term])
-        for axis, fit in complete.axes.items()
+        _Change(axis, term, complete.axes[axis].noise[term], settled.axes[axis].noise[term])
+        for axis in axes
         for term in TERMS
     ]
     every.sort(key=lambda change: -change.size)
     changes = [change for change in every if change.matters]
     if not changes and not certain:
         return sums, complete, []
-    stated = changes or every[:NAMED_CHANGES]
     early = duration_text(age * sums.tau0)
     found = finding(
         'settled_part' if certain else 'early_part',
-        tuple(dict.fromkeys(change.axis for change in stated)),
+        axes,
         early=early,
         what=_what(sums, parts),
-        changes='; '.join(change.text(early) for change in stated[:NAMED_CHANGES]),
+        changes='; '.join(change.text(early) for change in (changes or every)[:NAMED_CHANGES]),
     )
     return (rest, settled, [found]) if certain else (sums, complete, [found])
 

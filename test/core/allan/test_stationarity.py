@@ -8,8 +8,9 @@ from support.drift import AXES, DEG_H, NOISE, SECONDS, SENSORS, sums_of_noise
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.likelihood import CellMeans, variance_model
-from allan_ros.core.allan.stationarity import bias_steps, early_parts
-from allan_ros.core.fit.stationary import fit_stationary
+from allan_ros.core.allan.stationarity import EarlyPart, bias_steps, early_parts
+from allan_ros.core.fit import stationary
+from allan_ros.core.fit.stationary import CERTAIN, fit_stationary
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
 
@@ -130,3 +131,13 @@ def test_a_certain_warm_up_is_left_out_even_if_every_coefficient_stays_in_its_in
     assert used.samples < sums.samples
     (found,) = (f for f in model.findings if f.id == 'settled_part')
     assert found.axes and 'in all data' in found.message
+
+
+@pytest.mark.parametrize('axis', [0, 1, 2])
+def test_the_finding_names_the_axis_on_which_the_early_part_differs(axis, monkeypatch):
+    """No coefficient changes beyond its interval in these sums, on any axis."""
+    part = EarlyPart('warm_up', (axis,), np.zeros(3), 100.0, 2 * CERTAIN, 600)
+    monkeypatch.setattr(stationary, 'early_parts', lambda *_: (part,))
+    _, model = fit_stationary(sums_of_noise(NOISE, 1))
+    (found,) = (f for f in model.findings if f.id == 'settled_part')
+    assert found.axes == (AXES[axis],)
