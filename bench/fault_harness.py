@@ -64,10 +64,10 @@ REASONS = {
 
 HEADING = (
     'fault',
-    'what was lost',
-    'what was said',
-    'said after',
-    'static data again after',
+    'lost',
+    'message',
+    'message after',
+    'data again after',
     'exit',
 )
 

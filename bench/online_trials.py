@@ -34,7 +34,7 @@ from allan_ros.io.writing import write_recording
 
 GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3
 START_NS = 10**18
-KILLS = 'kill', 'after', 'samples in the checkpoint', 'lost by it', 'that is'
+KILLS = 'kill', 'after', 'samples in the checkpoint', 'lost samples', 'duration'
 RESTART_S = 12.0
 """Limit in s for a restart until the first checkpoint on a busy machine."""
 

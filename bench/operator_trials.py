@@ -31,7 +31,7 @@ from still_stream import RATE_HZ, STD, Stream
 
 from allan_ros.core.imu import ImuBatch
 
-HEADING = 'trial', 'what is done', 'what the operator reads first', 'after', 'measured'
+HEADING = 'trial', 'change', 'first message', 'after', 'measured'
 LEVELS = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR', b'\3': 'STALE'}
 PATIENCE_S = 120.0
 HEALTHY_S = 30.0

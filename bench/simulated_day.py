@@ -48,7 +48,7 @@ FIT_S = 60.0
 
 HEADING = (
     'hour', 'at rest', 'gyro z', 'N / true N', 'static data', 'variance of gyro z / true', 'level',
-    'what the operator reads first',
+    'first message',
 )  # fmt: skip
 
 

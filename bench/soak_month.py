@@ -49,7 +49,7 @@ HEADING = (
     'checkpoint, kB',
     'write and read back, s',
     'one fit, s',
-    'CPU of the way, us/sample',
+    'CPU from batch to sums, us/sample',
     'N found / true, worst axis',
 )
 SHOWN_DAYS = (1, 2, 3, 5, 10, 15, 20, 25, 30)
