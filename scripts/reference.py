@@ -4,7 +4,7 @@
 
 usage: reference.py
 
-All of it comes from the code; a test holds the pages against what this writes.
+All texts come from the code; a test compares the pages with the output of this script.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PARAMETERS_HEAD = """# Parameters of the nodes
 Every parameter with its default, range and unit. `config/allan_ros.yaml` is a template with the
 same parameters; `ros2 param describe NODE NAME` shows them for a running node. A parameter marked ●
 can be set while the node runs; the others are read once, at the start. A value out of range is
-refused with the reason.
+rejected with the reason.
 
 Topics, services and diagnostics are in [online.md](online.md).
 """
@@ -50,14 +50,14 @@ LAUNCH_HEAD = """## Launch arguments
 
 CLI_HEAD = """# Options of `allan`
 
-Every option with its default. `allan VERB --help` prints the same. Inside a ROS workspace put
+Every option with its default. `allan VERB --help` prints the same list. Inside a ROS workspace put
 `ros2 run allan_ros` before each command.
 """
 
 API_HEAD = """# Python API
 
-Importing `allan_ros` takes less than 50 ms: each name is loaded at its first use. All errors are
-`AllanError`. [notebook.ipynb](notebook.ipynb) shows the same from a recording to a filter file.
+Importing `allan_ros` takes less than 50 ms: each name is loaded at its first use. Functions report
+errors as `AllanError`. [notebook.ipynb](notebook.ipynb) shows a complete example.
 
 ```python
 import allan_ros as ar
@@ -69,7 +69,7 @@ results.export('kalibr', 'imu.yaml')
 ```
 """
 
-EVERY_VERB = """## Of every verb
+EVERY_VERB = """## Options of every verb
 
 | option | |
 |---|---|
@@ -101,7 +101,7 @@ def parameters_page() -> str:
     for group, settings in GROUPS.items():
         what, where = nodes[group]
         parts.append(
-            f'## `{group}`\n\n{what} Of: {where}.\n\n'
+            f'## `{group}`\n\n{what} Used by: {where}.\n\n'
             '| parameter | | default | range | |\n|---|---|---|---|---|\n'
             + '\n'.join(
                 _parameter_row(f'{group}.{name}', info, getattr(settings(), name))

@@ -45,21 +45,21 @@ EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit ex
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb; defaults are those of the settings classes."""
-    parser.add_argument('inputs', nargs='+', metavar='INPUT', help='a recording')
+    parser.add_argument('inputs', nargs='+', metavar='INPUT', help='recording, or a folder of them')
     spread = parser.add_argument_group('several recordings')
     spread.add_argument(
-        '--jobs', type=int, default=1, metavar='N', help='recordings read in parallel (default 1)'
+        '--jobs', type=int, default=1, metavar='N', help='read N recordings in parallel (default 1)'
     )
     spread.add_argument(
         '--merge',
         action='store_true',
-        help='add the recordings of a folder, as if they were given by name; by default each has '
+        help='add the sums of all recordings of a folder; by default each recording has '
         'its own results and a line in the summary',
     )
     spread.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='read them on the Dask cluster of this scheduler, as tcp://host:8786; '
+        help='read on the Dask cluster of this scheduler, for example tcp://host:8786; '
         'its workers must see the same paths',
     )
     add_output_arguments(parser)
@@ -81,7 +81,7 @@ def add_fail_on(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--fail-on',
         choices=('warning', 'error'),
-        help=f'exit with {EXIT_FAILED} at a finding of this severity, or where a limit of the '
+        help=f'exit with {EXIT_FAILED} at a finding of this severity, or if a limit of the '
         'datasheet or the earlier run is exceeded',
     )
 
@@ -93,13 +93,13 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar='HZ',
-        help='sample rate: checked against the stamps, or used where there are none',
+        help='sample rate: compared with the stamps, or used if there are no stamps',
     )
     parser.add_argument(
         '--hardware-id',
         default='',
         metavar='TEXT',
-        help='serial number of the IMU; only sums with the same one are added',
+        help='serial number of the IMU; sums with different numbers are never added',
     )
     add_settings(parser, 'data at rest', SegmenterSettings, without=['declared_rate'])
     add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])
@@ -288,7 +288,7 @@ def _checked(args: argparse.Namespace, settings: ResultSettings, console: Consol
 def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `allan merge`."""
     parser.add_argument(
-        'inputs', nargs='+', metavar='RUN', help='sums of one run, or the folder they are in'
+        'inputs', nargs='+', metavar='SUMS', help='sums.json of one recording, or its folder'
     )
     add_output_arguments(parser)
 

@@ -47,7 +47,10 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb."""
     parser.add_argument(
-        'inputs', nargs='+', metavar='INPUT', help='a run, or sensor:NAME for a datasheet'
+        'inputs',
+        nargs='+',
+        metavar='INPUT',
+        help='recording or its results, or sensor:NAME for a datasheet',
     )
     parser.add_argument(
         '-o', '--output', metavar='DIR', help='folder for tables and pictures (default: none)'
@@ -55,27 +58,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--report',
         action='store_true',
-        help='also write report.html: the first run with the curves of the others drawn over it',
+        help='also write report.html of the first input, with the curves of the others',
     )
     parser.add_argument(
         '--label',
         action='append',
         default=[],
         metavar='TEXT',
-        help='name of a run, in the order of the runs: a temperature, a serial number; may be '
-        'given again (default: its folder or file)',
+        help='name of an input, such as a temperature or a serial number; give one per input, in '
+        'the same order (default: name of folder or file)',
     )
     parser.add_argument(
         '--sensor',
         action='append',
         default=[],
         metavar='NAME',
-        help='also a datasheet, as sensor:NAME; `allan sensors` lists them',
+        help='also compare with this datasheet, like sensor:NAME; `allan sensors` lists the names',
     )
     parser.add_argument(
         '--fail-on-difference',
         action='store_true',
-        help=f'exit with {EXIT_DIFFERENT} if any difference is significant, or a limit of a '
+        help=f'exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a '
         'datasheet is exceeded',
     )
     add_settings(parser, 'result', ResultSettings, without=['sensor', 'baseline', 'export'])

@@ -80,20 +80,20 @@ def add_console_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         '--json',
         action='store_true',
-        help='one JSON document on stdout and nothing else; messages go to stderr',
+        help='print one JSON document to stdout; messages go to stderr',
     )
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
         '-q',
         '--quiet',
         action='store_true',
-        help='print errors only; the result is printed only if it is not written to files',
+        help='print errors only; print the result only if it is not written to files',
     )
     loudness.add_argument(
         '-v',
         '--verbose',
         action='store_true',
-        help='print every finding with its remedy, and on stderr settings, inputs and times',
+        help='print every finding with its remedy; print settings, inputs and times to stderr',
     )
 
 

@@ -32,11 +32,12 @@ from .options import Command, add_settings, settings_of
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb."""
+    parser.add_argument('results', nargs='?', metavar='RESULTS', help='results.json, or its folder')
     parser.add_argument(
-        'results', nargs='?', metavar='RESULTS', help='a results.json, or the folder it is in'
-    )
-    parser.add_argument(
-        '--to', metavar='TARGET', default='', help='filter or tool the file is for; see --list'
+        '--to',
+        metavar='TARGET',
+        default='',
+        help='filter or simulator that reads the file (--list)',
     )
     parser.add_argument('--list', action='store_true', help='list the targets, one per line')
     parser.add_argument(
@@ -114,7 +115,10 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 def add_sensors_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `allan sensors`."""
     parser.add_argument(
-        'name', nargs='?', metavar='NAME', help='one to show with its sources (default: list all)'
+        'name',
+        nargs='?',
+        metavar='NAME',
+        help='sensor to show with its sources (default: list all)',
     )
 
 

@@ -44,15 +44,15 @@ CLOSE = 0.6
 """Similarity (difflib's ratio) above which a word counts as a misspelling of another."""
 
 VERBS = {
-    'analyze': 'recordings in, coefficients, curves, plots and a report out',
+    'analyze': 'compute coefficients, curves, plots and a report from recordings',
     'check': 'check one IMU: one line of output and an exit code',
-    'merge': 'add the sums of several runs of one IMU and fit them together',
-    'compare': 'compare runs, or runs with a datasheet: which differences are significant',
-    'sensors': 'datasheets of IMUs: list them, or show one with its sources',
-    'export': 'write the measured noise as the file of a filter or simulator',
+    'merge': 'add the sums of several recordings of one IMU and fit them together',
+    'compare': 'list significant differences between recordings, or from a datasheet',
+    'sensors': 'list the known datasheets of IMUs, or show one with its sources',
+    'export': 'write the measured noise to a file for a filter or simulator',
     'fit': 'fit an Allan curve of another tool, and check values published with it',
-    'inflate': 'what running motors add to the noise of a robot at rest',
-    'simulate': 'write a recording of an IMU whose noise is known',
+    'inflate': 'measure how much running motors raise the noise of a robot at rest',
+    'simulate': 'write a recording of an IMU with known noise',
 }
 """Verb -> what it does."""
 

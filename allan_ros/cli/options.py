@@ -58,7 +58,7 @@ def add_settings(
                 f'--no-{name}' if default else f'--{name}',
                 dest=setting.name,
                 action='store_false' if default else 'store_true',
-                help=f'{"turn off: " if default else ""}{words}',
+                help=info.off or words if default else words,
             )
             continue
         unit = f' [{info.unit}]' if info.unit else ''

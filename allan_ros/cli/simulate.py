@@ -37,40 +37,55 @@ NOISE_OPTIONS = ('gyro', 'gyro_x', 'gyro_y', 'gyro_z', 'accel', 'accel_x', 'acce
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this verb; defaults of the faults are those of `Faults`."""
-    parser.add_argument('output', metavar='OUT', help='the recording to write')
+    parser.add_argument('output', metavar='OUT', help='recording to write')
     noise = parser.add_argument_group('noise')
     base = noise.add_mutually_exclusive_group()
-    base.add_argument('--preset', choices=list(PRESETS), help='a known IMU; paper: ADIS16475-3')
     base.add_argument(
-        '--sensor', metavar='NAME', help='N and B at the limits of a datasheet: a name or a file'
+        '--preset', choices=list(PRESETS), help='noise of a known IMU; paper: ADIS16475-3'
     )
-    base.add_argument('--spec', metavar='FILE', help='YAML of axes and terms, or a truth file')
+    base.add_argument(
+        '--sensor', metavar='NAME', help='N and B at the limits of this datasheet (name or file)'
+    )
+    base.add_argument('--spec', metavar='FILE', help='YAML file of axes and terms, or truth file')
     for name in NOISE_OPTIONS:
         noise.add_argument(
             f'--{name.replace("_", "-")}',
             dest=name,
             type=_terms,
             metavar='N=..,B=..',
-            help=f'terms of {name}' if '_' in name else f'terms of all three {name} axes',
+            help=f'noise terms of {name}' if '_' in name else f'noise terms of all {name} axes',
         )
     length = parser.add_argument_group('recording')
-    length.add_argument('--hours', type=float, default=2.0, help='how long (default 2)')
+    length.add_argument('--hours', type=float, default=2.0, help='length in hours (default 2)')
     length.add_argument(
         '--rate', type=float, default=100.0, help='samples per second (default 100)'
     )
-    length.add_argument('--seed', type=int, default=0, help='of the random numbers (default 0)')
     length.add_argument(
-        '--start', type=float, default=START, metavar='S', help='first stamp (default 2020-01-01)'
+        '--seed', type=int, default=0, help='seed of the random numbers (default 0)'
     )
-    length.add_argument('--frame-id', default='imu_link', metavar='TEXT')
-    length.add_argument('--topic', default='/imu/data', metavar='TEXT')
+    length.add_argument(
+        '--start',
+        type=float,
+        default=START,
+        metavar='S',
+        help='first stamp in s (default 2020-01-01)',
+    )
+    length.add_argument(
+        '--frame-id', default='imu_link', metavar='TEXT', help='frame_id (default imu_link)'
+    )
+    length.add_argument(
+        '--topic', default='/imu/data', metavar='TEXT', help='topic of a bag (default /imu/data)'
+    )
     length.add_argument(
         '--storage', metavar='NAME', help='mcap, sqlite3, ros1, csv or npz (default: by suffix)'
     )
     length.add_argument(
-        '--compression', default='none', metavar='NAME', help='none, chunk, message, file ...'
+        '--compression',
+        default='none',
+        metavar='NAME',
+        help='none (default), chunk, message or file; bz2 or lz4 of ros1, deflate of npz',
     )
-    length.add_argument('--overwrite', action='store_true', help='replace a recording')
+    length.add_argument('--overwrite', action='store_true', help='replace an existing recording')
     add_settings(parser, 'faults', Faults, without=['motion', 'gaps'])
     periods = parser.add_argument_group('faults in periods of time')
     for name, what in (('motion', 'the IMU moves'), ('gaps', 'samples are missing')):
@@ -80,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             action='append',
             default=[],
             metavar='START:LENGTH',
-            help=f'{what} for LENGTH seconds; may be given again',
+            help=f'{what} for LENGTH seconds from START on; can be repeated',
         )
 
 

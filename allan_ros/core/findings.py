@@ -51,19 +51,19 @@ rate_differs: warning
   The stamps give {measured:.5g} Hz, but {declared:.5g} Hz was declared; the stamps are used.
   > Correct the declared rate, or the clock that sets the stamps.
 rate_changed: warning
-  The sample rate changed {times} {times:time|times}{when} and is now {rate:.5g} Hz; the results are
-  those of the longest data at one rate.
+  The sample rate changed {times} {times:time|times}{when} and is now {rate:.5g} Hz; the results
+  come from the rate with the most data.
   > Keep the rate constant: the noise of a digital sensor depends on it.
 frame_changed: warning
   frame_id changed {times} {times:time|times}{when} and is now "{frame_id}"; each frame_id counts as
   another IMU.
-  > Give each IMU its own topic; the results are those of the IMU with the longest data.
+  > Give each IMU its own topic; the results are for the IMU with the most data.
 sensor_absent: info
-  The messages have no {sensor} (covariance[0] is -1, or the values are NaN).
-  > If the IMU has one, fill it in the driver.
+  The messages have no {sensor} data (covariance[0] is -1, or the values are NaN).
+  > If the IMU has this sensor, publish its data in the driver.
 sensor_all_zero: info
   All {sensor} values are zero; the sensor is treated as absent.
-  > Set its covariance[0] to -1 in the driver if the IMU has none.
+  > Set its covariance[0] to -1 in the driver if the IMU has no such sensor.
 zero_filled: warning
   {share:.0%} of the messages have zeros for the {sensor}; only its own samples are used, at their
   own rate.
@@ -107,7 +107,7 @@ stuck: warning
   dropped.
   > Check the sensor, its cable and the driver.
 saturated: warning
-  {count} {count:sample is|samples are} at the end of the measurement range.
+  {count} {count:sample is|samples are} at the limit of the measurement range.
   > Select a wider range if the motion matters; an IMU at rest should not reach it.
 spikes: info
   {count} isolated {count:spike|spikes} ({share:.3%} of the samples) {count:was|were} replaced by
@@ -176,7 +176,7 @@ frame_waits: warning
   > Connect that IMU again, or call ~/reset.
 beyond_limit: warning
   {term} is {value} ({interval}), above the {limit} of {reference} by more than {margin:.0%}.
-  > Check vibration, warm-up and supply voltage; if it stays, the sensor is degraded.
+  > Check vibration, warm-up and supply voltage; if the excess remains, the sensor is degraded.
 noise_changed: warning
   {what} {verb} from {before} to {after} {ago} ago (ratio {low:.2f}..{high:.2f}).
   > Check vibration, temperature, supply voltage and the sensor settings.
@@ -244,7 +244,7 @@ relay_unpublished: warning
 
 # the recording: unreadable parts
 table_cut: warning
-  {path}: line {line}, the last one, has no line end, may be truncated and was dropped.
+  {path}: the last line ({line}) has no line end and was dropped, because it may be truncated.
   > Compare with the original if more is missing.
 bag_cut: warning
   {path}: {read} of {size} bytes could be read: the file is truncated or damaged.
@@ -263,14 +263,14 @@ log_decimated: warning
   {path}: {topic} is logged at {rate:.4g} Hz, but sampled at {full:.4g} Hz: N is too large.
   > Log every sample (SDLOG_PROFILE high rate).
 covariance_ignored: warning
-  {count} of {read} {read:message|messages} {count:declares|declare} the {sensor} absent
+  {count} of {read} {read:message|messages} {count:declares|declare} the {sensor} as absent
   (covariance[0] is -1 or NaN), but {count:contains|contain} valid data, which were used.
   > Set the covariance in the driver, or drop the data with --trust-covariance.
 unit_assumed: warning
   {path}: the header states no unit for the {sensor}; {unit} was assumed.
-  > State it with --{sensor}-unit, or in the header as in "{name} [{unit}]".
+  > State the unit with --{sensor}-unit, or in the header, for example "{name} [{unit}]".
 recording_lost: error
-  {path}: left out, because every worker that read it died.
+  {path} is left out, because every worker that read it died.
   > Check the logs of the workers (usually memory), analyze it alone, and use "allan merge".
 
 # the fit: methods 'paper' and 'relative'
@@ -306,7 +306,7 @@ broad_hump: warning
 slow_disturbance: warning
   Periodic disturbance with a period of {period}, amplitude {amplitude:.2g} {unit}; it is fitted as
   a separate term.
-  > Check for loads or interference with this period: sway, switching supplies, polling.
+  > Look for loads or interference with this period: swaying, switching supplies, polling.
 slow_cycle: warning
   A cycle of {period}, amplitude {amplitude:.2g} {unit}, probably thermal; it is fitted as a
   separate term.
@@ -322,14 +322,14 @@ early_part: warning
   The first {early} differ from the rest ({what}): {changes}.
   > Skip them with --skip, or record longer after the warm-up.
 warm_up: warning
-  The sensor is warming up ({what}) and settles {when}.
+  The sensor is warming up ({what}) and settles {settles}.
   > Record for at least {how_long} in total.
 bias_steps: warning
   The bias has {count} or more steps of up to {size:.3g} {size_unit}: K is {before:.3g} {unit}
-  with these steps, {after:.3g} without.
+  with the steps, {after:.3g} without.
   > Look for switching heaters, loose connections or popcorn noise.
 level_changes: warning
-  The white noise differs {which}: N is {low:.4g} to {high:.4g} {unit}, {value:.4g} in all; the
+  The white noise differs {which}: N is {low:.4g} to {high:.4g} {unit}, {value:.4g} overall; the
   interval of N includes this scatter.
   > Look for vibration and changes of temperature.
 drift_changes: info
@@ -350,10 +350,10 @@ drift_not_separable: info
   There is drift, but random walk (K) and ramp (R) cannot be separated.
   > If either matters, record for longer, warmed up and at a steady temperature.
 ramps_differ: info
-  The segments drift at significantly different rates; R is that of the longest one.
+  The segments drift at significantly different rates; R is the rate of the longest segment.
   > If R matters, let the sensor warm up and keep its temperature steady.
 record_longer: info
-  Not resolved: {terms}, whose upper limit still matters within 100 s.
+  Not resolved: {terms}. The upper limit still matters to a filter within 100 s.
   > Record {how_long} at rest in one piece.
 
 # the files

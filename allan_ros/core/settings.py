@@ -29,6 +29,8 @@ class ParameterInfo:
     read_only: bool = False
     auto: bool = False
     """Whether the word 'auto' may be given; it is stored as `AUTO`."""
+    off: str = ''
+    """Help text of the switch that turns a setting off."""
 
 
 AUTO = -1.0
@@ -147,6 +149,7 @@ class SegmenterSettings(CheckedSettings):
         True,
         'Use only data at rest. Switch it off if the IMU is known to be at rest.',
         read_only=True,
+        off='use all data; for an IMU that is known to be at rest',
     )
     motion_ratio: float = parameter(
         3.0,
@@ -165,8 +168,8 @@ class SegmenterSettings(CheckedSettings):
     )
     skip: float = parameter(
         AUTO,
-        'Time excluded at the start while the IMU warms up. auto (-1) detects it and uses the '
-        'settled part; 0 uses all data.',
+        'Time excluded at the start while the IMU warms up. auto (-1) detects the end of the '
+        'warm-up; 0 uses all data.',
         unit='s',
         low=AUTO,
         high=1e6,

@@ -75,25 +75,25 @@ class Faults:
     vibration_gyro: float = _gyro(0.0, 'amplitude of a vibration line on each gyro axis')
     vibration_accel: float = _accel(0.0, 'amplitude of a vibration line on each accelerometer axis')
     vibration_frequency: float = _frequency(1.0, 'frequency of the vibration line')
-    bumps: int = parameter(0, 'how many knocks, at random times', low=0)
-    bump_gyro: float = _gyro(0.5, 'first amplitude of a knock')
-    bump_accel: float = _accel(5.0, 'first amplitude of a knock')
-    bump_frequency: float = _frequency(8.0, 'ringing of a knock')
+    bumps: int = parameter(0, 'number of knocks at random times', low=0)
+    bump_gyro: float = _gyro(0.5, 'initial amplitude of a knock')
+    bump_accel: float = _accel(5.0, 'initial amplitude of a knock')
+    bump_frequency: float = _frequency(8.0, 'frequency of the ringing after a knock')
     bump_decay: float = _time(0.2, 'time in which the ringing decays to 1/e')
     motion: tuple[tuple[float, float], ...] = _periods('periods of motion, each (start, length)')
     motion_gyro: float = _gyro(0.5, 'amplitude of the motion')
     motion_accel: float = _accel(1.0, 'amplitude of the motion')
     low_pass: float = parameter(
-        0.0, 'corner of a first-order low-pass filter in the sensor; 0: none', unit='Hz', low=0.0
+        0.0, 'corner frequency of a first-order low-pass filter; 0: none', unit='Hz', low=0.0
     )
     accel_rate: float = parameter(
         0.0,
-        'rate at which the accelerometer is read; samples are repeated in between; 0: every sample',
+        'rate of new accelerometer samples, which are repeated in between; 0: every sample is new',
         unit='Hz',
         low=0.0,
     )
-    lsb_gyro: float = _gyro(0.0, 'step of the gyro values; 0: none')
-    lsb_accel: float = _accel(0.0, 'step of the accelerometer values; 0: none')
+    lsb_gyro: float = _gyro(0.0, 'quantization step of the gyro; 0: none')
+    lsb_accel: float = _accel(0.0, 'quantization step of the accelerometer; 0: none')
     gaps: tuple[tuple[float, float], ...] = _periods(
         'periods without samples, each (start, length)'
     )
@@ -103,7 +103,7 @@ class Faults:
     )
     burst: float = parameter(
         0.0,
-        'longest silence of a host that reads samples in bursts and stamps them then; 0: none',
+        'longest pause between bursts of samples that are stamped when they are read; 0: none',
         unit='s',
         low=0.0,
     )

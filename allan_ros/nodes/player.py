@@ -307,15 +307,15 @@ def make_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('input', nargs='*', help='recording: bag (mcap, sqlite3, ROS 1), CSV or npz')
     add('--topic', default='', help='Imu topic of the bag (default: the only one)')
-    add('--rate', type=_factor, default=1.0, help='speed factor; 0: as fast as the subscribers can')
+    add('--rate', type=_factor, default=1.0, help='speed factor; 0: as fast as possible')
     add('--loop', action='store_true', help='start again at the end')
-    rebase = 'keep: as recorded; rebase: shifted so that the first is now, and loops carry on'
+    rebase = 'keep the recorded stamps, or shift them so that the first is now and loops continue'
     add('--stamps', choices=('keep', 'rebase'), default='keep', help=rebase)
     add('--clock', action='store_true', help='publish /clock from the stamps')
     add('--wait', type=int, default=1, help='number of subscribers to wait for (default 1)')
     add('--simulate', type=float, metavar='SECONDS', help='play a simulated IMU instead')
-    add('--frequency', type=float, default=200.0, help='of the simulated IMU [Hz]')
-    add('--seed', type=int, default=0, help='of the simulated IMU')
+    add('--frequency', type=float, default=200.0, help='rate of the simulated IMU [Hz]')
+    add('--seed', type=int, default=0, help='random seed of the simulated IMU')
     return parser
 
 

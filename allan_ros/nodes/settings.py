@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the nodes with their defaults; those of the data selection are in core.
+"""Settings of the nodes with their defaults; the settings of the data selection are in core.
 
 Every field becomes a ROS parameter ``<group>.<name>`` (see `parameters`).
 """
@@ -60,7 +60,7 @@ class InputSettings(CheckedSettings):
     )
     plain_callback: bool = fixed_parameter(
         False,
-        'Receive each message in a callback of its own (more CPU) instead of draining the queue.',
+        'Receive each message in a callback (more CPU) instead of draining the queue.',
     )
 
     def __post_init__(self) -> None:
@@ -119,7 +119,7 @@ class PublishSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class CheckpointSettings(CheckedSettings):
-    """Where the sums are saved over restarts (group ``checkpoint``)."""
+    """Where and how often the sums are saved (group ``checkpoint``)."""
 
     path: str = fixed_parameter(
         '',
@@ -131,7 +131,7 @@ class CheckpointSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class EstimatorSettings(CheckedSettings):
-    """When sums are fitted and what coefficients are compared with (group ``estimator``)."""
+    """How often the sums are fitted, and the reference of comparisons (group ``estimator``)."""
 
     method: str = parameter(
         'gls', 'Method of the fit of the five terms.', choices=('gls', 'relative', 'paper')
@@ -153,7 +153,7 @@ class EstimatorSettings(CheckedSettings):
     )
     recent_window: float = fixed_parameter(
         3600.0,
-        'Length of the recent window, which is compared with all the time before it.',
+        'Length of the recent window, which is compared with all earlier data.',
         unit='s',
         low=1.0,
         high=604800.0,
@@ -180,7 +180,7 @@ class EstimatorSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class RelaySettings(CheckedSettings):
-    """Which covariances relayed Imu messages get (group ``relay``)."""
+    """How covariances are filled in by the relay (group ``relay``)."""
 
     enabled: bool = fixed_parameter(
         False, 'Whether allan_monitor relays each Imu, to <topic>_with_covariance.'
@@ -218,10 +218,12 @@ class RelaySettings(CheckedSettings):
         'Subtract the gyro bias on the topic bias from the angular velocity while the IMU is at '
         'rest and the bias is fresh.',
     )
-    bias_max_age: float = parameter(60.0, 'Older biases are not subtracted.', 's', 1.0, 86400.0)
+    bias_max_age: float = parameter(
+        60.0, 'Largest age of a bias that is subtracted.', 's', 1.0, 86400.0
+    )
     bias_rate_limit: float = parameter(
         0.05,
-        'No bias is subtracted from a message whose angular velocity differs from it by more.',
+        'Largest difference of angular velocity and bias at which the bias is subtracted.',
         unit='rad/s',
         low=1e-4,
         high=10.0,
@@ -242,7 +244,7 @@ class RelaySettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class PushSettings(CheckedSettings):
-    """Which parameters of another node follow the coefficients (group ``push``)."""
+    """How parameters of another node are set to measured values (group ``push``)."""
 
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
     filter: str = fixed_parameter('', 'Mapping: a name in config/filters, or a file.')

@@ -160,10 +160,14 @@ def make_parser() -> argparse.ArgumentParser:
         '--json', action='store_true', help='print the present state as one JSON document and exit'
     )
     parser.add_argument(
-        '--check', action='store_true', help='as --once; exit code 3 on a warning, 4 on an error'
+        '--check',
+        action='store_true',
+        help='like --once, with exit code 3 on a warning, 4 on an error',
     )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
-    parser.add_argument('--plain', action='store_true', help='lines of text instead of a table')
+    parser.add_argument(
+        '--plain', action='store_true', help='print lines of text instead of a table'
+    )
     parser.add_argument(
         '--web',
         type=int,

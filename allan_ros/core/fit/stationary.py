@@ -287,7 +287,7 @@ def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
         'warm_up',
         tuple(sums.axes[i] for i in part.axes),
         what=_what(sums, [part]),
-        when=f'in about {duration_text(remaining)}' if remaining > 0.0 else after,
+        settles=f'in about {duration_text(remaining)}' if remaining > 0.0 else after,
         how_long=duration_text(2.0 * duration),
     )
 

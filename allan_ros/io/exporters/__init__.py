@@ -69,7 +69,7 @@ SIMULATOR_HORIZON_S = 1000.0
 """A simulated sensor should drift like the real one over 1 to 1000 s."""
 
 Value = Any
-"""A number, a string, a list or a mapping of these: what a file can hold under a key."""
+"""The value of a key in a file: a number, a string, a list or a mapping of these."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class ExportOptions:
 
     axis: str = parameter(
         '',
-        'Value of a sensor: the worst of three axes, their root mean square, or each axis where '
-        'the file takes three numbers. Default: each where possible, else worst.',
+        'Value of a sensor: the worst of three axes, their root mean square (mean), or each axis '
+        'if the file takes three numbers. Default: each where possible, else worst.',
         choices=('', 'worst', 'mean', 'each'),
     )
     inflate: float = parameter(
@@ -91,8 +91,8 @@ class ExportOptions:
     )
     filter_rate: float = parameter(
         0.0,
-        'Rate at which the filter takes samples; 0: that of the recording, or of the filter where '
-        'it has its own.',
+        'Rate at which the filter takes samples; 0: rate of the recording, or the fixed rate of '
+        'the filter.',
         unit='Hz',
         low=0.0,
         high=1e6,
@@ -104,13 +104,13 @@ class ExportOptions:
     )
     exact: bool = parameter(
         False,
-        'vins_fusion only: write what its midpoint rule needs, N sqrt(2f), instead of the '
+        'vins_fusion only: write N sqrt(2f), which its midpoint rule needs, instead of the '
         'customary N sqrt(f).',
     )
     fidelity: str = parameter(
         'reduction',
-        'N and K of the file: a reduction, with K raised so that the predicted error growth covers '
-        'the complete model, or the bare coefficients.',
+        'N and K of the file: a reduction, in which K is raised until the predicted error growth '
+        'covers the complete model, or the bare coefficients.',
         choices=FIDELITIES,
     )
     horizon: float = parameter(
