@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -84,7 +85,8 @@ class Checkpoint:
     def try_to_write(self) -> None:
         """Check now, not at the first period, whether the folder can be written."""
         write_atomic(self._trial, '')
-        self._trial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # an empty file is left behind
+            self._trial.unlink(missing_ok=True)
 
     def remove_drafts(self) -> None:
         """Remove drafts of killed processes; no other process may write this path now."""
@@ -94,7 +96,7 @@ class Checkpoint:
     def set_aside(self) -> Path:
         """Start again: rename the file, if any, to ``<name>.previous`` and return that path."""
         previous = self.path.with_name(f'{self.path.name}.previous')
-        if self.path.exists():
+        if os.path.lexists(self.path):
             self._rename(previous)
         self._clear()
         return previous
@@ -149,9 +151,9 @@ class Checkpoint:
         self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
 
     def _rename(self, to: Path) -> None:
-        for path in (self.path, to):
-            check_replaceable(path)
         try:
+            for path in (self.path, to):
+                check_replaceable(path)
             self.path.replace(to)
         except OSError as error:
             raise AllanError(

@@ -41,6 +41,9 @@ from .shell import LATCHED
 WAIT_NS = 100_000_000
 """How long the thread waits for a message before it checks whether it should end."""
 
+POLL_S = 0.005
+"""How often messages are taken while the wait for them fails."""
+
 SWITCH_INTERVAL_S = 0.0005
 """How long other Python threads, such as a fit, may delay the relay (Python's default: 5 ms)."""
 
@@ -256,18 +259,26 @@ class ImuRelay:
         return True
 
     def _work(self, wait_set: rclpy_implementation.WaitSet) -> None:
-        """Republish messages until the node is closed."""
+        """Republish messages until the node is closed; an error must not end the thread."""
         handle = self._subscription.handle
         with handle, wait_set:
             while not self._stop.is_set():
-                wait_set.clear_entities()
-                wait_set.add_subscription(handle)
-                wait_set.wait(WAIT_NS)
-                while (taken := handle.take_message(Imu, True)) is not None:
-                    try:
+                try:
+                    wait_set.clear_entities()
+                    wait_set.add_subscription(handle)
+                    wait_set.wait(WAIT_NS)
+                except Exception as error:
+                    self._pause('relay wait', error)
+                try:
+                    while (taken := handle.take_message(Imu, True)) is not None:
                         self._hand_on(taken[0])
-                    except Exception as error:  # one message must not end the thread
-                        self._node.fault('relay', error)
+                except Exception as error:
+                    self._pause('relay', error)
+
+    def _pause(self, where: str, error: Exception) -> None:
+        """Report an error of the thread, and wait: if it persists, messages are polled."""
+        self._node.fault(where, error)
+        self._stop.wait(POLL_S)
 
     # --- the noise model --------------------------------------------------------------------------
 

@@ -187,6 +187,18 @@ def test_nothing_is_renamed_onto_what_is_no_regular_file(kind: str, tmp_path: Pa
     assert Checkpoint(path).sums == sums
 
 
+@pytest.mark.parametrize('name', ['sums.json', 'sums.json.previous'])
+def test_a_path_that_cannot_be_examined_is_an_error_of_ours(name: str, tmp_path: Path, sums):
+    path, loop = tmp_path / 'sums.json', tmp_path / name
+    Checkpoint(path).save(sums, Provenance())
+    checkpoint = Checkpoint(path)
+    loop.unlink(missing_ok=True)
+    loop.symlink_to(loop)  # examining it fails for every user
+    with pytest.raises(AllanError, match='cannot be renamed'):
+        checkpoint.set_aside()
+    assert loop.is_symlink()
+
+
 def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(tmp_path: Path, sums, monkeypatch):
     def denied(path: Path, to: Path) -> None:
         raise PermissionError(13, 'Permission denied')

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -15,6 +17,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from std_msgs.msg import String
+from support.node_server import PATIENCE_S
 
 from allan_ros.core.filters.noise_parameters import white_variances
 from allan_ros.core.imu import ImuBatch
@@ -275,6 +278,45 @@ def test_a_relay_to_itself_is_refused(graph):
     relay = graph.start('relay', remap={OUT: 'imu/data'})
     assert relay.wait() == 1
     assert 'would be relayed to itself' in relay.output and 'Traceback' not in relay.output
+
+
+def test_messages_are_relayed_also_if_waiting_for_them_fails(ros_domain, still_imu):
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import Imu
+
+    from allan_ros.nodes.monitor import Relay
+
+    rclpy.init()
+    relay, executor = Relay(), SingleThreadedExecutor()
+    executor.add_node(relay)
+    (part,) = relay._parts
+    part.close()
+    part._stop.clear()
+    received: list[bytes] = []
+    relay.create_subscription(Imu, OUT, received.append, QoSProfile(depth=100), raw=True)
+    publisher = relay.create_publisher(Imu, 'imu/data', QoSProfile(depth=100))
+    # a wait set without room for a subscription: adding one fails each time
+    wait_set = rclpy_implementation.WaitSet(0, 0, 0, 0, 0, 0, relay.context.handle)
+    thread = threading.Thread(target=part._work, args=(wait_set,))
+    thread.start()
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        (payload,) = payloads(still_imu(1))
+        while not received:
+            assert time.monotonic() < deadline
+            publisher.publish(payload)
+            executor.spin_once(timeout_sec=0.05)
+        assert received[0] == payload
+        assert [where for where, _ in relay._faults] == ['relay wait']
+    finally:
+        relay.close()
+        thread.join()
+        executor.shutdown()
+        relay.destroy_node()
+        rclpy.shutdown()
 
 
 def test_the_monitor_relays_what_it_measures(graph, still_imu):

@@ -7,11 +7,13 @@ starts threads when it is loaded and cancels them at exit, which crashes where t
 
 `NodeServer` runs this file. Each line of standard input is a request in JSON, answered by a line:
 ``{"arguments", "environment", "log"}`` starts ``allan_ros.nodes`` and gives its process id; a
-process id gives the exit code, or null while it runs. At the end of the input all are killed.
+process id gives the exit code, or null while it runs. All are killed at the end of the input, and
+also when the server itself is killed.
 """
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import os
@@ -25,6 +27,9 @@ from typing import Any
 
 PATIENCE_S = 240.0
 """Limit for any event of a node, long enough for a loaded machine."""
+
+PR_SET_PDEATHSIG = 1
+"""Request to Linux: send this process a signal when its parent dies (linux/prctl.h)."""
 
 
 class NodeServer:
@@ -50,6 +55,11 @@ class NodeServer:
 
     def close(self) -> None:
         """End the server and all its processes."""
+        self._process.communicate()
+
+    def kill(self) -> None:
+        """Kill the server, as the system does when memory runs out."""
+        self._process.kill()
         self._process.communicate()
 
 
@@ -97,12 +107,13 @@ class NodeProcess:
 
 def serve() -> dict[str, Any]:
     """Answer requests; in a forked process, return the one that it is for."""
-    running = set()
+    running, server = set(), os.getpid()
     for line in sys.stdin:
         request = json.loads(line)
         if isinstance(request, dict):
             answer: int | None = os.fork()
             if answer == 0:
+                _end_with(server)
                 return request
             running.add(answer)
         else:
@@ -113,6 +124,14 @@ def serve() -> dict[str, Any]:
     for pid in running:
         os.kill(pid, signal.SIGKILL)
     raise SystemExit
+
+
+def _end_with(server: int) -> None:
+    """Let Linux kill this process together with its parent, which is the server."""
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != server:  # it died before the request
+        os._exit(1)
 
 
 if __name__ == '__main__':
