@@ -26,8 +26,9 @@ from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.simulate import LEVEL
 from allan_ros.core.stream.health import Counts
 from allan_ros.core.stream.pipeline import Accumulation, ImuStream
-from allan_ros.io.checkpoint import Checkpoint, CheckpointKeeper
-from allan_ros.io.documents import sums_file_to_document
+from allan_ros.io.checkpoint import Checkpoint
+from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
+from allan_ros.io.files import read_json
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import analyse_sums
 
@@ -115,7 +116,7 @@ def month() -> None:
     days, memory = [], []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'imu.json'
-        keeper = CheckpointKeeper(str(path), logging.getLogger('soak'))
+        checkpoint = Checkpoint(path, logging.getLogger('soak'))
         for day in range(1, DAYS + 1):
             save_s: list[float] = []
             fit_s: list[float] = []
@@ -128,7 +129,7 @@ def month() -> None:
                     day_sent += len(batch)
                 known = accumulator.result()
                 _account(known.health.counts)
-                save_s.append(_save_and_read(keeper, path, known))
+                save_s.append(_save_and_read(checkpoint, path, known))
                 if hour % FIT_EVERY_H == FIT_EVERY_H - 1:
                     at = time.process_time()
                     results = analyse_sums(known.sums, Provenance(findings=known.findings))
@@ -152,7 +153,7 @@ def month() -> None:
             print(' | '.join(row), flush=True)
             if day in SHOWN_DAYS:
                 table.put(row)
-        keeper.close()
+        checkpoint.close()
     slope = np.polyfit(days[2:], memory[2:], 1)[0]
     print(
         f'{sent} samples in {time.monotonic() - began:.0f} s, {way_s:.0f} s of CPU from batch to '
@@ -173,16 +174,16 @@ def _account(counts: Counts) -> None:
         raise SystemExit(f'samples are unaccounted for: {c}')
 
 
-def _save_and_read(keeper: CheckpointKeeper, path: Path, known: Accumulation) -> float:
+def _save_and_read(checkpoint: Checkpoint, path: Path, known: Accumulation) -> float:
     """Write the sums as the node does, read them back, compare, and return the CPU time."""
     at = time.process_time()
     provenance = Provenance((), known.segments, known.findings, known.health.counts)
-    total = keeper.total(known.sums, provenance)
-    if not keeper.save(total):
-        raise SystemExit(f'not saved: {keeper.findings}')
-    read = Checkpoint(str(path))
+    total = checkpoint.total(known.sums, provenance)
+    if not checkpoint.save(total):
+        raise SystemExit(f'not saved: {checkpoint.findings}')
+    read, _ = sums_file_from_document(read_json(path), str(path))
     took = time.process_time() - at
     written = sums_file_to_document(*total)['sums']
-    if sums_file_to_document(read.sums, Provenance())['sums'] != json.loads(json.dumps(written)):
+    if sums_file_to_document(read, Provenance())['sums'] != json.loads(json.dumps(written)):
         raise SystemExit('the checkpoint does not read as what was written')
     return took

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pytest
 from allan_ros.core.errors import AllanError, one_line
 from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.files import write_atomic
+
+LOG = logging.getLogger('test')
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'allan_ros'
 FILES = sorted(PACKAGE.rglob('*.py'))
@@ -75,7 +78,7 @@ def test_a_link_laid_where_the_folder_is_tried_is_not_followed(tmp_path: Path) -
     victim = tmp_path / 'victim'
     victim.write_text('precious')
     (tmp_path / 'imu.json.trial').symlink_to(victim)
-    Checkpoint(tmp_path / 'imu.json').try_to_write()
+    Checkpoint(tmp_path / 'imu.json', LOG).close()
     assert victim.read_text() == 'precious'
 
 
@@ -83,8 +86,9 @@ def test_a_corrupt_checkpoint_is_set_aside_beside_itself(tmp_path: Path) -> None
     path = tmp_path / 'deep' / 'imu.json'
     path.parent.mkdir()
     path.write_text('{"schema": 1e400}')
-    checkpoint = Checkpoint(path)
-    assert checkpoint.loaded is not None and not checkpoint.sums
+    checkpoint = Checkpoint(path, LOG)
+    checkpoint.close()
+    assert checkpoint.loaded is not None and not checkpoint.earlier[0]
     assert [p.name for p in path.parent.iterdir()] == ['imu.json.corrupt']
     assert list(tmp_path.iterdir()) == [path.parent]
 

@@ -65,12 +65,16 @@ def located(where: str) -> Iterator[None]:
 
 
 class Fields:
-    """The fields of one JSON object; every getter raises `AllanError` naming the place."""
+    """The fields of one JSON object; every getter raises `AllanError` naming the place.
 
-    def __init__(self, document: object, where: str) -> None:
+    Numbers of a `record` are 0 or above, except under the keys ``signed``.
+    """
+
+    def __init__(self, document: object, where: str, signed: Collection[str] = ()) -> None:
         if not isinstance(document, dict):
             raise AllanError(f'{where}: a JSON object is expected, not {_shown(document)}')
         self._document: dict[str, Any] = document
+        self._signed = signed
         self.where = where
 
     def __iter__(self) -> Iterator[str]:
@@ -112,9 +116,6 @@ class Fields:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
-    def optional_integer(self, key: str) -> int | None:
-        return None if self._document.get(key) is None else self.integer(key)
-
     def number(self, key: str, least: float = -MAX_FLOAT) -> float:
         value = self._number(key, self._get(key, (int, float), 'a number'))
         if value < least:
@@ -126,9 +127,6 @@ class Fields:
         value, stated = self.number('value'), self.text('unit')
         with located(self.where):
             return to_si(value, stated, unit)
-
-    def optional_number(self, key: str, least: float = -MAX_FLOAT) -> float | None:
-        return None if self._document.get(key) is None else self.number(key, least)
 
     def interval(self, key: str) -> tuple[float, float]:
         values = self.sequence(key)
@@ -179,53 +177,54 @@ class Fields:
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:
-        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}')
+        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', self._signed)
 
     def optional_fields(self, key: str) -> Fields | None:
         return None if self._document.get(key) is None else self.fields(key)
 
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
         for i, item in enumerate(self.sequence(key, most)):
-            yield Fields(item, f'{self.where}.{key}[{i}]')
+            yield Fields(item, f'{self.where}.{key}[{i}]', self._signed)
 
-    def record(self, kind: type[T], signed: Collection[str] = (), **known: Any) -> T:
+    def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are keys of this object.
 
-        Field types are str, int, float, (low, high), a literal, or one of these or None. Fields in
-        ``signed`` may be negative; those in ``known`` have the given values and are not read.
+        Those in ``known`` have the given values and are not read; see `of` for the others.
         """
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for key, hint in _hints(kind).items():  # type: ignore[arg-type]
-            if key in known or (key not in self and key in defaults):
-                continue
-            known[key] = self._of_type(key, hint, -MAX_FLOAT if key in signed else 0.0)
+            if key not in known and (key in self or key not in defaults):
+                known[key] = self.of(key, hint)
         return kind(**known)
 
-    def optional_record(self, key: str, kind: type[T], signed: Collection[str] = ()) -> T | None:
-        """Return `record` of an object; None where it is null."""
-        fields = self.optional_fields(key)
-        return None if fields is None else fields.record(kind, signed)
+    def of(self, key: str, hint: Any) -> Any:
+        """Return the value of a key as a type: a text, a number, (low, high), a literal, an array.
 
-    def records(self, key: str, kind: type[T], signed: Collection[str] = ()) -> tuple[T, ...]:
-        """Return `record` of every object in a list."""
-        return tuple(fields.record(kind, signed) for fields in self.each(key))
-
-    def _of_type(self, key: str, hint: Any, least: float) -> Any:
-        options = get_args(hint)
-        if type(None) in options:
-            if self._document.get(key) is None:
-                return None
-            (hint,) = (option for option in options if option is not type(None))
-        if get_origin(hint) is Literal:
-            return self.choice(key, get_args(hint))
-        if get_origin(hint) is tuple:
+        Or a dataclass or named tuple, a tuple of texts or of those, or any of these or None.
+        """
+        origin, args = get_origin(hint), get_args(hint)
+        least = -MAX_FLOAT if key in self._signed else 0.0
+        if type(None) in args:
+            return None if self._document.get(key) is None else self.of(key, args[0])
+        if origin is Literal:
+            return self.choice(key, args)
+        if origin is np.ndarray:
+            whole = get_args(args[1])[0] is np.int64
+            return self.integers(key, len(self.sequence(key))) if whole else self.numbers(key)
+        if args[1:] == (Ellipsis,) and args[0] is str:
+            texts = self.sequence(key)
+            if not all(isinstance(text, str) for text in texts):
+                raise self._wrong(key, texts, 'a list of texts')
+            return tuple(texts)
+        if args[1:] == (Ellipsis,):
+            return tuple(fields.record(args[0]) for fields in self.each(key))
+        if origin is tuple:
             return self.interval(key)
         if hint is str:
-            value = self.text(key)
-            return value if value.isprintable() else one_line(value)
+            return one_line(self.text(key))
         if hint is int:
             return self.integer(key, least=max(int(least), -MAX_INTEGER))
-        return self.number(key, least)
+        return self.number(key, least) if hint is float else self.fields(key).record(hint)
 
     def _get(
         self,

@@ -32,15 +32,15 @@ from .recorded import Provenance
 Total = tuple[tuple[AllanSums, ...], Provenance]
 """Sums of an IMU over all runs of a node, and their provenance."""
 
-SEGMENTS_KEPT = 1000
-"""Longest segments that are listed next to the sums."""
+NOTHING: Total = (), Provenance()
 
 
 class Checkpoint:
-    """One checkpoint file, loaded on construction.
+    """Adds the sums of earlier runs of a node to those of this run, and saves the total in a file.
 
     A damaged file is renamed. A file of another version or IMU is never overwritten: nothing is
     written until it is moved away, or until its IMU is back. Only regular files are read, renamed
+<<<<<<< HEAD
     or replaced; a folder, FIFO or device at the path is left alone.
 
     ``sums`` and ``provenance`` are the content of the file, ``loaded`` is what was wrong with it,
@@ -167,76 +167,89 @@ class CheckpointKeeper:
 
     Every problem becomes a finding and is logged once; the node continues without its checkpoint.
     A path that another node has locked is neither read nor written.
+=======
+    or replaced; a folder, FIFO or device at the path is left alone, and so is a path that another
+    node has locked. Every problem becomes a finding and is logged once; the node continues.
+>>>>>>> 8421ca0 (Make one class of checkpoint and keeper, and read records by their types)
 
     Parameters
     ----------
-    path : str
+    path : path
         Missing folders are created. '' for none: then nothing is loaded or saved.
     log : object with the methods ``info`` and ``warning``, each of one line
+
+    Attributes
+    ----------
+    earlier : Total
+        The content of the file when the run began.
+    loaded, refused : Finding or None
+        What was wrong with the file, and why nothing is written now.
     """
 
-    def __init__(self, path: str, log: Any) -> None:
-        self._log = log
-        self.path = path
-        self._lock = PathLock(Path(path)) if path else None
-        self._file: Checkpoint | None = None
+    def __init__(self, path: str | os.PathLike[str], log: Any) -> None:
+        self.path = os.fspath(path)
+        self.earlier = NOTHING
+        self.loaded: Finding | None = None
+        self.refused: Finding | None = None
+        self._file, self._log = Path(path), log
+        self._lock = PathLock(self._file) if self.path else None
+        self._owned = False  # whether there is a file, and no other node has it
+        self._content: Total | None = NOTHING  # of the file; None where it cannot be read
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
         self._in_use: Finding | None = None
-        self._refused = False
         self._writer = ThreadPoolExecutor(1)
         self._writing: Future[None] | None = None
         self._news = False
-        if path:
+        if self.path:
             self._open()
 
     @property
     def last_stamp_ns(self) -> int | None:
         """Latest stamp of the samples in the file; None where nothing is known."""
-        if self._file is None:
-            return None
-        ends = [s.start_ns + round(s.duration_s * 1e9) for s in self._file.provenance.segments]
-        known = self._file.provenance.last_stamp_ns
+        provenance = self.earlier[1]
+        ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
+        known = provenance.last_stamp_ns
         return max(ends if known is None else [known, *ends], default=None)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Present problems of the file."""
-        file = self._file
-        of_file = (file.refused, file.loaded) if file is not None else ()
-        return tuple(f for f in (self._in_use, self._unsaved, *of_file) if f is not None)
+        known = (self._in_use, self._unsaved, self.refused, self.loaded)
+        return tuple(f for f in known if f is not None)
 
     def age_s(self, now: float) -> float | None:
         """Return the age of the file in s (steady clock); None before it was written."""
         return None if self._saved_s is None else now - self._saved_s
 
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
-        """Return the sums of all runs; a file of another IMU is left unchanged."""
+        """Return the sums of all runs; these alone while the file is of another IMU or axes."""
         self._news = bool(sums)
-        if self._file is None:
+        if self.refused is not None and not os.path.lexists(self.path):
+            self._clear()
+        if not self._owned or self._content is None:
             return sums, provenance
-        total, refused = self._file.add(sums), self._file.refused
-        if refused is not None and not self._refused:
-            self._log.warning(str(refused))
-        self._refused = refused is not None
-        if self._refused:
+        try:
+            check_same_imu(self._content[0], sums)
+            total = add_sums(self.earlier[0], sums)
+        except AllanError as error:
+            self._refuse(str(error))
             return sums, provenance
-        return total, _shortened(self._file.provenance + provenance, provenance.findings)
+        self.refused = None
+        both = self.earlier[1] + provenance
+        sources = tuple(dict.fromkeys(both.sources))
+        return total, replace(both, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
         """Write the total now if there are new samples; return whether the file holds it."""
         self._collect()
-        file = self._writable()
-        if file is None:
-            return False
-        return not self._news or self._done(lambda: file.save(*total))
+        return self._writable() and (not self._news or self._done(lambda: self._write(total)))
 
     def save_in_background(self, total: Total) -> None:
         """Write the total in a thread; the outcome is collected by `tick` or the next call."""
         self._collect()
-        file = self._writable() if self._news else None
-        if file is not None:
-            self._writing = self._writer.submit(file.save, *total)
+        if self._news and self._writable():
+            self._writing = self._writer.submit(self._write, total)
 
     def tick(self) -> None:
         """Collect the outcome of a write in the background, once it has ended."""
@@ -244,22 +257,24 @@ class CheckpointKeeper:
             self._collect()
 
     def begin_anew(self, total: Total) -> str:
-        """Save the total, rename the file to ``.previous`` and start from zero.
+        """Save the total, rename the file to ``<name>.previous`` and start from zero.
 
         Returns
         -------
         str
             Path of the renamed file; '' where there is none.
         """
-        saved = self.save(total)
-        if self._file is None:
-            return ''
-        try:
-            if saved:
-                return str(self._file.set_aside())
-        except AllanError as error:
-            self._note(error)
-        self._file.resume()
+        previous = f'{self.path}.previous'
+        if self.save(total):
+            try:
+                if self._file.exists():
+                    self._rename(Path(previous))
+                self._clear()
+                return previous
+            except AllanError as error:
+                self._note(error)
+        if self._content is not None:  # it stays where it is
+            self.earlier = self._content
         return ''
 
     def close(self) -> None:
@@ -270,25 +285,81 @@ class CheckpointKeeper:
             self._lock.release()
 
     def _open(self) -> None:
+        folder = self._file.parent
         try:
-            Path(self.path).parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            reason = f'{Path(self.path).parent} cannot be created ({error.strerror})'
-            self._note(AllanError(reason))
+            self._note(AllanError(f'{folder} cannot be created ({error.strerror})'))
         if not self._locked():
             return
-        self._file = Checkpoint(self.path)
-        if self._file.loaded is not None:
-            self._log.warning(str(self._file.loaded))
-        elif self._file.sums:
-            samples = max(s.samples for s in self._file.sums)
-            self._log.info(f'continues {self.path} with {samples} samples')
+        self._owned = True
+        if os.path.lexists(self.path):
+            self._load()
+        trial = self._file.with_name(f'{self._file.name}.trial')
         try:
-            self._file.try_to_write()
+            write_atomic(trial, '')  # reports now, not at the first period, what cannot be written
+            trial.unlink(missing_ok=True)
         except AllanError as error:
             self._note(error)
         else:
-            self._file.remove_drafts()
+            for path in (self._file, trial):
+                remove_drafts(path, older_s=0.0)
+
+    def _load(self) -> None:
+        try:
+            data = read_bounded(self.path, MAX_BYTES)
+        except (AllanError, OSError) as error:  # no regular file, too large, not ours to read
+            self._content = None
+            self._refuse(str(error) if isinstance(error, AllanError) else str(error.strerror))
+            return
+        try:
+            document = parse_json(data.decode('utf-8'), self.path)
+            schema = document.get('schema') if isinstance(document, dict) else None
+            if isinstance(schema, str) and schema != SUMS_SCHEMA:
+                self._content = None
+                self._refuse(f'it is {schema}, this version reads {SUMS_SCHEMA}')
+                return
+            self.earlier = self._content = sums_file_from_document(document, self.path)
+        except (AllanError, UnicodeDecodeError) as error:
+            self._set_corrupt_aside(str(error))
+            return
+        if self.earlier[0]:
+            samples = max(s.samples for s in self.earlier[0])
+            self._log.info(f'continues {self.path} with {samples} samples')
+
+    def _set_corrupt_aside(self, reason: str) -> None:
+        names = (f'{self.path}.corrupt{i or ""}' for i in range(10**6))
+        aside = next(Path(name) for name in names if not os.path.lexists(name))
+        try:
+            self._rename(aside)
+        except AllanError:
+            self._content = None
+            self._refuse(reason)
+            return
+        self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
+        self._log.warning(str(self.loaded))
+
+    def _rename(self, to: Path) -> None:
+        for path in (self._file, to):
+            check_replaceable(path)
+        try:
+            self._file.replace(to)
+        except OSError as error:
+            raise AllanError(
+                f'{self.path}: cannot be renamed to {to.name} ({error.strerror}): '
+                'check the permissions of the folder'
+            ) from error
+
+    def _clear(self) -> None:
+        """Start with empty sums, because the file is removed."""
+        self.earlier = self._content = NOTHING
+        self.refused = None
+
+    def _refuse(self, reason: str) -> None:
+        known = self.refused is not None
+        self.refused = finding('checkpoint_refused', path=self.path, reason=reason)
+        if not known:
+            self._log.warning(str(self.refused))
 
     def _locked(self, unlockable: bool = True) -> bool:
         """Acquire the lock, and return whether no other node has it.
@@ -303,14 +374,18 @@ class CheckpointKeeper:
         if owner:
             self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
             self._log.warning(str(self._in_use))
-            self._file = self._unsaved = None
+            self._clear()
+            self._owned, self.loaded, self._unsaved = False, None, None
         return not owner
 
-    def _writable(self) -> Checkpoint | None:
-        """Return the file if this node may write it; retries a lock that failed so far."""
-        if self._file is None or self._file.refused is not None or not self._locked(False):
-            return None
-        return self._file
+    def _writable(self) -> bool:
+        """Return whether this node may write the file; retries a lock that failed so far."""
+        return self._owned and self.refused is None and self._locked(False)
+
+    def _write(self, total: Total) -> None:
+        if total[0]:
+            write_atomic(self.path, to_json(sums_file_to_document(*total)))
+            self._content = total
 
     def _collect(self) -> None:
         """Wait for the write in the background and collect its outcome."""
@@ -333,14 +408,3 @@ class CheckpointKeeper:
         if self._unsaved is None:
             self._log.warning(str(found))
         self._unsaved = found
-
-
-def _shortened(provenance: Provenance, findings: tuple[Finding, ...]) -> Provenance:
-    """Return it in bounded size: the longest segments, and the findings of this run only."""
-    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:SEGMENTS_KEPT]
-    return replace(
-        provenance,
-        sources=tuple(dict.fromkeys(provenance.sources)),
-        segments=tuple(sorted(longest, key=lambda s: s.start_ns)),
-        findings=findings,
-    )

@@ -22,11 +22,10 @@ from .. import __version__
 from ..core.allan.curve import CI_LEVEL, AxisCurve
 from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
-from ..core.errors import AllanError, one_line
+from ..core.errors import AllanError
 from ..core.fields import Fields, plain
-from ..core.filters.bias import TurnOnBias
 from ..core.findings import Finding
-from ..core.fit import TERMS, AxisFit, Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
+from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
 from ..core.fit.reading import Region
 from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
@@ -53,6 +52,9 @@ MAX_SETTINGS = 100
 
 LISTED_SEGMENTS = 1000
 """Number of the longest segments that are listed; the total number is always given."""
+
+SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean')
+"""Keys whose numbers may be negative."""
 
 
 def results_to_document(
@@ -86,7 +88,7 @@ def results_to_document(
 
 def results_from_document(document: object, where: str = 'results') -> Results:
     """Return the results of a document of `results_to_document`."""
-    fields = Fields(document, where)
+    fields = Fields(document, where, SIGNED)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
     stated = fields.fields('axes')
@@ -123,7 +125,7 @@ def sums_file_from_document(
     document: object, where: str = 'sums'
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
     """Return the sums and provenance of a document of `sums_file_to_document`."""
-    fields = Fields(document, where)
+    fields = Fields(document, where, SIGNED)
     fields.schema(SUMS_SCHEMA)
     return (
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
@@ -211,20 +213,16 @@ def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
 
 
 def _provenance_from_document(fields: Fields) -> Provenance:
-    return Provenance(
-        fields.records('source', SourceInfo),
-        fields.records('segments', Segment, signed=['start_ns']),
-        tuple(_finding_from_document(f) for f in fields.each('findings')),
-        _counts_from_document(fields.fields('counts')),
-        _settings_from_document(fields.fields('settings')),
-        fields.optional_integer('last_stamp_ns'),
-    )
-
-
-def _counts_from_document(fields: Fields) -> Counts:
-    cuts = fields.fields('cuts')
+    cuts = fields.fields('counts').fields('cuts')
     of_reason = Counter({reason: cuts.integer(reason, least=0) for reason in cuts})
-    return fields.record(Counts, cuts=of_reason)
+    return Provenance(
+        fields.of('source', tuple[SourceInfo, ...]),
+        fields.of('segments', tuple[Segment, ...]),
+        fields.of('findings', tuple[Finding, ...]),
+        fields.fields('counts').record(Counts, cuts=of_reason),
+        _settings_from_document(fields.fields('settings')),
+        fields.of('last_stamp_ns', int | None),
+    )
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
@@ -252,11 +250,6 @@ def _axes_of(fields: Fields) -> tuple[str, ...]:
     if strange := [name for name in fields if name not in AXES]:
         raise AllanError(f'{fields.where}: {strange[0]!r:.40} is no axis: {", ".join(AXES)} are')
     return tuple(name for name in AXES if name in fields)
-
-
-def _finding_from_document(fields: Fields) -> Finding:
-    texts = {key: one_line(fields.text(key)) for key in ('message', 'remedy')}
-    return fields.record(Finding, axes=tuple(map(str, fields.sequence('axes'))), **texts)
 
 
 def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, Any]:
@@ -287,25 +280,21 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
-    noise = fields.fields('noise')
-    misfit = fields.optional_number('misfit', least=0.0)
-    fit = AxisFit(
-        {t: noise.fields(t).record(Coefficient, signed=['sign']) for t in TERMS},
-        math.nan if misfit is None else misfit,
-        fields.integer('m_min', least=1),
-        fields.optional_number('gof_z'),
-        _processes_from_document(fields),
-        fields.optional_record('deviation', Deviation, signed=['relative']),
+    noise, misfit = fields.fields('noise'), fields.of('misfit', float | None)
+    fit = fields.record(
+        AxisFit,
+        noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
+        misfit=math.nan if misfit is None else misfit,
+        m_min=fields.integer('m_min', least=1),
+        processes=_processes_from_document(fields),
     )
-    return AxisResult(
-        _period_from_document(fields),
-        fit,
-        _curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
-        fields.records('reading', Region, signed=['slope']),
-        fields.optional_number('sample_std', least=0.0),
-        name,
-        fields.optional_number('rounding', least=0.0),
-        fields.optional_record('turn_on', TurnOnBias, signed=['mean']),
+    return fields.record(
+        AxisResult,
+        tau0=_period_from_document(fields),
+        fit=fit,
+        curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
+        regions=fields.of('reading', tuple[Region, ...]),
+        name=name,
     )
 
 
@@ -327,8 +316,8 @@ def _processes_to_document(processes: Processes) -> dict[str, Any]:
 def _processes_from_document(fields: Fields) -> Processes:
     """Read all processes, or in a document of an earlier version, one of each kind."""
     if 'processes' not in fields:
-        process = fields.optional_record('gauss_markov', GaussMarkov)
-        line = fields.optional_record('sinusoid', Sinusoid)
+        process = fields.of('gauss_markov', GaussMarkov | None)
+        line = fields.of('sinusoid', Sinusoid | None)
         return Processes(() if process is None else (process,), () if line is None else (line,))
     processes = fields.fields('processes')
     return Processes(
@@ -340,7 +329,7 @@ def _processes_from_document(fields: Fields) -> Processes:
             )
             for p in processes.each('gauss_markov')
         ),
-        processes.records('sinusoid', Sinusoid),
+        processes.of('sinusoid', tuple[Sinusoid, ...]),
     )
 
 
@@ -353,12 +342,10 @@ def _scaled(coefficient: Coefficient, factor: float) -> float | None:
 
 
 def _curve_from_document(fields: Fields) -> AxisCurve:
-    factors = len(fields.sequence('m'))
-    columns = {key: fields.numbers(key) for key in ('tau', 'adev', 'ci_low', 'ci_high')}
-    if {len(column) for column in columns.values()} != {factors}:
+    curve = fields.record(AxisCurve)
+    if len({len(column) for column in vars(curve).values()}) > 1:
         raise AllanError(f'{fields.where}: its columns have different lengths')
-    tau = columns['tau']
-    if factors and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails too
+    tau = curve.tau
+    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails too
         raise AllanError(f'{fields.where}.tau is not positive and increasing')
-    m, n = (fields.integers(key, factors) for key in ('m', 'n'))
-    return AxisCurve(m=m, n=n, **columns)
+    return curve

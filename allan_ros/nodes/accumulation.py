@@ -23,7 +23,7 @@ from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
-from ..io.checkpoint import CheckpointKeeper, Total
+from ..io.checkpoint import Checkpoint, Total
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
 from .diagnostics import InputView, input_status, status_name
@@ -68,7 +68,7 @@ class ImuWatch:
         self._node, self._imu, self._settings, self._listener = node, imu, settings, listener
         self._log = node.get_logger()
         self._input = ImuInput(node, imu.topic, settings.input.value)
-        self._checkpoint = CheckpointKeeper(imu.checkpoint, self._log)
+        self._checkpoint = Checkpoint(imu.checkpoint, self._log)
         self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
         self._health = TransportMonitor(self._input.topic, now)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.document import sums_to_document
-from allan_ros.core.errors import AllanError
+from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.checkpoint import Checkpoint
@@ -28,119 +29,168 @@ def sums_of(frame_id: str = 'imu', period_ns: int = 10**7, axes: slice = slice(0
     return accumulator.result().sums
 
 
+LOG = logging.getLogger('test')
+
+Sums = tuple[AllanSums, ...]
+
+
 @pytest.fixture
-def sums():
+def sums() -> Sums:
     return sums_of()
 
 
-def test_what_was_saved_is_loaded(tmp_path: Path, sums):
+@pytest.fixture
+def opened():
+    """Return a function that opens a checkpoint; the one opened before is closed first."""
+    last: list[Checkpoint] = []
+
+    def open_checkpoint(path: Path) -> Checkpoint:
+        if last:
+            last.pop().close()
+        last.append(Checkpoint(path, LOG))
+        return last[0]
+
+    yield open_checkpoint
+    for checkpoint in last:
+        checkpoint.close()
+
+
+def save(checkpoint: Checkpoint, sums: Sums) -> bool:
+    """Add the sums of this run to the file, and return whether it was written."""
+    return checkpoint.save(checkpoint.total(sums, Provenance()))
+
+
+def test_what_was_saved_is_loaded(tmp_path: Path, sums: Sums, opened) -> None:
+    path = tmp_path / 'folder' / 'sums.json'
+    assert save(opened(path), sums)
+    loaded = opened(path)
+    assert [sums_to_document(s) for s in loaded.earlier[0]] == [sums_to_document(s) for s in sums]
+    assert loaded.findings == ()
+
+
+def test_nothing_is_written_for_no_sums(tmp_path: Path, opened) -> None:
+    save(opened(tmp_path / 'sums.json'), ())
+    assert not (tmp_path / 'sums.json').exists()
+
+
+def test_without_a_path_nothing_is_kept(sums: Sums, opened) -> None:
+    checkpoint = opened('')
+    total = checkpoint.total(sums, Provenance())
+    assert total == (sums, Provenance()) and not checkpoint.save(total)
+    assert checkpoint.begin_anew(total) == '' and checkpoint.findings == ()
+
+
+def test_a_locked_path_is_left_alone(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
-    Checkpoint(path).save(sums, Provenance())
-    loaded = Checkpoint(path)
-    assert [sums_to_document(s) for s in loaded.sums] == [sums_to_document(s) for s in sums]
-    assert loaded.loaded is None and loaded.refused is None
-
-
-def test_nothing_is_written_for_no_sums(tmp_path: Path):
-    Checkpoint(tmp_path / 'sums.json').save((), Provenance())
-    assert list(tmp_path.iterdir()) == []
+    first, second = opened(path), Checkpoint(path, LOG)
+    assert [f.id for f in second.findings] == ['checkpoint_in_use']
+    assert not save(second, sums) and not path.exists()
+    assert save(first, sums) and path.exists() and first.findings == ()
+    second.close()
 
 
 @pytest.mark.parametrize(
     'content',
     ['', '{"schema"', '[]', '{"schema": "allan_ros/sums_file/1"}', 'null', '\x00' * 100],
 )
-def test_a_broken_file_is_put_aside(tmp_path: Path, sums, content):
+def test_a_broken_file_is_put_aside(tmp_path: Path, sums: Sums, opened, content: str) -> None:
     path = tmp_path / 'sums.json'
     for number in ('', '1'):
         path.write_text(content)
-        checkpoint = Checkpoint(path)
-        assert checkpoint.sums == () and checkpoint.refused is None
+        checkpoint = opened(path)
+        assert checkpoint.earlier[0] == () and checkpoint.refused is None
         assert checkpoint.loaded.id == 'checkpoint_corrupt'
         assert (tmp_path / f'sums.json.corrupt{number}').read_text() == content
-    checkpoint.save(sums, Provenance())
-    assert Checkpoint(path).sums
+    assert save(checkpoint, sums)
+    assert opened(path).earlier[0]
 
 
-def test_a_file_of_another_version_is_left_alone(tmp_path: Path, sums):
+def test_a_file_of_another_version_is_left_alone(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     content = json.dumps({'schema': 'allan_ros/sums_file/99'})
     path.write_text(content)
-    checkpoint = Checkpoint(path)
+    checkpoint = opened(path)
     assert 'sums_file/99' in str(checkpoint.refused)
-    assert checkpoint.add(sums) == sums
-    checkpoint.save(sums, Provenance())
+    assert checkpoint.total(sums, Provenance())[0] == sums and not save(checkpoint, sums)
     assert path.read_text() == content
 
 
 STRANGERS = [sums_of('other'), sums_of(period_ns=2 * 10**7)]
+NAMES = ['another IMU', 'another rate']
 
 
-@pytest.mark.parametrize('stranger', STRANGERS, ids=['another IMU', 'another rate'])
-def test_a_file_of_another_imu_is_left_alone_until_its_own_is_back(tmp_path: Path, sums, stranger):
+@pytest.mark.parametrize('stranger', STRANGERS, ids=NAMES)
+def test_a_file_of_another_imu_is_left_alone_until_its_own_is_back(
+    tmp_path: Path, sums: Sums, stranger: Sums, opened
+) -> None:
     path = tmp_path / 'sums.json'
-    Checkpoint(path).save(sums, Provenance())
+    save(opened(path), sums)
     content = path.read_bytes()
-    checkpoint = Checkpoint(path)
-    assert checkpoint.add(stranger) == stranger
+    checkpoint = opened(path)
+    assert checkpoint.total(stranger, Provenance())[0] == stranger
     assert 'do not add' in str(checkpoint.refused)
-    checkpoint.save(stranger, Provenance())
-    assert path.read_bytes() == content
-    total = checkpoint.add(sums)
-    assert checkpoint.refused is None and total[0].samples == 2 * sums[0].samples
-    checkpoint.save(total, Provenance())
-    assert Checkpoint(path).sums[0].samples == total[0].samples
+    assert not save(checkpoint, stranger) and path.read_bytes() == content
+    assert save(checkpoint, sums) and checkpoint.refused is None
+    assert opened(path).earlier[0][0].samples == 2 * sums[0].samples
 
 
-@pytest.mark.parametrize('stranger', STRANGERS, ids=['another IMU', 'another rate'])
-def test_what_this_run_saved_is_left_alone_too(tmp_path: Path, sums, stranger):
+@pytest.mark.parametrize('stranger', STRANGERS, ids=NAMES)
+def test_what_this_run_saved_is_left_alone_too(
+    tmp_path: Path, sums: Sums, stranger: Sums, opened
+) -> None:
     path = tmp_path / 'sums.json'
-    checkpoint = Checkpoint(path)
-    checkpoint.save(checkpoint.add(sums), Provenance())
+    checkpoint = opened(path)
+    save(checkpoint, sums)
     content = path.read_bytes()
-    checkpoint.save(checkpoint.add(stranger), Provenance())
+    assert not save(checkpoint, stranger)
     assert path.read_bytes() == content and checkpoint.refused is not None
-    checkpoint.resume()  # as after a reset: what the file holds is not in this run any more
-    assert checkpoint.add(sums)[0].samples == 2 * sums[0].samples
+    # a reset leaves the file, whose sums are not of this run any more
+    assert checkpoint.begin_anew(checkpoint.total(stranger, Provenance())) == ''
+    assert checkpoint.total(sums, Provenance())[0][0].samples == 2 * sums[0].samples
 
 
-def test_a_file_that_was_moved_away_is_refused_no_more(tmp_path: Path, sums):
+def test_a_file_that_was_moved_away_is_refused_no_more(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     for content in (None, json.dumps({'schema': 'allan_ros/sums_file/99'})):
-        Checkpoint(path).save(sums_of('other'), Provenance())
+        save(opened(path), sums_of('other'))
         if content:
             path.write_text(content)
-        checkpoint = Checkpoint(path)
-        assert checkpoint.add(sums) == sums and checkpoint.refused is not None
+        checkpoint = opened(path)
+        assert not save(checkpoint, sums) and checkpoint.refused is not None
         path.rename(tmp_path / 'moved.json')
-        assert checkpoint.add(sums) == sums and checkpoint.refused is None
-        checkpoint.save(sums, Provenance())
-        assert Checkpoint(path).sums[0].identity == sums[0].identity
+        assert save(checkpoint, sums) and checkpoint.refused is None
+        assert opened(path).earlier[0][0].identity == sums[0].identity
         path.unlink()
 
 
-def test_a_sensor_that_comes_later_is_no_stranger(tmp_path: Path, sums):
-    checkpoint = Checkpoint(tmp_path / 'sums.json')
-    for known in (sums_of(axes=slice(0, 3)), sums):
-        checkpoint.save(checkpoint.add(known), Provenance())
+def test_a_sensor_that_comes_later_is_no_stranger(tmp_path: Path, sums: Sums, opened) -> None:
+    checkpoint = opened(tmp_path / 'sums.json')
+    assert save(checkpoint, sums_of(axes=slice(0, 3))) and save(checkpoint, sums)
     assert checkpoint.refused is None
-    assert Checkpoint(checkpoint.path).sums[0].axes == sums[0].axes
+    assert opened(tmp_path / 'sums.json').earlier[0][0].axes == sums[0].axes
 
 
-def test_drafts_of_a_killed_process_are_removed(tmp_path: Path):
+def test_a_reset_renames_the_file(tmp_path: Path, sums: Sums, opened) -> None:
+    path = tmp_path / 'sums.json'
+    checkpoint = opened(path)
+    previous = checkpoint.begin_anew(checkpoint.total(sums, Provenance()))
+    assert previous == f'{path}.previous' and not path.exists()
+    assert opened(Path(previous)).earlier[0] == sums
+
+
+def test_drafts_of_a_killed_process_are_removed(tmp_path: Path, opened) -> None:
     left = [tmp_path / f'.{name}.{"0a" * 16}.part' for name in ('imu.json', 'imu.json.trial')]
     others = [tmp_path / f'.right.json.{"0a" * 16}.part', tmp_path / '.imu.json.notes.part']
     for path in (*left, *others):
         path.write_text('{"sums": [')
-    Checkpoint(tmp_path / 'imu.json').remove_drafts()
+    opened(tmp_path / 'imu.json').close()
     assert sorted(tmp_path.iterdir()) == sorted(others)
 
 
-def test_a_folder_that_is_not_there_is_found_at_once(tmp_path: Path):
-    with pytest.raises(AllanError, match='cannot be written'):
-        Checkpoint(tmp_path / 'missing' / 'sums.json').try_to_write()
-    Checkpoint(tmp_path / 'sums.json').try_to_write()
-    assert list(tmp_path.iterdir()) == []
+def test_a_folder_that_cannot_be_made_is_found_at_once(tmp_path: Path, opened) -> None:
+    (tmp_path / 'file').write_text('')
+    found = [f.id for f in opened(tmp_path / 'file' / 'sums.json').findings]
+    assert found == ['checkpoint_unwritable']
 
 
 def special(kind: str, path: Path) -> None:
@@ -157,72 +207,68 @@ def special(kind: str, path: Path) -> None:
 
 
 SPECIAL = ('folder', 'FIFO', 'link to a FIFO', 'link to a device')
+FIFOS = pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
 
 
-@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
+@FIFOS
 @pytest.mark.parametrize('kind', SPECIAL)
-def test_what_is_no_regular_file_is_left_alone(kind: str, tmp_path: Path, sums) -> None:
+def test_what_is_no_regular_file_is_left_alone(
+    kind: str, tmp_path: Path, sums: Sums, opened
+) -> None:
     path = tmp_path / 'sums.json'
     special(kind, path)
     before = os.lstat(path)
-    checkpoint = Checkpoint(path)
+    checkpoint = opened(path)
     assert 'give a regular file' in str(checkpoint.refused)
-    assert checkpoint.add(sums) == sums
-    checkpoint.save(sums, Provenance())
-    with pytest.raises(AllanError, match='regular file'):
-        checkpoint.set_aside()
+    total = checkpoint.total(sums, Provenance())
+    assert total[0] == sums and not checkpoint.save(total) and not checkpoint.begin_anew(total)
     assert os.path.samestat(before, os.lstat(path))
     assert not [p for p in tmp_path.iterdir() if 'corrupt' in p.name or 'previous' in p.name]
 
 
-@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
+@FIFOS
 @pytest.mark.parametrize('kind', SPECIAL)
-def test_nothing_is_renamed_onto_what_is_no_regular_file(kind: str, tmp_path: Path, sums) -> None:
+def test_nothing_is_renamed_onto_what_is_no_regular_file(
+    kind: str, tmp_path: Path, sums: Sums, opened
+) -> None:
     path = tmp_path / 'sums.json'
-    checkpoint = Checkpoint(path)
-    checkpoint.save(sums, Provenance())
+    checkpoint = opened(path)
     special(kind, tmp_path / 'sums.json.previous')
-    with pytest.raises(AllanError, match='regular file'):
-        checkpoint.set_aside()
-    assert Checkpoint(path).sums == sums
+    assert checkpoint.begin_anew(checkpoint.total(sums, Provenance())) == ''
+    assert 'regular file' in str(checkpoint.findings[0])
+    assert opened(path).earlier[0] == sums
 
 
-@pytest.mark.parametrize('name', ['sums.json', 'sums.json.previous'])
-def test_a_path_that_cannot_be_examined_is_an_error_of_ours(name: str, tmp_path: Path, sums):
-    path, loop = tmp_path / 'sums.json', tmp_path / name
-    Checkpoint(path).save(sums, Provenance())
-    checkpoint = Checkpoint(path)
-    loop.unlink(missing_ok=True)
-    loop.symlink_to(loop)  # examining it fails for every user
-    with pytest.raises(AllanError, match='cannot be renamed'):
-        checkpoint.set_aside()
-    assert loop.is_symlink()
-
-
-def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(tmp_path: Path, sums, monkeypatch):
-    def denied(path: Path, to: Path) -> None:
-        raise PermissionError(13, 'Permission denied')
-
+def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(
+    tmp_path: Path, sums: Sums, opened, monkeypatch
+) -> None:
     path = tmp_path / 'sums.json'
     path.write_text('damaged')
+    move = Path.replace
+
+    def denied(draft: Path, to: Path) -> Path:
+        if draft == path:
+            raise PermissionError(13, 'Permission denied')
+        return move(draft, to)
+
     monkeypatch.setattr(Path, 'replace', denied)
-    checkpoint = Checkpoint(path)
+    checkpoint = opened(path)
     assert checkpoint.loaded is None and 'is not JSON' in str(checkpoint.refused)
-    assert checkpoint.add(sums) == sums
-    checkpoint.save(sums, Provenance())
+    assert not save(checkpoint, sums)
     assert path.read_text() == 'damaged'
-    with pytest.raises(AllanError, match=r'cannot be renamed to sums.json.previous \(Permission'):
-        checkpoint.set_aside()
+    path.unlink()
+    checkpoint = opened(path)
+    assert checkpoint.begin_anew(checkpoint.total(sums, Provenance())) == ''
+    assert 'cannot be renamed to sums.json.previous (Permission' in str(checkpoint.findings[0])
 
 
-@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
-def test_a_file_that_becomes_a_fifo_is_not_replaced(tmp_path: Path, sums) -> None:
+@FIFOS
+def test_a_file_that_becomes_a_fifo_is_not_replaced(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
-    checkpoint = Checkpoint(path)
-    checkpoint.save(sums, Provenance())
+    checkpoint = opened(path)
+    assert save(checkpoint, sums)
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(AllanError, match='regular file'):
-        checkpoint.save(sums, Provenance())
+    assert not save(checkpoint, sums)
+    assert 'regular file' in str(checkpoint.findings[0])
     assert path.is_fifo()
-    assert [p.name for p in tmp_path.iterdir()] == ['sums.json']

@@ -271,12 +271,12 @@ class Kind(NamedTuple):
 )
 def test_a_record_is_read_by_the_types_of_its_fields(change, message):
     document = {'name': 'a', 'count': 1, 'size': 2, 'shift': -3.0, 'limit': None, **change}
-    fields = Fields(document, 'x')
+    fields = Fields(document, 'x', signed=['shift'])
     if message:
         with pytest.raises(AllanError, match=message.replace('.', r'\.')):
-            fields.record(Kind, signed=['shift'])
-    else:
-        assert fields.record(Kind, signed=['shift']) == Kind('a', 1, 2.0, -3.0, None)
-        assert fields.record(Kind, signed=['shift'], count=7).count == 7
-        with pytest.raises(AllanError, match=r'x\.shift is'):
             fields.record(Kind)
+    else:
+        assert fields.record(Kind) == Kind('a', 1, 2.0, -3.0, None)
+        assert fields.record(Kind, count=7).count == 7
+        with pytest.raises(AllanError, match=r'x\.shift is'):
+            Fields(document, 'x').record(Kind)
