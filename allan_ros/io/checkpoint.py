@@ -40,137 +40,8 @@ class Checkpoint:
 
     A damaged file is renamed. A file of another version or IMU is never overwritten: nothing is
     written until it is moved away, or until its IMU is back. Only regular files are read, renamed
-<<<<<<< HEAD
-    or replaced; a folder, FIFO or device at the path is left alone.
-
-    ``sums`` and ``provenance`` are the content of the file, ``loaded`` is what was wrong with it,
-    and ``refused`` why nothing is written now.
-    """
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self.sums: tuple[AllanSums, ...] = ()
-        self.provenance = Provenance()
-        self.loaded: Finding | None = None
-        self.refused: Finding | None = None
-        self._readable = True
-        self._holds: tuple[tuple[AllanSums, ...], Provenance] = (), Provenance()
-        if os.path.lexists(self.path):
-            self._load()
-
-    def add(self, sums: tuple[AllanSums, ...]) -> tuple[AllanSums, ...]:
-        """Return these sums plus those of the file.
-
-        While the file is of another IMU or of other axes, these sums are returned alone.
-        """
-        if self.refused is not None and not os.path.lexists(self.path):
-            self._clear()
-        if not self._readable:
-            return sums
-        try:
-            check_same_imu(self._holds[0], sums)
-            total = add_sums(self.sums, sums)
-        except AllanError as error:
-            self._refuse(str(error))
-            return sums
-        self.refused = None
-        return total
-
-    def save(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> None:
-        """Write the sums, unless there are none or the file must be left alone."""
-        if sums and self.refused is None:
-            write_atomic(self.path, to_json(sums_file_to_document(sums, provenance)))
-            self._holds = sums, provenance
-
-    def try_to_write(self) -> None:
-        """Check now, not at the first period, whether the folder can be written."""
-        write_atomic(self._trial, '')
-        with contextlib.suppress(OSError):  # an empty file is left behind
-            self._trial.unlink(missing_ok=True)
-
-    def remove_drafts(self) -> None:
-        """Remove drafts of killed processes; no other process may write this path now."""
-        for path in (self.path, self._trial):
-            remove_drafts(path, older_s=0.0)
-
-    def set_aside(self) -> Path:
-        """Start again: rename the file, if any, to ``<name>.previous`` and return that path."""
-        previous = self.path.with_name(f'{self.path.name}.previous')
-        if os.path.lexists(self.path):
-            self._rename(previous)
-        self._clear()
-        return previous
-
-    def resume(self) -> None:
-        """Start again from the content of the file, which stays where it is."""
-        self.sums, self.provenance = self._holds
-
-    @property
-    def _trial(self) -> Path:
-        return self.path.with_name(f'{self.path.name}.trial')
-
-    def _load(self) -> None:
-        try:
-            data = read_bounded(self.path, MAX_BYTES)
-        except (AllanError, OSError) as error:  # no regular file, too large, not ours to read
-            self._readable = False
-            self._refuse(str(error) if isinstance(error, AllanError) else str(error.strerror))
-            return
-        try:
-            document = parse_json(data.decode('utf-8'), str(self.path))
-            schema = document.get('schema') if isinstance(document, dict) else None
-            if isinstance(schema, str) and schema != SUMS_SCHEMA:
-                self._readable = False
-                self._refuse(f'it is {schema}, this version reads {SUMS_SCHEMA}')
-                return
-            self.sums, self.provenance = sums_file_from_document(document, str(self.path))
-            self._holds = self.sums, self.provenance
-        except (AllanError, UnicodeDecodeError) as error:
-            self._set_corrupt_aside(str(error))
-
-    def _clear(self) -> None:
-        """Start with empty sums, because the file is removed."""
-        self.sums, self.provenance = self._holds = (), Provenance()
-        self.refused, self._readable = None, True
-
-    def _refuse(self, reason: str) -> None:
-        self.refused = finding('checkpoint_refused', path=self.path, reason=reason)
-
-    def _set_corrupt_aside(self, reason: str) -> None:
-        aside = next(
-            p
-            for i in range(10**6)
-            if not os.path.lexists(p := self.path.with_name(f'{self.path.name}.corrupt{i or ""}'))
-        )
-        try:
-            self._rename(aside)
-        except AllanError:
-            self._readable = False
-            self._refuse(reason)
-            return
-        self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
-
-    def _rename(self, to: Path) -> None:
-        try:
-            for path in (self.path, to):
-                check_replaceable(path)
-            self.path.replace(to)
-        except OSError as error:
-            raise AllanError(
-                f'{self.path}: cannot be renamed to {to.name} ({error.strerror}): '
-                'check the permissions of the folder'
-            ) from error
-
-
-class CheckpointKeeper:
-    """Adds the sums of earlier runs of the node to the present ones, and saves the total.
-
-    Every problem becomes a finding and is logged once; the node continues without its checkpoint.
-    A path that another node has locked is neither read nor written.
-=======
     or replaced; a folder, FIFO or device at the path is left alone, and so is a path that another
     node has locked. Every problem becomes a finding and is logged once; the node continues.
->>>>>>> 8421ca0 (Make one class of checkpoint and keeper, and read records by their types)
 
     Parameters
     ----------
@@ -267,7 +138,7 @@ class CheckpointKeeper:
         previous = f'{self.path}.previous'
         if self.save(total):
             try:
-                if self._file.exists():
+                if os.path.lexists(self.path):
                     self._rename(Path(previous))
                 self._clear()
                 return previous
@@ -298,7 +169,8 @@ class CheckpointKeeper:
         trial = self._file.with_name(f'{self._file.name}.trial')
         try:
             write_atomic(trial, '')  # reports now, not at the first period, what cannot be written
-            trial.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # an empty file is left behind
+                trial.unlink(missing_ok=True)
         except AllanError as error:
             self._note(error)
         else:
@@ -340,9 +212,9 @@ class CheckpointKeeper:
         self._log.warning(str(self.loaded))
 
     def _rename(self, to: Path) -> None:
-        for path in (self._file, to):
-            check_replaceable(path)
         try:
+            for path in (self._file, to):
+                check_replaceable(path)
             self._file.replace(to)
         except OSError as error:
             raise AllanError(

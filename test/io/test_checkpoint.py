@@ -239,6 +239,19 @@ def test_nothing_is_renamed_onto_what_is_no_regular_file(
     assert opened(path).earlier[0] == sums
 
 
+@pytest.mark.parametrize('name', ['sums.json', 'sums.json.previous'])
+def test_a_path_that_cannot_be_examined_is_a_finding(
+    name: str, tmp_path: Path, sums: Sums, opened
+) -> None:
+    checkpoint, loop = opened(tmp_path / 'sums.json'), tmp_path / name
+    save(checkpoint, sums)
+    loop.unlink(missing_ok=True)
+    loop.symlink_to(loop)  # examining it fails for every user
+    assert checkpoint.begin_anew(checkpoint.total((), Provenance())) == ''
+    assert 'cannot be renamed' in str(checkpoint.findings[0])
+    assert loop.is_symlink()
+
+
 def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(
     tmp_path: Path, sums: Sums, opened, monkeypatch
 ) -> None:
