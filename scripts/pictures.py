@@ -25,6 +25,7 @@ import allan_ros as ar
 from allan_ros.core.imu import UNITS
 from allan_ros.core.noise import NoiseTerms, term_avar
 from allan_ros.io.plot_style import TERM_STYLES
+from allan_ros.io.plots import LIMIT_ALPHA
 
 RATE = 100.0
 """Sampling rate of every picture in Hz."""
@@ -84,7 +85,7 @@ def analysed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
 
 
 def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: object) -> None:
-    """Draw the points of a curve with their error bars."""
+    """Draw the points of a curve and the band of their 68 % limits."""
     panel.fill_between(curve.tau, factor * curve.ci_low, factor * curve.ci_high, color='0.85', lw=0)
     panel.plot(
         curve.tau,
@@ -94,15 +95,16 @@ def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: obje
 
 
 def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float) -> None:
-    """Draw the fit and its components."""
+    """Draw the fit, its parts, and the band that terms which are not resolved may add."""
     curve = result.curve
     assert curve is not None
     for name, part in result.part_adev(curve.m).items():
         colour, dashes = TERM_STYLES.get(name, (GREY, '-'))
         shown = np.where(factor * part > lowest, factor * part, np.nan)
         panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.5, label=name)
-    fitted = factor * result.model_line().adev
-    panel.plot(curve.tau, fitted, color='black', lw=1.0, label='fit', zorder=1.9)
+    model, upper = (factor * line for line in result.model_line())
+    panel.plot(curve.tau, model, color='black', lw=1.0, label='fit', zorder=1.9)
+    panel.fill_between(curve.tau, model, upper, color='black', alpha=LIMIT_ALPHA, lw=0)
 
 
 def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Sequence[Axes]]:

@@ -28,7 +28,7 @@ from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
 from ..io.datasheets import load_sensor
 from ..io.documents import RESULTS, load, load_sums, results_to_document
-from ..io.plot_style import PictureSettings, load_style
+from ..io.plot_style import PictureSettings, check_pictures
 from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
@@ -148,7 +148,7 @@ def check_result_arguments(args: argparse.Namespace) -> None:
         load_sensor(args.sensor)
     if args.baseline:
         load(args.baseline)
-    load_style(settings_of(PictureSettings, args).plot_style)
+    check_pictures(settings_of(PictureSettings, args), bool(args.output))
     for name in args.export:
         target_of(name)
     if args.export and not args.output:

@@ -30,7 +30,7 @@ from ..io.comparison import (
     inflation_facts,
 )
 from ..io.format import deviation_text, text_in_units
-from ..io.plot_style import PictureSettings, load_style
+from ..io.plot_style import PictureSettings, check_pictures
 from .console import Console, width
 from .options import Command, add_settings, settings_of
 from .tables import axis_cells, comparison_lines, table_lines, term_labels
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, compare, show and write."""
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
-    load_style(pictures.plot_style)
+    check_pictures(pictures, bool(args.output))
     if args.report and not args.output:
         raise AllanError('--report writes into the folder of -o: give one')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
@@ -141,6 +141,8 @@ def inflate(args: argparse.Namespace) -> int:
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
         raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
+    pictures = settings_of(PictureSettings, args)
+    check_pictures(pictures, bool(args.output))
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
     if console.json:
         console.document(inflation_document(inflation))
@@ -150,7 +152,6 @@ def inflate(args: argparse.Namespace) -> int:
         from ..io.comparison_files import write_comparison, write_overlay
         from ..io.files import to_json, write_atomic
 
-        pictures = settings_of(PictureSettings, args)
         comparison = inflation.comparison
         written = write_comparison(args.output, comparison, args.units, pictures)
         facts = dict(inflation_facts(inflation))

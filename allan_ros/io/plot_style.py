@@ -1,22 +1,25 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Style of the plots: the width of a journal page or column, or a style sheet of the user."""
+"""What plots and page draw of a curve, and the style of the plots; without matplotlib."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.errors import AllanError
 from ..core.settings import check, parameter
+from .axis_result import AxisResult
+from .format import READ_AT
 
-if TYPE_CHECKING:  # takes 0.3 s to import, and most commands draw nothing
-    from matplotlib.axes import Axes
+Floats = NDArray[np.float64]
 
 FORMATS = ('png', 'svg', 'pdf')
 """File formats of the plots."""
@@ -29,15 +32,6 @@ STYLES: dict[str, dict[str, Any]] = {
     'column': {'figure.figsize': (COLUMN_IN, 7.6)},
 }
 """Styles of our own: as wide as a page, with the signal next to the curves, or as a column."""
-
-NARROW_IN = 5.0
-"""A narrower picture has no room for the signal next to the curves."""
-
-FOOT_IN, LEFT_IN, MARGIN_IN = 0.45, 0.62, 0.12
-"""Inches below the panels, left of the curves and at the right edge."""
-
-SMALL = 7.0
-"""Font size of the legend in points: the least that journals accept."""
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
@@ -54,20 +48,6 @@ apart; dashes keep a picture as legible in grey.
 
 BELOW_CURVE = 0.2
 """A part is drawn where it is above this share of the lowest point of the curve."""
-
-RC: dict[str, Any] = {
-    'font.size': 8.0,
-    'axes.linewidth': 0.6,
-    'xtick.major.width': 0.6,
-    'ytick.major.width': 0.6,
-    'grid.color': '0.86',
-    'hatch.linewidth': 0.5,
-    'pdf.fonttype': 42,
-    'svg.fonttype': 'none',
-    'svg.hashsalt': 'allan_ros',
-    'axes.grid': False,
-}
-"""Settings of all plots; fonts are embedded completely in a PDF (type 42), as journals ask."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +68,58 @@ class PictureSettings:
                 raise AllanError(f'no plot format {form!r}: choose from {", ".join(FORMATS)}')
         if not self.plot_format:
             raise AllanError(f'no plot format given: choose from {", ".join(FORMATS)}')
+
+
+class DrawnCurve(NamedTuple):
+    """The curve of one axis as it is drawn, (factors,) each; NaN where nothing is."""
+
+    tau: Floats
+    adev: Floats
+    low: Floats  # 68.3 % limits
+    high: Floats
+    model: Floats
+    upper: Floats  # the model with the terms that are not resolved at their upper limits
+    parts: dict[str, Floats]  # of the model
+    limits: dict[str, Floats]  # of the terms that are not resolved
+    read: dict[str, tuple[float, float]]  # term -> where its coefficient is read off (tau, adev)
+
+    @property
+    def any(self) -> bool:
+        """Whether any point is positive, so that it can be drawn on a logarithmic axis."""
+        return bool(np.isfinite(self.adev).any())
+
+
+def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
+    """Return what is drawn of the curve of an axis, in SI times the factor; None without one."""
+    curve = axis.curve
+    if curve is None:
+        return None
+    positive = curve.adev[curve.adev > 0.0]
+    floor = BELOW_CURVE * positive.min() if len(positive) else np.inf
+
+    def above(values: Floats, least: float = 0.0) -> Floats:
+        return np.where(values > least, factor * values, np.nan)
+
+    parts = {name: above(adev, floor) for name, adev in axis.part_adev(curve.m).items()}
+    limits = {name: above(adev, floor) for name, adev in axis.limit_adev(curve.m).items()}
+    adev, low, high = (above(values) for values in (curve.adev, curve.ci_low, curve.ci_high))
+    model, upper = (factor * line for line in axis.model_line())
+    read = {
+        term: (tau, factor * float(np.sqrt(axis.fit.selected.parts([tau])[term][0])))
+        for term, tau in READ_AT.items()
+        if term in parts
+    }
+    return DrawnCurve(curve.tau, adev, low, high, model, upper, parts, limits, read)
+
+
+def check_pictures(settings: PictureSettings, drawn: bool) -> None:
+    """Raise AllanError if the style is unknown, or if plots are drawn without matplotlib."""
+    if drawn and find_spec('matplotlib') is None:
+        raise AllanError(
+            '-o draws plots with matplotlib, which is not installed: install it with pip or apt, '
+            'or leave -o out to print the results'
+        )
+    load_style(settings.plot_style)
 
 
 def load_style(name: str) -> Mapping[str, Any]:
@@ -129,55 +161,3 @@ def _sheet(path: Path) -> Mapping[str, Any]:
         why = ' '.join(warnings[0].split())[:160]
         raise AllanError(f'{path}: is no style sheet of matplotlib ({why})')
     return sheet
-
-
-def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Make both axes logarithmic, from and to these values.
-
-    The fine grid is drawn as one piece: ticks of it would cost more time than all the rest of the
-    picture.
-    """
-    from matplotlib import rcParams
-    from matplotlib.collections import LineCollection
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    panel.set_xscale('log')
-    panel.set_yscale('log', nonpositive='mask')
-    panel.set_xlim(*across)
-    panel.set_ylim(*up)
-    for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
-        direction.set_major_locator(LogLocator(numticks=9))
-        direction.set_minor_locator(NullLocator())
-        decades = np.arange(np.floor(np.log10(limits[0])), np.ceil(np.log10(limits[1])))
-        fine = np.outer(10.0**decades, np.arange(1, 10)).ravel()
-        fine = fine[(fine > limits[0]) & (fine < limits[1])]
-        labelled = np.isin(fine, 10.0**decades)
-        if labelled.sum() < 2:  # less than two decades: the twos and fives help
-            direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        direction.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
-        is_x = direction is panel.xaxis
-        ends = [0.0, 1.0]
-        panel.add_collection(
-            LineCollection(
-                [[(v, e) if is_x else (e, v) for e in ends] for v in fine],
-                transform=panel.get_xaxis_transform() if is_x else panel.get_yaxis_transform(),
-                colors=rcParams['grid.color'],
-                linewidths=np.where(labelled, 0.6, 0.25),
-                zorder=0.5,
-            ),
-            autolim=False,
-        )
-
-
-SUPERSCRIPT = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
-"""Digits of an exponent, which need no mathematical typesetting."""
-
-
-def tick_text(value: float) -> str:
-    """Return the label of a tick: plain where that is short, else as a power of ten."""
-    if 1e-3 <= value < 1e5:
-        return f'{value:g}'
-    exponent = int(np.floor(np.log10(value) + 1e-9))
-    digit = round(value / 10.0**exponent)
-    power = f'10{str(exponent).translate(SUPERSCRIPT)}'
-    return power if digit == 1 else f'{digit}·{power}'

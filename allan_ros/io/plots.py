@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a sensor: Allan deviation, selected model and its parts, with the raw signal."""
+"""Figures of a sensor: its Allan deviation with model and raw signal, and that of several runs."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,37 +16,53 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
-from ..core.allan.curve import AxisCurve
-from ..core.fit import TERMS, Coefficient
+from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS
 from .axis_result import AxisResult
+from .comparison import RunComparison
 from .format import (
     NOTHING_KNOWN,
-    READ_AT,
     SENSOR_NAMES,
-    ShownUnit,
     interval_text,
     pretty_unit,
     shown_signal_unit,
     shown_unit,
     value_text,
 )
-from .plot_style import (
-    BELOW_CURVE,
-    FOOT_IN,
+from .plot_layout import (
+    HEAD_IN,
+    KEY_ABOVE_IN,
+    KEY_BESIDE_IN,
     LEFT_IN,
+    LEGEND_ROW_IN,
     MARGIN_IN,
-    NARROW_IN,
     RC,
     SMALL,
-    STYLES,
-    TERM_STYLES,
+    TAU_LABEL,
+    draw_key,
+    heading,
     log_axes,
+    new_figure,
 )
+from .plot_style import STYLES, TERM_STYLES, DrawnCurve, drawn_curve
 from .results import Results
 from .signal import SignalSummary
+
+NARROW_IN = 5.0
+"""A narrower figure has one panel for each axis, and its legend above the panel."""
+
+NARROW_ENTRIES = 6
+"""Most entries of the key of a narrow figure."""
+
+BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
+"""Opacity of the 68 % limits, and of what terms that are not resolved may add to the model."""
+
+LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
+"""Line of the 95 % upper limit of a term that is not resolved."""
+
+PROCESS_STYLE = ('0.5', (0, (2, 1)))
+"""Colour and dashes of a Gauss-Markov process or a sinusoid."""
 
 HATCHES = {True: '///', False: 3 * '\\'}
 """Hatching of excluded data, by whether the IMU moved."""
@@ -63,19 +79,207 @@ ABOVE_SIGNAL = 1.15
 STEPS = (1, 2, 5, 10)
 """Of ticks: numbers that are easy to count in."""
 
+RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
+    ('', 'o', '-'),
+    ('#D55E00', 's', '--'),
+    ('#0072B2', '^', '-.'),
+    ('#009E73', 'D', ':'),
+    ('#CC79A7', 'v', (0, (5, 1, 1, 1, 1, 1))),
+    ('#E69F00', 'P', (0, (8, 2))),
+)
+"""Colour of Okabe and Ito ('' for that of the text), marker and dashes of each run."""
 
-def clock(summary: SignalSummary) -> tuple[float, str]:
-    """Return the seconds in the unit of time that suits a recording, and its name."""
-    length = float(summary.time_s[-1])
-    return next((scale, name) for least, scale, name in CLOCKS if length >= least)
+MARK_EVERY = 6
+"""Points between two marks of a run's curve; those of the next run are shifted by one."""
+
+RATIO_MARGIN = 1.1
+"""Factor from the farthest end of an interval of a ratio to the edge of the panel."""
+
+RATIO_STYLE: dict[str, Any] = {'ls': '', 'ms': 4.0, 'capsize': 1.5, 'lw': 0.9}
+"""Points of a ratio with their intervals."""
+
+OFFSET = 1.05
+"""Runs are drawn this factor apart in averaging time where their ratios would hide each other."""
 
 
-def draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> None:
+def sensor_figure(
+    results: Results,
+    sensor: str,
+    summary: SignalSummary | None = None,
+    units: str = 'datasheet',
+    style: Mapping[str, Any] = STYLES['page'],
+) -> Figure | None:
+    """Return the figure of one sensor: a row for each of its axes, or None when it is absent.
+
+    Without a ``summary`` of the raw signal, or in a narrow figure, the curves stand alone. The
+    ``figure.figsize`` of the style is that of a figure of three axes.
+    """
+    known = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
+    axes = {name: axis for name, axis in known.items() if axis.curve is not None}
+    if not axes:
+        return None
+    facts = (
+        f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
+        f'{results.duration_s / 3600.0:.3g} h'
+    )
+    with rc_context({**RC, **style}):
+        wide = rcParams['figure.figsize'][0] >= NARROW_IN
+        if wide and summary is not None:
+            between = KEY_BESIDE_IN + LEFT_IN - 0.2
+            figure, panels = new_figure(len(axes), HEAD_IN, between=between, ratios=(2.0, 1.0))
+            facts += _hatch_text(summary)
+        elif wide:
+            figure, panels = new_figure(len(axes), HEAD_IN, right=MARGIN_IN + KEY_BESIDE_IN)
+        else:
+            figure, panels = new_figure(len(axes), HEAD_IN + LEGEND_ROW_IN, gap=KEY_ABOVE_IN)
+        for of_axis, (name, axis) in zip(panels, axes.items()):
+            _draw_axis(of_axis[0], name, axis, units, wide)
+            if len(of_axis) > 1 and summary is not None:
+                _draw_signal(of_axis[1], name, summary, units)
+                of_axis[1].set_xlabel(f'time [{_clock(summary)[1]}]' * (of_axis is panels[-1]))
+        ink = rcParams['text.color']
+        handles: list[Artist] = [
+            Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
+            Patch(color=ink, alpha=BAND_ALPHA, lw=0, label='68 % limits'),
+            Line2D([], [], color=ink, lw=0.9, label='model'),
+            Patch(color=ink, alpha=LIMIT_ALPHA, lw=0, label='unresolved terms, at most'),
+        ]
+        of = f' of {results.identity.label}' if results.identity.label else ''
+        heading(figure, f'{SENSOR_NAMES[sensor]}{of}', facts, handles[: 4 if wide else 3], 4, wide)
+    return figure
+
+
+def comparison_figure(
+    comparison: RunComparison,
+    sensor: str,
+    units: str = 'datasheet',
+    style: Mapping[str, Any] = STYLES['page'],
+) -> Figure | None:
+    """Return the figure of one sensor, a row for each axis; None where no run has its curves.
+
+    On the left the deviations with their 68.3 % limits; on the right, where the figure is wide,
+    their ratio to the first run with 95 % intervals, filled where it is significant.
+    """
+    curves: dict[str, dict[int, DrawnCurve]] = {}
+    for name in AXES[SENSORS[sensor]]:
+        factor = shown_unit(name, 'B', units).factor
+        for i, run in enumerate(comparison.runs):
+            axis = run.results.axes.get(name)
+            if axis is not None and (curve := drawn_curve(axis, factor)) is not None:
+                curves.setdefault(name, {})[i] = curve
+    if not curves:
+        return None
+    with rc_context({**RC, **style}):
+        wide = rcParams['figure.figsize'][0] >= NARROW_IN
+        columns = 4 if wide else 2
+        ratios = bool(comparison.pairs) and wide
+        head = HEAD_IN + LEGEND_ROW_IN * math.ceil(len(comparison.runs) / columns)
+        figure, panels = new_figure(
+            len(curves), head, between=0.52, ratios=(1.0, 1.0) if ratios else (1.0,)
+        )
+        for of_axis, (name, of_runs) in zip(panels, curves.items()):
+            panel = of_axis[0]
+            if _set_up(panel, name, of_runs.values(), units):
+                for i, curve in of_runs.items():
+                    _draw_run(panel, i, curve)
+            if ratios:
+                _draw_ratios(of_axis[1], name, comparison)
+        if ratios:
+            panels[-1][1].set_xlabel(TAU_LABEL)
+        styles = [_run_style(i) for i in range(len(comparison.runs))]
+        handles = [
+            Line2D([], [], color=colour, marker=mark, ls=dashes, ms=4.0, lw=1.1, label=run.label)
+            for run, (colour, mark, dashes) in zip(comparison.runs, styles)
+        ]
+        facts = f'right: ratio to {comparison.runs[0].label}, filled where significant'
+        heading(figure, SENSOR_NAMES[sensor], facts if ratios else '', handles, columns)
+    return figure
+
+
+def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
+    """Draw one axis with the parts of its model into a panel, or several axes without them."""
+    for name, axis in axes.items():
+        if len(axes) == 1:
+            _draw_axis(panel, name, axis, units, wide=False)
+            continue
+        unit = shown_unit(name, 'B', units)
+        curve = drawn_curve(axis, unit.factor)
+        if curve is None:
+            continue
+        (points,) = panel.loglog(curve.tau, curve.adev, 'o', ms=3, label=name)
+        colour = points.get_color()
+        panel.fill_between(curve.tau, curve.low, curve.high, color=colour, alpha=BAND_ALPHA, lw=0)
+        panel.loglog(curve.tau, curve.model, color=colour, lw=1.0)
+        panel.set_ylabel(f'Allan deviation  [{pretty_unit(unit.name)}]')
+    panel.set_xlabel(TAU_LABEL)
+    if len(axes) > 1:
+        panel.legend()
+
+
+def _set_up(panel: Axes, name: str, curves: Iterable[DrawnCurve], units: str) -> bool:
+    """Label and scale a panel for the curves of an axis; return whether any can be drawn."""
+    unit = pretty_unit(shown_unit(name, 'B', units).name)
+    panel.set_ylabel(f'{name.replace("_", " ")}  [{unit}]')
+    some = [curve for curve in curves if curve.any]
+    if not some:
+        panel.text(0.5, 0.5, 'no noise', ha='center', transform=panel.transAxes)
+        panel.set_yticks([])
+        return False
+    tau = np.concatenate([curve.tau for curve in some])
+    adev = np.concatenate([curve.adev for curve in some])
+    across = tau.min() / 1.3, tau.max() * 1.3
+    log_axes(panel, across, (0.45 * np.nanmin(adev), 1.8 * np.nanmax(adev)))
+    return True
+
+
+def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str, wide: bool) -> None:
+    """Draw the deviation with its limits, the model and its parts, and their key."""
+    curve = drawn_curve(axis, shown_unit(name, 'B', units).factor)
+    if curve is None or not _set_up(panel, name, [curve], units):
+        return
+    ink = rcParams['text.color']
+    panel.fill_between(curve.tau, curve.low, curve.high, color=ink, alpha=BAND_ALPHA, lw=0)
+    panel.plot(
+        *(curve.tau, curve.adev, 'o'), ms=2.6, mfc=rcParams['axes.facecolor'], mec=ink, mew=0.6,
+        label='measured',
+    )  # fmt: skip
+    entries: list[tuple[str, dict[str, Any]]] = []
+    for part, adev in (*curve.parts.items(), *curve.limits.items()):
+        colour, dashes = TERM_STYLES.get(part, PROCESS_STYLE)
+        style = {'ls': dashes, 'lw': 1.1} if part in curve.parts else LIMIT_STYLE
+        entries.append((_part_text(part, name, axis, units), {'color': colour, **style}))
+        panel.plot(curve.tau, adev, **entries[-1][1])
+    panel.plot(curve.tau, curve.model, color=ink, lw=0.9, zorder=1.9)
+    panel.fill_between(curve.tau, curve.model, curve.upper, color=ink, alpha=LIMIT_ALPHA, lw=0)
+    for term, (tau, value) in curve.read.items():  # as in IEEE Std 952: N at 1 s, K at 3 s
+        panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
+    if wide:
+        known = {**curve.parts, **curve.limits}
+        entries += [(f'{term} not resolved', {}) for term in TERMS if term not in known]
+    else:
+        entries = [(text.partition('\n')[0], style) for text, style in entries[:NARROW_ENTRIES]]
+    draw_key(panel, entries, wide)
+
+
+def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
+    """Return the name of a part of the model with its value, and the interval in a second line."""
+    text = part
+    if part in axis.fit.noise:
+        unit = shown_unit(name, part, units)
+        coefficient = axis.fit.noise[part]
+        value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
+        text = f'{part} {value} {pretty_unit(unit.name)}' + (f'\n{interval}' if interval else '')
+        if value == NOTHING_KNOWN:
+            text = f'{part} not resolved'
+    return f'{text}, likely' if part in axis.fit.likely else text
+
+
+def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> None:
     """Draw the signal about its middle, and mark the samples that are not used."""
     unit, column = shown_signal_unit(axis, units), AXES.index(axis)
     middle = summary.middle[column]
     low, high = ((a[:, column] - middle) * unit.factor for a in (summary.low, summary.high))
-    scale, _ = clock(summary)
+    scale, _ = _clock(summary)
     panel.fill_between(
         *(summary.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
     )
@@ -89,10 +293,8 @@ def draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> N
         panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
     reach = ABOVE_SIGNAL * unit.factor * float(summary.reach[column])
     panel.set_ylim(-reach, reach)
-    panel.text(  # a title would be moved around the tick labels, which takes time
-        0.0, 1.02, f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}',
-        size=SMALL, transform=panel.transAxes,
-    )  # fmt: skip
+    about = f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}'
+    panel.text(0.0, 1.02, about, size=SMALL, transform=panel.transAxes)
     panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
     panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
     panel.set_axisbelow(True)
@@ -100,274 +302,56 @@ def draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> N
     panel.margins(x=0.01)
 
 
-HEAD_IN = 0.62
-"""Inches above the panels."""
-
-LEGEND_IN, SIGNAL_LEFT_IN = 1.34, 0.42
-"""Inches of the legend next to the curves, and left of the signal."""
-
-TALLER_LEGEND_IN = 0.5
-"""Inches of the legend above each panel of a narrow picture."""
-
-NARROW_ENTRIES = 6
-"""Most entries of that legend, in two columns."""
-
-PROCESS_STYLE = ('0.5', (0, (2, 1)))
-"""Colour and dashes of a Gauss-Markov process or a sinusoid."""
-
-LIMIT_ALPHA = 0.1
-"""Opacity of the band that terms which are not resolved may fill, up to their upper limits."""
-
-LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
-"""Line of the 95 % upper limit of a term that is not resolved."""
-
-PNG_DPI = 200
-"""Dots per inch of the PNG: sharp on a page of print and on a screen."""
-
-PNG_LEVEL = 3
-"""Of zlib: a third of the time of its default for a file that is 7 % larger."""
+def _clock(summary: SignalSummary) -> tuple[float, str]:
+    """Return the seconds in the unit of time that suits a recording, and its name."""
+    length = float(summary.time_s[-1])
+    return next((scale, name) for least, scale, name in CLOCKS if length >= least)
 
 
-class _ShownFigure(Figure):
-    """A figure that a notebook shows without pyplot."""
-
-    def _repr_png_(self) -> bytes:
-        return to_form(self, 'png')
-
-
-def sensor_figure(
-    results: Results,
-    sensor: str,
-    summary: SignalSummary | None = None,
-    units: str = 'datasheet',
-    style: Mapping[str, Any] = STYLES['page'],
-) -> Figure | None:
-    """Return the figure of one sensor: a row for each of its axes, or None when it is absent.
-
-    Without a ``summary`` of the raw signal, or on a narrow picture, the curves stand alone. The
-    ``figure.figsize`` of the style is that of a picture of three axes.
-    """
-    axes = [a for a in AXES[SENSORS[sensor]] if a in results.axes and results.axes[a].curve]
-    if not axes:
-        return None
-    with rc_context({**RC, **style}):
-        width, height = rcParams['figure.figsize']
-        row = (height - HEAD_IN - FOOT_IN) / len(AXES[SENSORS[sensor]])
-        height = HEAD_IN + FOOT_IN + row * len(axes)
-        figure = _ShownFigure(figsize=(width, height))
-        wide = width >= NARROW_IN
-        panels = _panels(figure, len(axes), wide, wide and summary is not None)
-        for of_axis, axis in zip(panels, axes):
-            _draw_curve(of_axis[0], axis, results.axes[axis], units, wide)
-            if len(of_axis) > 1 and summary is not None:
-                draw_signal(of_axis[1], axis, summary, units)
-        panels[-1][0].set_xlabel('averaging time τ [s]')
-        drawn = summary if panels.shape[1] > 1 else None
-        if drawn is not None:
-            panels[-1][1].set_xlabel(f'time [{clock(drawn)[1]}]')
-        _head(figure, results, sensor, wide, drawn)
-    return figure
+def _hatch_text(summary: SignalSummary) -> str:
+    """Return what the hatching of the signal means, as far as there is any."""
+    moved = {out.why == 'motion' for out in summary.left_out}
+    meanings = {True: 'it moved', False: 'left out otherwise'}
+    texts = [f'{HATCHES[why]} {text}' for why, text in meanings.items() if why in moved]
+    return f'; hatched: {", ".join(texts)}' if texts else ''
 
 
-def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
-    """Draw one axis with the parts of its model into a panel, or several axes without them."""
-    for name, result in axes.items():
-        if result.curve is None:
-            continue
-        if len(axes) == 1:
-            _draw_curve(panel, name, result, units, wide=False)
-            continue
-        curve, unit = result.curve, shown_unit(name, 'B', units)
-        (points,) = panel.loglog(curve.tau, unit.factor * curve.adev, 'o', ms=3, label=name)
-        colour = points.get_color()
-        low, high = (unit.factor * limit for limit in (curve.ci_low, curve.ci_high))
-        panel.fill_between(curve.tau, low, high, color=colour, alpha=0.2, lw=0)
-        panel.loglog(curve.tau, unit.factor * result.model_line().adev, color=colour, lw=1.0)
-        panel.set_ylabel(f'Allan deviation  [{pretty_unit(unit.name)}]')
-    panel.set_xlabel('averaging time τ [s]')
-    if len(axes) > 1:
-        panel.legend()
+def _run_style(run: int) -> tuple[str, str, Any]:
+    """Return colour, marker and dashes of a run; they repeat from the seventh run on."""
+    colour, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
+    return colour or rcParams['text.color'], marker, dashes
 
 
-def to_png(figure: Figure) -> bytes:
-    """Return the figure as a PNG file."""
-    return to_form(figure, 'png')
+def _draw_run(panel: Axes, run: int, curve: DrawnCurve) -> None:
+    """Draw the deviation of one of several runs."""
+    colour, marker, dashes = _run_style(run)
+    panel.fill_between(curve.tau, curve.low, curve.high, color=colour, alpha=BAND_ALPHA, lw=0)
+    marked = (run * MARK_EVERY // len(RUN_STYLES), MARK_EVERY)
+    style = {'color': colour, 'ls': dashes, 'marker': marker, 'ms': 3.0, 'lw': 1.0}
+    panel.plot(curve.tau, curve.adev, markevery=marked, **style)
 
 
-def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']) -> bytes:
-    """Return the figure as a file of a form of `plot_style.FORMATS`."""
-    metadata = {
-        'png': {'Software': 'allan_ros'},
-        'svg': {'Date': None},
-        'pdf': {'CreationDate': None, 'Producer': None, 'Creator': 'allan_ros'},
-    }
-    file = io.BytesIO()
-    with rc_context({**RC, **style}):
-        dpi = rcParams['savefig.dpi'] if 'savefig.dpi' in style else PNG_DPI
-        quick: dict[str, Any] = (
-            {'pil_kwargs': {'compress_level': PNG_LEVEL}} if form == 'png' else {}
-        )
-        figure.savefig(file, format=form, dpi=dpi, metadata=metadata[form], **quick)
-    return file.getvalue()
-
-
-def _panels(figure: Figure, rows: int, wide: bool, with_signal: bool) -> NDArray[Any]:
-    """Return the panels, (rows, 1 or 2), laid out so that no legend covers a curve."""
-    width, height = figure.get_size_inches()
-    right = width - MARGIN_IN - (LEGEND_IN if wide and not with_signal else 0.0)
-    room = right - LEFT_IN
-    between = LEGEND_IN + SIGNAL_LEFT_IN
-    columns = 2 if with_signal else 1
-    ratios = [2.0, 1.0][:columns]
-    across = (room - between) / 2.0 if with_signal else room  # mean width, as wspace counts
-    gap = 0.15 if wide else TALLER_LEGEND_IN
-    top = height - HEAD_IN - (0.0 if wide else TALLER_LEGEND_IN - 0.15)
-    down = (top - FOOT_IN - gap * (rows - 1)) / rows
-    made: NDArray[Any] = figure.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        sharex='col',
-        gridspec_kw={
-            'width_ratios': ratios,
-            'left': LEFT_IN / width,
-            'right': right / width,
-            'bottom': FOOT_IN / height,
-            'top': top / height,
-            'wspace': between / across if with_signal else 0.0,
-            'hspace': gap / down,
-        },
-    )
-    return made
-
-
-def _head(
-    figure: Figure, results: Results, sensor: str, wide: bool, summary: SignalSummary | None
-) -> None:
-    """Draw the title, and the legend that all panels share."""
-    width, height = figure.get_size_inches()
-    of = results.identity.label
-    facts = (
-        f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
-        f'{results.duration_s / 3600.0:.3g} h'
-    )
-    if summary is not None and summary.left_out:
-        moved = {out.why == 'motion' for out in summary.left_out}
-        reasons = {True: f'{HATCHES[True]} it moved', False: f'{HATCHES[False]} left out otherwise'}
-        facts += f'; hatched: {", ".join(reasons[why] for why in (True, False) if why in moved)}'
-    left, top = LEFT_IN / width, 1.0 - 0.09 / height
-    title = f'{SENSOR_NAMES[sensor]}{f" of {of}" if of else ""}'
-    bold = figure.text(left, top, title, va='top', weight='bold', size='large')
-    bold.set_parse_math(False)
-    plain = figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL)
-    plain.set_parse_math(False)
-    ink = rcParams['text.color']
-    handles: list[Artist] = [
-        Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
-        Patch(color=ink, alpha=0.2, lw=0, label='68 % limits'),
-        Line2D([], [], color=ink, lw=0.9, label='model'),
+def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
+    """Draw the ratio of the deviations to those of the first run, with 95 % intervals."""
+    points = [
+        (run, d.significant, d.tau, d.ratio, *d.ci95)
+        for run, pair in enumerate(comparison.pairs, 1)
+        for d in pair.differences
+        if d.axis == axis and d.tau and d.ratio and d.ci95 and d.ci95[0] > 0.0
     ]
-    if wide:
-        handles.append(Patch(color=ink, alpha=LIMIT_ALPHA, lw=0, label='unresolved terms, at most'))
-    figure.legend(
-        handles=handles,
-        loc='upper right' if wide else 'upper left',
-        bbox_to_anchor=(1.0, 1.0 - 0.02 / height) if wide else (left, 1.0 - 0.4 / height),
-        borderaxespad=0.3 if wide else 0.0,
-        borderpad=0.4 if wide else 0.0,
-        ncol=len(handles),
-        fontsize=SMALL,
-        frameon=False,
-        columnspacing=1.0,
-        handlelength=1.6,
-    )
-
-
-def _draw_curve(panel: Axes, axis: str, result: AxisResult, units: str, wide: bool) -> None:
-    """Draw the deviation with its limits, the fit and its parts."""
-    curve, unit = result.curve, shown_unit(axis, 'B', units)
-    assert curve is not None
-    panel.set_ylabel(f'{axis.replace("_", " ")}  [{pretty_unit(unit.name)}]')
-    positive = curve.adev[curve.adev > 0.0]
-    if not len(positive):
-        panel.text(0.5, 0.5, 'no noise', ha='center', transform=panel.transAxes)
-        panel.set_yticks([])
+    if not points:
         return
-    ink = rcParams['text.color']
-    adev, low, high = (unit.factor * a for a in (curve.adev, curve.ci_low, curve.ci_high))
-    positive = positive * unit.factor
-    log_axes(
-        panel,
-        (curve.tau[0] / 1.3, curve.tau[-1] * 1.3),
-        (0.45 * positive.min(), 1.8 * positive.max()),
-    )
-    panel.fill_between(curve.tau, low, high, color=ink, alpha=0.2, lw=0)
-    panel.plot(
-        *(curve.tau, adev, 'o'), ms=2.6, mfc=rcParams['axes.facecolor'], mec=ink, mew=0.6,
-        label='measured',
-    )  # fmt: skip
-    lines = _draw_parts(panel, axis, result, curve, units)
-    if not wide:  # values only, of what is drawn
-        lines = [line for line in lines if line.get_linestyle() != 'None'][:NARROW_ENTRIES]
-        for line in lines:
-            line.set_label(str(line.get_label()).partition('\n')[0])
-    model, upper = (unit.factor * values for values in result.model_line())
-    panel.plot(curve.tau, model, color=ink, lw=0.9, zorder=1.9)
-    panel.fill_between(curve.tau, model, upper, color=ink, alpha=LIMIT_ALPHA, lw=0)
-    on_the_right = {'loc': 'upper left', 'bbox_to_anchor': (1.0, 1.03), 'ncol': 1}
-    above = {'loc': 'lower left', 'bbox_to_anchor': (-0.02, 0.99), 'ncol': 2}
-    panel.legend(
-        handles=lines,
-        fontsize=SMALL,
-        frameon=False,
-        handlelength=2.2,
-        labelspacing=0.35,
-        borderaxespad=0.3,
-        **(on_the_right if wide else above),
-    )
-
-
-def _draw_parts(
-    panel: Axes, axis: str, result: AxisResult, curve: AxisCurve, units: str
-) -> list[Line2D]:
-    """Draw the parts of the model and the limits of what is not resolved; return the legend."""
-    unit = shown_unit(axis, 'B', units)
-    floor = BELOW_CURVE * unit.factor * float(curve.adev[curve.adev > 0.0].min())
-    lines: list[Line2D] = []
-    for name, adev in result.part_adev(curve.m).items():
-        colour, dashes = TERM_STYLES.get(name, PROCESS_STYLE)
-        label = name
-        if name in result.fit.noise:
-            label = _legend_text(name, result.fit.noise[name], shown_unit(axis, name, units))
-        if name in result.fit.likely:
-            label += ', likely'
-        shown = np.where(unit.factor * adev > floor, unit.factor * adev, np.nan)
-        lines += panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.1, label=label)
-    _mark_terms(panel, axis, result, units)
-    for name, limit in result.limit_adev(curve.m).items():
-        shown = np.where(unit.factor * limit > floor, unit.factor * limit, np.nan)
-        label = _legend_text(name, result.fit.noise[name], shown_unit(axis, name, units))
-        colour = TERM_STYLES[name][0]
-        lines += panel.plot(curve.tau, shown, color=colour, label=label, **LIMIT_STYLE)
-    known = {str(line.get_label())[:1] for line in lines}
-    hidden = [t for t in TERMS if t not in known]
-    return [*lines, *(Line2D([], [], ls='', label=f'{t} not resolved') for t in hidden)]
-
-
-def _mark_terms(panel: Axes, axis: str, result: AxisResult, units: str) -> None:
-    """Mark where the coefficients are read as in IEEE Std 952: N at 1 s, K at 3 s, 0.664 B."""
-    unit = shown_unit(axis, 'B', units)
-    low, high = panel.get_xlim()
-    for term, tau in READ_AT.items():
-        adev = float(np.sqrt(result.fit.selected.parts([tau]).get(term, np.zeros(1))[0]))
-        bottom, top = panel.get_ylim()
-        if low < tau < high and bottom < adev * unit.factor < top:
-            colour = TERM_STYLES[term][0]
-            panel.plot([tau], [adev * unit.factor], '+', color=colour, ms=7.0, mew=1.2)
-
-
-def _legend_text(term: str, coefficient: Coefficient, unit: ShownUnit) -> str:
-    value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
-    if value == NOTHING_KNOWN:
-        return f'{term} not resolved'
-    return f'{term} {value} {pretty_unit(unit.name)}' + (f'\n   {interval}' if interval else '')
+    runs, significant, tau, ratio, low, high = (np.array(column) for column in zip(*points))
+    reach = RATIO_MARGIN * max(high.max(), 1.0 / low.min())
+    log_axes(panel, (tau.min() / 1.3, tau.max() * 1.3), (1.0 / reach, reach))
+    panel.axhline(1.0, color=rcParams['text.color'], lw=0.8)
+    for run, filled in sorted({(int(point[0]), point[1]) for point in points}):
+        some = (runs == run) & (significant == filled)
+        colour, marker, _ = _run_style(run)
+        panel.errorbar(
+            tau[some] * OFFSET ** (run - 1),
+            ratio[some],
+            yerr=[(ratio - low)[some], (high - ratio)[some]],
+            mfc=colour if filled else rcParams['axes.facecolor'],
+            **{**RATIO_STYLE, 'color': colour, 'marker': marker},
+        )

@@ -49,7 +49,8 @@ def write_result_files(
     a file cannot be made from them (imu.yaml without an accelerometer), and the paths.
     """
     # takes 0.3 s to import, and merging sums on a robot needs no pictures before
-    from .plots import sensor_figure, to_form
+    from .plot_layout import to_form
+    from .plots import sensor_figure
 
     recorded = results.recorded
     if recorded is None:

@@ -205,19 +205,32 @@ def test_ctrl_c_ends_all_processes_of_an_analysis_in_one_line(
     assert not (tmp_path / 'out').exists()
 
 
-def test_a_package_that_is_missing_is_one_line_and_exit_1(
+@pytest.mark.parametrize('words', ['analyze {0} -o {1}', 'compare {0} {0} -o {1}'])
+def test_a_missing_matplotlib_is_noticed_before_anything_is_read(
+    words: str,
     recording: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith('allan_ros.io.plots')]:
-        monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, 'matplotlib', None)
-    words = ['analyze', str(recording), '--method', 'paper', '-q', '-o', str(tmp_path / 'out')]
-    assert main(words) == 1
+    missing = tmp_path / 'missing.csv'  # reading it first would end in another error
+    assert main(words.format(missing, tmp_path / 'out').split()) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith('allan analyze: needs the Python package matplotlib')
+    assert ': -o draws plots with matplotlib, which is not installed: ' in line
+    assert main(['analyze', str(recording), '--method', 'paper', '-q']) == 0
+
+
+def test_a_package_that_is_missing_is_one_line_and_exit_1(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def read(*_: object) -> None:
+        raise ModuleNotFoundError('no module', name='lz4')
+
+    monkeypatch.setattr('allan_ros.cli.analyze.read_in_turn', read)
+    assert main(['analyze', str(recording), '-q']) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith('allan analyze: needs the Python package lz4')
 
 
 def test_a_reader_that_leaves_is_not_an_error_to_shout_about(recording: Path) -> None:

@@ -22,7 +22,6 @@ from allan_ros.io.comparison import (
 )
 from allan_ros.io.comparison_files import (
     CSV_COLUMNS,
-    comparison_figure,
     csv_table,
     markdown,
     write_comparison,
@@ -30,6 +29,7 @@ from allan_ros.io.comparison_files import (
 from allan_ros.io.datasheets import Datasheet, Limit, Source
 from allan_ros.io.documents import labels_of
 from allan_ros.io.plot_style import STYLES, PictureSettings
+from allan_ros.io.plots import comparison_figure
 from allan_ros.io.results import Results
 
 

@@ -19,7 +19,8 @@ from allan_ros.io.documents import (
 )
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.files import parse_json, to_json
-from allan_ros.io.plots import sensor_figure, to_png
+from allan_ros.io.plot_layout import to_png
+from allan_ros.io.plots import sensor_figure
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums
 from fuzz.harness import check_line

@@ -14,8 +14,9 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.health import Segment
+from allan_ros.io.plot_layout import to_form, to_png
 from allan_ros.io.plot_style import PictureSettings, load_style
-from allan_ros.io.plots import sensor_figure, to_form, to_png
+from allan_ros.io.plots import sensor_figure
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalEnvelope, SignalSummary, summarize_signal
 

@@ -21,7 +21,6 @@ from ...core.noise import NoiseTerms, term_avar
 from ..axis_result import AxisResult
 from ..datasheets import DatasheetComparison
 from ..format import (
-    READ_AT,
     SENSOR_NAMES,
     ShownUnit,
     part_text,
@@ -30,7 +29,7 @@ from ..format import (
     shown_signal_unit,
     shown_unit,
 )
-from ..plot_style import BELOW_CURVE
+from ..plot_style import drawn_curve
 from ..results import Results
 from ..signal import SignalSummary
 from .tables import SYSTEMS, copies
@@ -108,8 +107,8 @@ def _unit(unit: ShownUnit) -> list[Any]:
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
     """Return the curve, the fit and its parts of one axis at the averaging times of its sensor."""
     shown: dict[str, Any] = {'name': name, 'label': name.rsplit('_', 1)[1]}
-    curve = axis.curve
-    if curve is None:
+    curve = drawn_curve(axis)
+    if curve is None or axis.curve is None:
         return shown
     at = np.searchsorted(tau, curve.tau)
 
@@ -118,30 +117,20 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         spread[at] = values
         return rounded(spread)
 
-    positive = curve.adev[curve.adev > 0.0]
-    floor = BELOW_CURVE * float(positive.min()) if len(positive) else math.inf
-    line, upper = axis.model_line()
-
-    def above_floor(adev: Floats) -> list[float | None]:
-        return column(np.where(adev > floor, adev, np.nan))
-
-    parts = axis.part_adev(curve.m)
-    model = axis.fit.selected
+    columns = {
+        'adev': curve.adev,
+        'low': curve.low,
+        'high': curve.high,
+        'n': axis.curve.n,
+        'fit': curve.model,
+        'most': curve.upper,
+    }
     return {
         **shown,
-        'adev': column(np.where(curve.adev > 0.0, curve.adev, np.nan)),
-        'low': column(np.where(curve.ci_low > 0.0, curve.ci_low, np.nan)),
-        'high': column(np.where(curve.ci_high > 0.0, curve.ci_high, np.nan)),
-        'n': column(curve.n),
-        'fit': column(line),
-        'most': column(upper),
-        'parts': {name: above_floor(adev) for name, adev in parts.items()},
-        'upper': {name: above_floor(adev) for name, adev in axis.limit_adev(curve.m).items()},
-        'read': {
-            term: rounded([tau, float(np.sqrt(model.parts([tau])[term][0]))])
-            for term, tau in READ_AT.items()
-            if term in parts
-        },
+        **{key: column(values) for key, values in columns.items()},
+        'parts': {part: column(adev) for part, adev in curve.parts.items()},
+        'upper': {term: column(adev) for term, adev in curve.limits.items()},
+        'read': {term: rounded(at) for term, at in curve.read.items()},
         'likely': axis.fit.likely,
         'regions': [
             [*rounded([r.tau_low, r.tau_high]), part_text(r.term, axis.fit.likely), r.slope]
