@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import compress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -35,7 +35,7 @@ from ..core.errors import one_line
 from ..core.findings import Finding, finding
 from ..core.imu import ImuBatch, sample_factors
 from ..core.stream.transport import TransportStatistics
-from ..io.readers.cdr import DecodedImus, MalformedMessage, decode_imus, is_imu
+from ..io.readers.cdr import MalformedMessage, decode_imus, is_imu
 from .settings import InputSettings
 
 try:
@@ -188,8 +188,8 @@ class ImuInput:
             self._statistics.malformed += well.count(False)
             decoded = decode_imus(list(compress(payloads, well)), 'cdr')
             received = received[np.array(well, bool)]
-        if len(decoded.frames):
-            yield from self._split(decoded, received)
+        for batch in decoded.batches(received):
+            yield replace(batch, samples=batch.samples * self._scale)
 
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
         """Return the nodes that publish on the topic, one per publisher, and mismatches."""
@@ -268,17 +268,6 @@ class ImuInput:
         # Before Kilted, messages of two publishers cannot be distinguished.
         if before is not None and (gid is not None or self._alone):
             self._statistics.skipped_numbers += max(0, number - before - 1)
-
-    def _split(self, decoded: DecodedImus, received: NDArray[np.int64]) -> Iterator[ImuBatch]:
-        """Yield the decoded messages in batches of one frame_id."""
-        edges = np.flatnonzero(np.diff(decoded.frames)) + 1
-        for start, stop in zip([0, *edges], [*edges, len(decoded.frames)]):
-            yield ImuBatch(
-                decoded.stamps_ns[start:stop],
-                decoded.samples[start:stop] * self._scale,
-                received[start:stop],
-                decoded.frame_ids[decoded.frames[start]],
-            )
 
 
 def full_name(endpoint: Any) -> str:

@@ -28,19 +28,10 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.fields import MAX_INTEGER
 from ...core.findings import Finding
-from ...core.imu import (
-    AXES,
-    SAMPLE_UNITS,
-    SENSORS,
-    STAMP_UNITS,
-    UNITS,
-    ImuBatch,
-    even_stamps,
-    sensor_of,
-)
+from ...core.imu import AXES, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
 from ..files import open_regular
+from .columns import columns_of, listed
 from .recording import BATCH, ReadOptions, Recording, SourceInfo, in_batches
-from .table_columns import axis_of_column, time_of_column
 
 COLUMNS = 't, gx, gy, gz, ax, ay, az'
 
@@ -298,31 +289,40 @@ def recording_in_memory(
     """
     if isinstance(samples, ImuBatch):
         return _recording(samples)
-    options, rate = options.with_units(), options.rate_hz
+    rate = options.rate_hz
     if rate and not (np.isfinite(rate) and rate > 0.0):
         raise AllanError(f'rate is {rate} Hz: give a positive number')
-    stamps = None
     if isinstance(samples, Mapping) or hasattr(samples, 'columns'):
-        columns, units_of, stamps = _named_columns(samples, axes, bool(rate))
+        keys = list(samples.columns if hasattr(samples, 'columns') else samples)
+        names = tuple(map(str, keys))
+        wanted = AXES if axes is None else _axis_names(axes)
+        columns: Any = [samples[key] for key in keys]
     else:
-        values = _numbers(samples)
-        names = _axis_names(axes, values.shape[1])
-        columns, units_of = dict(zip(names, values.T)), {}
-    n = len(next(iter(columns.values())))
+        columns = _numbers(samples).T
+        names = wanted = _axis_names(axes, len(columns))
+    found = columns_of('the samples', names, options)
+    scales = {axis: scale for axis, scale in found.axes.items() if AXES[axis] in wanted}
+    if not scales:
+        raise AllanError(
+            f'none of the columns {listed(names)} is an axis: name them {", ".join(AXES)}'
+        )
+    values = {axis: _numbers(columns[at])[:, 0] * s for axis, (at, s) in scales.items()}
+    n = len(next(iter(values.values())))
+    if any(len(column) != n for column in values.values()):
+        raise AllanError('the columns have different lengths: give one row per sample')
     rows = np.full((n, len(AXES)), np.nan)
-    for axis, column in columns.items():
-        sensor = sensor_of(axis)
-        unit = units_of.get(axis) or getattr(options, f'{sensor}_unit')
-        if unit not in SAMPLE_UNITS[sensor]:
-            known = ', '.join(SAMPLE_UNITS[sensor])
-            raise AllanError(f'{sensor} unit {unit!r} is unknown: choose one of {known}')
-        rows[:, AXES.index(axis)] = column * UNITS[unit].factor
+    for axis, column in values.items():
+        rows[:, axis] = column
+    index = np.asarray(getattr(getattr(samples, 'index', None), 'values', ()))
     if rate:
         stamps = even_stamps(0, n, rate)
-    if stamps is None:
+    elif found.stamp:
+        stamps = np.sum([_stamps(columns[at], size) for at, size in found.stamp], axis=0)
+    elif index.dtype.kind == 'M':
+        stamps = _stamps(index, 1)
+    else:
         raise AllanError('the samples have no times: give their rate in Hz, such as rate=200')
-    named = {sensor_of(axis): unit for axis, unit in units_of.items() if unit}
-    return _recording(ImuBatch(stamps, rows), options.with_units(named))
+    return _recording(ImuBatch(stamps, rows), options.with_units(found.units))
 
 
 def _recording(batch: ImuBatch, options: ReadOptions = ReadOptions()) -> Recording:
@@ -377,35 +377,6 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
             f'{columns} columns and {len(names)} axes ({", ".join(names)}): name each column once'
         )
     return names
-
-
-def _named_columns(
-    samples: Any, axes: str | Sequence[str] | None, has_rate: bool
-) -> tuple[dict[str, NDArray[np.float64]], dict[str, str], NDArray[np.int64] | None]:
-    """Return the columns by axis, the units in their names, and the stamps in ns."""
-    names = list(samples.columns if hasattr(samples, 'columns') else samples)
-    columns: dict[str, NDArray[np.float64]] = {}
-    units: dict[str, str] = {}
-    stamps = None
-    wanted = None if axes is None else set(_axis_names(axes))
-    for name in names:
-        known = axis_of_column(str(name))
-        if known is not None and known[0] not in columns and (not wanted or known[0] in wanted):
-            columns[known[0]] = _numbers(samples[name])[:, 0]
-            units[known[0]] = known[1]
-        elif stamps is None and not has_rate and (scale := time_of_column(str(name))):
-            stamps = _stamps(samples[name], scale)
-    index = getattr(getattr(samples, 'index', None), 'values', None)
-    if stamps is None and index is not None and np.asarray(index).dtype.kind == 'M':
-        stamps = _stamps(index, 1)
-    if not columns:
-        raise AllanError(
-            f'none of the columns {", ".join(map(str, names[:10]))} is an axis: '
-            f'name them {", ".join(AXES)}'
-        )
-    if len({len(column) for column in columns.values()}) > 1:
-        raise AllanError('the columns have different lengths: give one row per sample')
-    return columns, units, stamps
 
 
 def _stamps(times: Any, scale: int) -> NDArray[np.int64]:

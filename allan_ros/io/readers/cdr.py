@@ -14,9 +14,10 @@ array of records. Two serializations are supported:
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -85,28 +86,14 @@ class DecodedImus:
     frames: NDArray[np.intp]
     kept: dict[str, int] = field(default_factory=dict)
 
-    @classmethod
-    def empty(cls, n: int) -> DecodedImus:
-        """Return room for n messages."""
-        return cls(np.empty(n, np.int64), np.empty((len(AXES), n)).T, [], np.zeros(n, np.intp))
-
-    def drop_absent(
-        self, sensor: str, rows: Rows, first: NDArray[np.float64], trust_covariance: bool
-    ) -> None:
-        """Set 'gyro' or 'accel' of these messages to NaN where it is absent.
-
-        It is absent where covariance[0], given as ``first``, is -1 or NaN. Many drivers do not
-        know what -1 means, so unless ``trust_covariance``, valid data (finite numbers of which one
-        is not zero) are kept.
-        """
-        declared = np.arange(len(self.frames))[rows][(first == ABSENT) | np.isnan(first)]
-        if not trust_covariance:
-            values = self.samples[declared, SENSORS[sensor]]
-            valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
-            if valid.any():
-                self.kept[sensor] = self.kept.get(sensor, 0) + int(np.count_nonzero(valid))
-            declared = declared[~valid]
-        self.samples[declared, SENSORS[sensor]] = np.nan
+    def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
+        """Yield the messages, which were recorded at these times, in batches of one frame."""
+        edges = [0, len(self.frames)]
+        if len(self.frame_ids) > 1:
+            edges[1:1] = (np.flatnonzero(np.diff(self.frames)) + 1).tolist()
+        for start, stop in pairwise(edges if len(self.frames) else ()):
+            rows, frame_id = slice(start, stop), self.frame_ids[self.frames[start]]
+            yield ImuBatch(self.stamps_ns[rows], self.samples[rows], record_ns[rows], frame_id)
 
 
 @lru_cache(maxsize=256)
@@ -147,25 +134,115 @@ def decode_imus(
     valid. Raises MalformedMessage for the first payload that is not an Imu message.
     """
     n = len(payloads)
-    decoded = DecodedImus.empty(n)
-    wire = _Wire(encoding, trust_covariance)
-    if isinstance(payloads, np.ndarray):
-        _decode_equal(payloads, wire, slice(0, n), decoded)
-        return decoded
-    lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
-    for length in np.unique(lengths):
-        rows = np.flatnonzero(lengths == length)
-        same = payloads if len(rows) == n else [payloads[row] for row in rows.tolist()]
-        if not length:
-            raise _too_few(int(rows[0]), 0)
-        joined = np.frombuffer(b''.join(same), np.dtype((np.void, int(length))))
-        _decode_equal(joined, wire, slice(0, n) if len(rows) == n else rows, decoded)
+    room = np.empty((len(AXES), n)).T
+    decoded = DecodedImus(np.empty(n, np.int64), room, [], np.zeros(n, np.intp))
+    for rows, records in _of_one_layout(payloads, encoding):
+        decoded.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
+        for sensor, axes in SENSORS.items():
+            for i, axis in enumerate(range(len(AXES))[axes]):
+                decoded.samples[rows, axis] = records[sensor][:, i]
+            first = records[f'{sensor}_covariance'][:, 0].copy()
+            if not first.min() >= 0.0:  # NaN is neither
+                absent = np.arange(n)[rows][(first == ABSENT) | np.isnan(first)]
+                _drop_absent(decoded, sensor, absent, trust_covariance)
+        distinct, which = _distinct(records['frame_id'])
+        places = []
+        for name in distinct:
+            text = name.rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+            if text not in decoded.frame_ids:
+                decoded.frame_ids.append(text)
+            places.append(decoded.frame_ids.index(text))
+        decoded.frames[rows] = places[0] if len(places) == 1 else np.array(places)[which]
     return decoded
 
 
-class _Wire(NamedTuple):
-    encoding: Encoding
-    trust_covariance: bool
+def _drop_absent(
+    decoded: DecodedImus, sensor: str, absent: NDArray[np.intp], trust_covariance: bool
+) -> None:
+    """Set a sensor to NaN in messages that declare it absent.
+
+    Many drivers do not know what -1 means, so unless ``trust_covariance``, valid data (finite
+    numbers of which one is not zero) are kept.
+    """
+    if not trust_covariance:
+        values = decoded.samples[absent, SENSORS[sensor]]
+        valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
+        if valid.any():
+            kept = decoded.kept.get(sensor, 0) + int(np.count_nonzero(valid))
+            decoded.kept[sensor] = kept
+        absent = absent[~valid]
+    decoded.samples[absent, SENSORS[sensor]] = np.nan
+
+
+def _of_one_layout(
+    payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
+) -> Iterator[tuple[Rows, NDArray[Any]]]:
+    """Yield the positions and the records of the messages of each layout."""
+    for rows, equal in _of_one_length(payloads):
+        first, length = int(rows.start if isinstance(rows, slice) else rows[0]), equal.itemsize
+        try:
+            head = equal.view(imu_dtype(encoding, '<', 0, length))
+        except ValueError as error:
+            raise _too_few(first, length) from error
+        # byte order and raw length field, which decide the layout, as one integer
+        kind = head['frame_bytes'].astype(np.int64)
+        if encoding == 'cdr':
+            kind += head['representation'].astype(np.int64) << 32
+        if (kind == kind[0]).all():
+            yield rows, equal.view(_layout_of(equal[0].tobytes(), encoding, first).dtype)
+            continue
+        places = np.arange(len(payloads))[rows]
+        for value in np.unique(kind):
+            own, some = places[kind == value], equal[kind == value]
+            yield own, some.view(_layout_of(some[0].tobytes(), encoding, int(own[0])).dtype)
+
+
+def _of_one_length(
+    payloads: Sequence[bytes | memoryview] | NDArray[np.void],
+) -> Iterator[tuple[Rows, NDArray[np.void]]]:
+    """Yield the positions of the messages of each length, and these as one array."""
+    n = len(payloads)
+    if isinstance(payloads, np.ndarray):
+        if n:
+            yield slice(0, n), payloads
+        return
+    lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
+    for length in np.unique(lengths).tolist():
+        rows = np.flatnonzero(lengths == length)
+        if not length:
+            raise _too_few(int(rows[0]), 0)
+        same = payloads if len(rows) == n else [payloads[row] for row in rows.tolist()]
+        joined = np.frombuffer(b''.join(same), np.dtype((np.void, length)))
+        yield slice(0, n) if len(rows) == n else rows, joined
+
+
+class _Layout(NamedTuple):
+    """Layout of a message: byte order, record type, offsets of its fields, bytes of frame_id."""
+
+    order: str
+    dtype: np.dtype[Any]
+    offsets: dict[str, int]
+    frame: slice
+
+
+def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
+    """Return the layout of an Imu message; ``index`` is its position, for an error."""
+    order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
+    try:
+        return _layout(encoding, order, frame_bytes, len(payload))
+    except (ValueError, OverflowError) as error:
+        reason = f'its frame_id of {frame_bytes} bytes does not fit {len(payload)} bytes'
+        raise MalformedMessage(index, reason) from error
+
+
+@lru_cache(maxsize=256)
+def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
+    """Return the layout of a message of ``length`` bytes (0: of the shortest)."""
+    if frame_bytes > MAX_NAME:
+        raise ValueError(f'{frame_bytes} bytes are more than {MAX_NAME}')
+    dtype = imu_dtype(encoding, order, frame_bytes, length)
+    offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
+    return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
 
 
 def is_imu(payload: bytes, encoding: Encoding) -> bool:
@@ -181,45 +258,6 @@ def _too_few(index: int, length: int) -> MalformedMessage:
     return MalformedMessage(index, f'{length} bytes are too few for an Imu')
 
 
-def _decode_equal(payloads: NDArray[np.void], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
-    """Decode payloads of one length, grouped by byte order and length of the frame_id."""
-    length = payloads.itemsize
-    encoding = wire.encoding
-    if length < imu_dtype(encoding, '<', 0).itemsize:
-        raise _too_few(_first(rows), length)
-    head = payloads.view(imu_dtype(encoding, '<', 0, length))
-    # byte order and raw length field, which decide the layout, as one integer
-    kind = head['frame_bytes'].astype(np.int64)
-    if encoding == 'cdr':
-        kind += head['representation'].astype(np.int64) << 32
-    if (kind == kind[:1]).all():
-        _decode_alike(payloads, wire, rows, into)
-        return
-    places = np.arange(len(into.frames))[rows]
-    for value in np.unique(kind):
-        chosen = kind == value
-        _decode_alike(payloads[chosen], wire, places[chosen], into)
-
-
-def _decode_alike(payloads: NDArray[np.void], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
-    """Decode payloads of the layout of the first."""
-    index, length = _first(rows), payloads.itemsize
-    order, frame_bytes = _order_and_frame_bytes(payloads[0].tobytes(), wire.encoding, index)
-    try:
-        dtype = imu_dtype(wire.encoding, order, frame_bytes, length)
-    except (ValueError, OverflowError) as error:
-        reason = f'its frame_id of {frame_bytes} bytes does not fit {length} bytes'
-        raise MalformedMessage(index, reason) from error
-    if frame_bytes > MAX_NAME:
-        raise MalformedMessage(index, f'its frame_id has {frame_bytes} bytes, more than {MAX_NAME}')
-    _fill(payloads.view(dtype), wire, rows, into)
-
-
-def _first(rows: Rows) -> int:
-    """Return the position of the first message."""
-    return int(rows.start if isinstance(rows, slice) else rows[0])
-
-
 def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -> tuple[str, int]:
     """Return the byte order of a message and the serialized size of its frame_id."""
     if len(payload) < _FRAME_AT:
@@ -230,28 +268,6 @@ def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -
         raise MalformedMessage(index, reason)
     start = _FRAME_AT - 4
     return order, int.from_bytes(payload[start:_FRAME_AT], 'little' if order == '<' else 'big')
-
-
-def _fill(records: NDArray[Any], wire: _Wire, rows: Rows, into: DecodedImus) -> None:
-    """Copy the records of one layout to their rows."""
-    into.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
-    for name, axes in SENSORS.items():
-        for i, axis in enumerate(range(len(AXES))[axes]):
-            into.samples[rows, axis] = records[name][:, i]
-        first = records[f'{name}_covariance'][:, 0].copy()
-        if not first.min() >= 0.0:  # NaN is neither
-            into.drop_absent(name, rows, first, wire.trust_covariance)
-
-    distinct, which = _distinct(records['frame_id'])
-    texts = [
-        name.rstrip(b'\0' if wire.encoding == 'cdr' else b'').decode(errors='replace')
-        for name in distinct
-    ]
-    for text in texts:
-        if text not in into.frame_ids:
-            into.frame_ids.append(text)
-    places = [into.frame_ids.index(text) for text in texts]
-    into.frames[rows] = places[0] if len(places) == 1 else np.array(places)[which]
 
 
 def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
@@ -305,14 +321,14 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
     order, frame_bytes = _order_and_frame_bytes(payload, encoding)
     if frame_bytes > len(payload):
         raise _too_few(0, len(payload))
-    sec, nanosec = struct.unpack_from(f'{order}{"iI" if encoding == "cdr" else "II"}', payload, 4)
-    # the number follows the header as the orientation does in an Imu message
-    at = _offsets(encoding, order, frame_bytes)['orientation']
-    if len(payload) < at + _DOUBLE:
+    dtype, offsets = _layout(encoding, order, frame_bytes)[1:3]
+    if len(payload) < offsets['orientation'] + _DOUBLE:
         raise _too_few(0, len(payload))
-    (celsius,) = struct.unpack_from(f'{order}d', payload, at)
-    frame_id = payload[_FRAME_AT : _FRAME_AT + frame_bytes].rstrip(b'\0').decode(errors='replace')
-    return sec * NANOSECONDS + nanosec, frame_id, celsius
+    # the number follows the header as the orientation does in an Imu message
+    record = np.frombuffer(payload.ljust(dtype.itemsize, b'\0'), dtype, 1)[0]
+    stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])
+    frame_id = record['frame_id'].tobytes().rstrip(b'\0').decode(errors='replace')
+    return stamp_ns, frame_id, float(record['orientation'][0])
 
 
 _COVARIANCE_BYTES = 9 * _DOUBLE
@@ -352,8 +368,8 @@ class CovariancePatch:
 
         Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """
-        order, offsets, frame = _layout(payload)
-        if self._frame and frame.rstrip(b'\0') != self._frame:
+        order, _, offsets, frame = _layout_of(payload)
+        if self._frame and payload[frame].rstrip(b'\0') != self._frame:
             return payload
         patched = None
         for sensor, covariance in self._packed[order]:
@@ -387,7 +403,7 @@ def without_gyro_bias(
 
     Raises MalformedMessage when the payload is not an Imu message in plain CDR.
     """
-    order, offsets, _ = _layout(payload)
+    order, _, offsets, _ = _layout_of(payload)
     seconds, nanoseconds = struct.unpack_from(f'{order}iI', payload, offsets['sec'])
     if not first_ns <= seconds * NANOSECONDS + nanoseconds <= last_ns:
         return payload
@@ -405,21 +421,4 @@ def frame_id_of(payload: bytes) -> str:
 
     Raises MalformedMessage when the payload is not an Imu message in plain CDR.
     """
-    return _layout(payload)[2].rstrip(b'\0').decode(errors='replace')
-
-
-def _layout(payload: bytes) -> tuple[str, dict[str, int], bytes]:
-    """Return the byte order of an Imu message in CDR, the offsets of its fields, and frame_id."""
-    order, frame_bytes = _order_and_frame_bytes(payload, 'cdr')
-    offsets = _offsets('cdr', order, frame_bytes, len(payload))
-    return order, offsets, payload[_FRAME_AT : _FRAME_AT + frame_bytes]
-
-
-@lru_cache(maxsize=256)
-def _offsets(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> dict[str, int]:
-    """Return the offsets of the fields in a payload of ``length`` bytes (0: of the shortest)."""
-    try:
-        fields = imu_dtype(encoding, order, frame_bytes, length).fields
-    except ValueError as error:
-        raise MalformedMessage(0, f'{length} bytes are too few for an Imu') from error
-    return {name: entry[1] for name, entry in (fields or {}).items()}
+    return payload[_layout_of(payload).frame].rstrip(b'\0').decode(errors='replace')

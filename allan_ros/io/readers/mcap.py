@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +60,16 @@ def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = byte
     ``index`` returns the MessageIndex records of the chunk, empty where there are none.
     Raises struct.error when a record extends beyond the end of the data.
     """
-    return _uniform(data, ids) or _by_index(data, ids, index()) or _one_by_one(data, ids)
+    start = _of_one_length(data)
+    if start is None:
+        start = _listed(data, index())
+    if start is None:
+        start = _searched(data)
+    head = _records_at(data, start, HEAD)
+    mine = among(head['channel'], ids)
+    if not mine.all():
+        head, start = head[mine], start[mine]
+    return Block(head['log_time'].astype(np.int64), _payloads(data, start, head['length']))
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -73,28 +84,30 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, at
 
 
-def _uniform(data: bytes, ids: Collection[int]) -> Block | None:
-    """Return the messages as one array if all records after the first message have its length."""
-    found = next((record for record in records(data) if record[0] == MESSAGE), None)
-    if found is None:
+def _of_one_length(data: bytes) -> NDArray[np.int64] | None:
+    """Return where the messages begin if all records after the first message have its length."""
+    message = next((record for record in records(data) if record[0] == MESSAGE), None)
+    if message is None:
+        return np.empty(0, np.int64)
+    _, start, end = message
+    first, size = start - RECORD.size, end - start + RECORD.size
+    if (len(data) - first) % size or size < HEAD.itemsize:
         return None
-    _, start, end = found
-    first, length = start - RECORD.size, end - start
-    dtype = _message_dtype(length)
-    if dtype is None or (len(data) - first) % dtype.itemsize:
-        return None
-    messages = np.frombuffer(data, dtype, offset=first)
-    if (messages['opcode'] != MESSAGE).any() or (messages['length'] != length).any():
-        return None
-    mine = among(messages['channel'], ids)
-    if not mine.all():
-        messages = messages[mine]
-    return Block(messages['log_time'].astype(np.int64), messages['payload'])
+    starts = np.arange(first, len(data), size)
+    head = _records_at(data, starts, HEAD)
+    alike = (head['opcode'] == MESSAGE) & (head['length'] == size - RECORD.size)
+    return starts if alike.all() else None
 
 
-def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
-    """Return the messages at the offsets in the index; None if the index is wrong."""
-    start = np.sort(_offsets(index))
+def _listed(data: bytes, index: bytes) -> NDArray[np.int64] | None:
+    """Return where the messages begin according to the index; None if it is wrong."""
+    found = [np.empty(0, np.int64)]
+    for opcode, at, _ in records(index):
+        if opcode == MESSAGE_INDEX:
+            _, size = INDEX_HEAD.unpack_from(index, at)
+            pairs = np.frombuffer(index, '<i8', size // 8, at + INDEX_HEAD.size)
+            found.append(pairs.reshape(-1, 2)[:, 1].astype(np.int64))
+    start = np.sort(np.concatenate(found))
     if not len(start) or start[0] < 0 or start[-1] > len(data) - HEAD.itemsize:
         return None
     head = gathered(data, start, HEAD)
@@ -106,57 +119,41 @@ def _by_index(data: bytes, ids: Collection[int], index: bytes) -> Block | None:
     gaps = np.flatnonzero(before != behind)
     if (before > behind).any() or len(gaps) > MAX_GAPS:
         return None
-    for gap in gaps:
-        between = data[before[gap] : behind[gap]]
-        if any(opcode == MESSAGE for opcode, _, _ in records(between)):
-            return None
-    mine = among(head['channel'], ids)
-    head, start, end = head[mine], start[mine], end[mine]
-    return Block(head['log_time'].astype(np.int64), _payloads(data, start, end))
+    between = [records(data[before[gap] : behind[gap]]) for gap in gaps]
+    unlisted = any(opcode == MESSAGE for opcode, _, _ in chain.from_iterable(between))
+    return None if unlisted else start
 
 
-def _offsets(index: bytes) -> NDArray[np.int64]:
-    """Return the offsets of the messages of all channels in the chunk, from its index."""
-    found = [np.empty(0, np.int64)]
-    for opcode, at, _ in records(index):
-        if opcode == MESSAGE_INDEX:
-            _, size = INDEX_HEAD.unpack_from(index, at)
-            pairs = np.frombuffer(index, '<i8', size // 8, at + INDEX_HEAD.size)
-            found.append(pairs.reshape(-1, 2)[:, 1].astype(np.int64))
-    return np.concatenate(found)
+def _searched(data: bytes) -> NDArray[np.int64]:
+    """Return where the messages begin, record by record."""
+    found = [(at, end - at) for opcode, at, end in records(data) if opcode == MESSAGE]
+    if any(length < MESSAGE_HEAD.size for _, length in found):
+        raise struct.error('a message record is too short')
+    return np.array([at - RECORD.size for at, _ in found], dtype=np.int64)
 
 
-def _payloads(data: bytes, start: NDArray[np.int64], end: NDArray[np.int64]) -> Payloads:
+def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the records at these offsets, without a copy where they are evenly spaced."""
+    step = np.diff(start)
+    if len(step) and (step == step[0]).all():
+        return np.ndarray((len(start),), dtype, data, int(start[0]), (int(step[0]),))
+    return gathered(data, start, dtype)
+
+
+def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64]) -> Payloads:
     """Return the payloads of message records: one array where they have one length."""
-    lengths = end - start
-    if len(lengths) and (lengths == lengths[0]).all():
-        dtype = _message_dtype(int(lengths[0]) - RECORD.size)
-        if dtype is not None:
-            return gathered(data, start, dtype)['payload']
-    view, head = memoryview(data), HEAD.itemsize
+    head = HEAD.itemsize
+    if len(length) and (length == length[0]).all() and length[0] > MESSAGE_HEAD.size:
+        dtype = _message_dtype(int(length[0]))
+        return _records_at(data, start, dtype)['payload']
+    view, end = memoryview(data), start + (RECORD.size + length.astype(np.int64))
     return [view[a + head : b] for a, b in zip(start.tolist(), end.tolist())]
 
 
 @lru_cache(maxsize=64)
-def _message_dtype(length: int) -> np.dtype[np.void] | None:
-    """Return the layout of message records of ``length`` bytes, or None when they are empty."""
-    if length <= MESSAGE_HEAD.size:
-        return None
+def _message_dtype(length: int) -> np.dtype[np.void]:
+    """Return the layout of message records of ``length`` bytes."""
     return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
-
-
-def _one_by_one(data: bytes, ids: Collection[int]) -> Block:
-    """Return the messages record by record, whatever their lengths."""
-    view = memoryview(data)
-    times: list[int] = []
-    payloads: list[bytes | memoryview] = []
-    for opcode, start, end in records(data):
-        if opcode == MESSAGE:
-            channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(data, start)
-            if channel in ids:
-                times.append(log_time)
-                payloads.append(view[start + MESSAGE_HEAD.size : end])
-    return Block(np.array(times, dtype=np.int64), payloads)
 
 
 MAGIC = b'\x89MCAP0\r\n'

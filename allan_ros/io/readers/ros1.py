@@ -32,6 +32,9 @@ INDEX_ENTRY = np.dtype([('sec', '<u4'), ('nanosec', '<u4'), ('offset', '<u4')])
 CHUNK_COUNT = struct.Struct('<II')
 """Connection, and its messages in a chunk."""
 
+NO_INDEX = np.iinfo(np.int64).max
+"""Start time of a chunk without an index."""
+
 MAX_HEADER = 1 << 20
 """Record headers are far shorter; a longer one means that the file is damaged."""
 
@@ -50,9 +53,29 @@ class Ros1Storage(ChunkStorage):
             raise damaged(
                 self._path, f'{version!r} is not ROS bag 2.0', 'update it with "rosbag fix"'
             )
-        self._in_chunk_infos: Counter[int] = Counter()
-        self._walk()
-        self._stated = self._counts | self._in_chunk_infos
+        listed: Counter[int] = Counter()
+        at = len(MAGIC)
+        while record := self._record(at):
+            header, start, end = record
+            opcode = header['op'][0]
+            if opcode == OP_BAG and header.get('encryptor'):
+                raise damaged(self._path, 'it is encrypted', 'decrypt it first')
+            if opcode == OP_CHUNK:
+                self._chunks.append(Chunk(NO_INDEX, at, end - at))
+            elif opcode == OP_INDEX:
+                self._take_index(header, self._read(start, end - start))
+            elif opcode == OP_CONNECTION:
+                self._take_connection(header, self._read(start, end - start))
+            elif opcode == OP_CHUNK_INFO:
+                for connection, count in CHUNK_COUNT.iter_unpack(self._read(start, end - start)):
+                    listed[connection] += count
+            at = end
+        ended = bool(self._topics) or not self._chunks
+        if at < self._size or not ended:
+            self.cut = Cut(at, self._size)
+        self._chunks = [self._searched(chunk, ended) for chunk in self._chunks]
+        self._chunks = [chunk for chunk in self._chunks if chunk.start_ns != NO_INDEX]
+        self._stated = self._counts | listed
 
     def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
         data = self._data(chunk)
@@ -64,38 +87,6 @@ class Ros1Storage(ChunkStorage):
                 times.append(_time(header['time']))
                 payloads.append(view[start:end])
         return Block(np.array(times, dtype=np.int64), payloads)
-
-    def _walk(self) -> None:
-        """Find all chunks and connections, up to where the file is truncated."""
-        at = len(MAGIC)
-        bare: tuple[int, int, str, int] | None = None  # a chunk whose index was not read yet
-        while record := self._record(at):
-            header, start, end = record
-            opcode = header['op'][0]
-            if opcode != OP_INDEX and bare:
-                self._take_unindexed(*bare)
-                bare = None
-            if opcode == OP_BAG and header.get('encryptor'):
-                raise damaged(self._path, 'it is encrypted', 'decrypt it first')
-            if opcode == OP_CHUNK:
-                compression = header['compression'].decode(errors='replace')
-                bare = (start, end - start, compression, _number(header['size']))
-            elif opcode == OP_INDEX:
-                self._take_index(header, self._read(start, end - start), bare)
-                bare = None
-            elif opcode == OP_CONNECTION:
-                self._take_connection(header, self._read(start, end - start))
-            elif opcode == OP_CHUNK_INFO:
-                for connection, count in CHUNK_COUNT.iter_unpack(self._read(start, end - start)):
-                    self._in_chunk_infos[connection] += count
-            at = end
-        if bare:
-            self._take_unindexed(*bare)
-        if at < self._size or (self._chunks and not self._topics):
-            self.cut = Cut(at, self._size)
-        if not self._topics:
-            for chunk in self._chunks:
-                self._learn_connections(self._data(chunk))
 
     def _record(self, at: int) -> tuple[dict[str, bytes], int, int] | None:
         """Return header, first byte and end of the record at ``at``; None if it is incomplete."""
@@ -111,34 +102,27 @@ class Ros1Storage(ChunkStorage):
         end = start + LENGTH.unpack_from(raw, header_length)[0]
         return None if end > self._size else (_fields(raw[:header_length]), start, end)
 
-    def _take_index(
-        self, header: dict[str, bytes], entries: bytes, bare: tuple[int, int, str, int] | None
-    ) -> None:
-        """Count the messages of one connection in the chunk before, and note when it begins."""
+    def _take_index(self, header: dict[str, bytes], entries: bytes) -> None:
+        """Count the messages of one connection in the last chunk, and note when it begins."""
         index = np.frombuffer(entries, INDEX_ENTRY)
         times = index['sec'].astype(np.int64) * NANOSECONDS + index['nanosec']
-        start_ns = int(times.min(initial=np.iinfo(np.int64).max))
         self._counts[_number(header['conn'])] += len(times)
-        if bare:
-            self._chunks.append(Chunk(start_ns, *bare))
-        elif self._chunks:
+        if self._chunks:
             last = self._chunks[-1]
-            self._chunks[-1] = replace(last, start_ns=min(last.start_ns, start_ns))
+            self._chunks[-1] = replace(last, start_ns=int(times.min(initial=last.start_ns)))
 
-    def _take_unindexed(self, offset: int, length: int, compression: str, size: int) -> None:
-        """Read a chunk without an index for its start time and counts."""
-        times = []
-        for header, _, _ in _records(self._data(Chunk(0, offset, length, compression, size))):
-            if header['op'][0] == OP_MESSAGE:
-                times.append(_time(header['time']))
-                self._counts[_number(header['conn'])] += 1
-        if times:
-            self._chunks.append(Chunk(min(times), offset, length, compression, size))
-
-    def _learn_connections(self, data: bytes) -> None:
+    def _searched(self, chunk: Chunk, ended: bool) -> Chunk:
+        """Read what the records behind a chunk would state: its index, and the connections."""
+        if ended and chunk.start_ns != NO_INDEX:
+            return chunk
+        data, start_ns = self._data(chunk), chunk.start_ns
         for header, start, end in _records(data):
-            if header['op'][0] == OP_CONNECTION:
+            if header['op'][0] == OP_CONNECTION and not ended:
                 self._take_connection(header, data[start:end])
+            elif header['op'][0] == OP_MESSAGE and chunk.start_ns == NO_INDEX:
+                self._counts[_number(header['conn'])] += 1
+                start_ns = min(start_ns, _time(header['time']))
+        return replace(chunk, start_ns=start_ns)
 
     def _take_connection(self, header: dict[str, bytes], data: bytes) -> None:
         number = _number(header['conn'])
@@ -155,8 +139,10 @@ class Ros1Storage(ChunkStorage):
 
     def _data(self, chunk: Chunk) -> bytes:
         """Return the records of a chunk, decompressed."""
-        stored = self._read(chunk.offset, chunk.length)
-        return self._unpacked(chunk.offset, stored, chunk.compression, chunk.size)
+        record = self._read(chunk.offset, chunk.length)
+        ((header, start, end),) = _records(record)
+        compression, size = header['compression'].decode(errors='replace'), _number(header['size'])
+        return self._unpacked(chunk.offset, record[start:end], compression, size)
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], int, int]]:

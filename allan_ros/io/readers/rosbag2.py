@@ -5,20 +5,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial, reduce
-from itertools import pairwise
 from pathlib import Path
-
-import numpy as np
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import AXES, NANOSECONDS, SENSORS, ImuBatch, joined
+from ...core.imu import AXES, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .bag_topics import ENCODINGS, ImuSource, chosen_source, definitions_of, no_message, survey_bag
-from .cdr import DecodedImus, Encoding, MalformedMessage, decode_imus, decode_temperature
+from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .open import METADATA, BagFiles, bag_files, open_storage
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import (
@@ -28,11 +25,8 @@ from .storage import (
     Topic,
     as_list,
     decompress,
-    decompress_messages,
     frame_compression,
 )
-
-Decoder = Callable[[Payloads], DecodedImus]
 
 
 def open_bag(path: Path, options: ReadOptions) -> Recording:
@@ -59,24 +53,34 @@ def _read(
     bag: BagFiles, topic: Topic, source: ImuSource, options: ReadOptions, report: Report
 ) -> Iterator[ImuBatch]:
     """Yield the samples of the chosen topic in all files, in order."""
-    decode: Decoder
-    if source.field:
-        decode = nested_decoder(topic, source.field, options.trust_covariance)
-    else:
-        decode = partial(
-            decode_imus,
-            encoding='ros1' if topic.encoding == 'ros1' else 'cdr',
-            trust_covariance=options.trust_covariance,
-        )
-    kept: Counter[str] = Counter()
+    extract = extractor(topic, source.field) if source.field else None
+    kept: Counter[str] = Counter()  # messages per sensor whose covariance was ignored
     total = 0
+
+    def decoded(file: Path, blocks: Iterable[Block]) -> Iterator[ImuBatch]:
+        done = 0  # messages of this file
+        for block in blocks:
+            at = 0
+            try:
+                for payloads in _plain(block.payloads, extract):
+                    imus = decode_imus(payloads, _encoding(topic), options.trust_covariance)
+                    kept.update(imus.kept)
+                    yield from imus.batches(block.record_ns[at : at + len(payloads)])
+                    at += len(payloads)
+            except MalformedMessage as error:
+                raise AllanError(
+                    f'{file}: message {done + at + error.index + 1} of {source.label} is not a '
+                    f'{source.key[1]} ({error}): record it again'
+                ) from error
+            done += at
+
     for file in bag.files:
         with open_storage(file) as (storage, _):
             if storage.cut:
                 report(finding('bag_cut', path=file, read=storage.cut.read, size=storage.cut.size))
             ids = {t.id for t in storage.topics if (t.name, t.type) == source.key}
             read = 0
-            for batch in _gathered(_decoded(file, source, storage.blocks(ids), decode, kept)):
+            for batch in _gathered(decoded(file, storage.blocks(ids))):
                 read += len(batch)
                 yield options.in_si(batch)
             _compare(storage.stated(ids, read), read, file, report)
@@ -84,11 +88,8 @@ def _read(
     if bag.described is not None and source.key in bag.described:
         _compare(bag.described[source.key].count, total, bag.path / METADATA, report)
     for sensor, count in sorted(kept.items()):
-        report(
-            finding(
-                'covariance_ignored', AXES[SENSORS[sensor]], count=count, sensor=sensor, read=total
-            )
-        )
+        axes = AXES[SENSORS[sensor]]
+        report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
     if not total:
         raise no_message(bag.path, source)
 
@@ -99,44 +100,8 @@ def _compare(stated: int, read: int, where: Path, report: Report) -> None:
         report(finding('count_differs', path=where, stated=stated, read=read))
 
 
-def _decoded(
-    file: Path, source: ImuSource, blocks: Iterable[Block], decode: Decoder, kept: Counter[str]
-) -> Iterator[ImuBatch]:
-    """Decode the messages of a storage file, and begin a new batch wherever the frame changes.
-
-    ``kept`` receives the number of messages per sensor whose covariance was ignored.
-    """
-    read = 0
-    for block in blocks:
-        first = 0
-        try:
-            for payloads in _decompressed(block.payloads):
-                first = yield from _batches(block, first, decode(payloads), kept)
-        except MalformedMessage as error:
-            number = read + first + error.index + 1
-            raise AllanError(
-                f'{file}: message {number} of {source.label} is not a {source.key[1]} '
-                f'({error}): record it again'
-            ) from error
-        read += len(block.payloads)
-
-
-def _batches(
-    block: Block, first: int, decoded: DecodedImus, kept: Counter[str]
-) -> Generator[ImuBatch, None, int]:
-    """Yield decoded messages, which begin at ``first`` in the block; return where they end."""
-    kept.update(decoded.kept)
-    edges = [0, len(decoded.frames)]
-    if len(decoded.frame_ids) > 1:
-        edges[1:1] = (np.flatnonzero(np.diff(decoded.frames)) + 1).tolist()
-    for start, stop in pairwise(edges):
-        yield ImuBatch(
-            decoded.stamps_ns[start:stop],
-            decoded.samples[start:stop],
-            block.record_ns[first + start : first + stop],
-            decoded.frame_ids[decoded.frames[start]],
-        )
-    return first + len(decoded.frames)
+def _encoding(topic: Topic) -> Encoding:
+    return 'ros1' if topic.encoding == 'ros1' else 'cdr'
 
 
 def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
@@ -153,19 +118,49 @@ def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
         yield from in_batches(joined(held))
 
 
-def _decompressed(payloads: Payloads) -> Iterator[Payloads]:
-    """Yield the messages, decompressed where they were compressed one by one."""
-    if not len(payloads):
-        return
-    compression = frame_compression(bytes(payloads[0]))
-    if not compression:
+def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iterator[Payloads]:
+    """Yield the Imu messages: decompressed if necessary, and taken out of other messages.
+
+    Those that have to be converted are yielded in groups of limited total size.
+    """
+    compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
+    if not compression and extract is None:
         yield payloads
         return
-    try:
-        yield from decompress_messages(as_list(payloads), compression)
-    except ValueError as error:
-        reason, index = error.args
-        raise MalformedMessage(index, reason) from error
+    group: list[bytes | memoryview] = []
+    size = 0
+    for payload in as_list(payloads):
+        try:
+            plain = decompress(payload, compression, MAX_MESSAGE_BYTES)
+            group.append(extract(plain) if extract else plain)
+        except ValueError as error:
+            raise MalformedMessage(len(group), f'{compression} {error}'.lstrip()) from error
+        size += len(plain)
+        if size > MAX_MESSAGE_BYTES:
+            yield group
+            group, size = [], 0
+    if group:
+        yield group
+
+
+def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
+    """Return a function that takes the serialized Imu out of a field of the topic's messages."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(definitions_of(topic))
+    form = _encoding(topic)
+    deserialize = getattr(store, f'deserialize_{form}')
+    serialize = getattr(store, f'serialize_{form}')
+
+    def extract(payload: bytes) -> bytes:
+        try:
+            message = deserialize(payload, topic.type)
+            return bytes(serialize(reduce(getattr, field, message), IMU_TYPE))
+        except Exception as error:  # the generated code may raise anything
+            raise ValueError(f'it does not match its schema: {error}') from error
+
+    return extract
 
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
@@ -222,42 +217,6 @@ def _temperature(
     """Return (header stamp, record time, degC) and the frame_id; None of a damaged message."""
     with suppress(MalformedMessage, ValueError):
         plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
-        encoding: Encoding = 'ros1' if topic.encoding == 'ros1' else 'cdr'
-        header_ns, frame_id, celsius = decode_temperature(plain, encoding)
+        header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))
         return (header_ns, record_ns, celsius), frame_id
     return None
-
-
-def nested_decoder(
-    topic: Topic, field: tuple[str, ...], trust_covariance: bool
-) -> Callable[[Payloads], DecodedImus]:
-    """Return a function that decodes the Imu in a field of the topic's messages."""
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
-    store.register(definitions_of(topic))
-    deserialize = store.deserialize_ros1 if topic.encoding == 'ros1' else store.deserialize_cdr
-
-    def decode(payloads: Payloads) -> DecodedImus:
-        decoded = DecodedImus.empty(len(payloads))
-        first = {sensor: np.empty(len(payloads)) for sensor in SENSORS}
-        for row, payload in enumerate(as_list(payloads)):
-            try:
-                message = deserialize(payload, topic.type)
-            except Exception as error:  # the generated code may raise anything
-                raise MalformedMessage(row, f'it does not match its schema: {error}') from error
-            imu = reduce(getattr, field, message)
-            stamp, frame_id = imu.header.stamp, imu.header.frame_id
-            decoded.stamps_ns[row] = stamp.sec * NANOSECONDS + stamp.nanosec
-            for sensor, name in (('gyro', 'angular_velocity'), ('accel', 'linear_acceleration')):
-                vector = getattr(imu, name)
-                decoded.samples[row, SENSORS[sensor]] = vector.x, vector.y, vector.z
-                first[sensor][row] = getattr(imu, f'{name}_covariance')[0]
-            if frame_id not in decoded.frame_ids:
-                decoded.frame_ids.append(frame_id)
-            decoded.frames[row] = decoded.frame_ids.index(frame_id)
-        for sensor in SENSORS:
-            decoded.drop_absent(sensor, slice(None), first[sensor], trust_covariance)
-        return decoded
-
-    return decode

@@ -10,10 +10,11 @@ import os
 import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, Protocol
 
@@ -105,6 +106,8 @@ class Storage(Protocol):
 
 def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the records of one type that begin at these byte offsets."""
+    if not len(start):
+        return np.empty(0, dtype)
     anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
     return anywhere[start]
 
@@ -139,6 +142,8 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
     """Translate what a library raises on a damaged file into an `AllanError`."""
     try:
         yield
+    except AllanError:
+        raise
     except errors as error:
         raise damaged(path, error, remedy) from error
 
@@ -175,64 +180,36 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """
     if compression in ('', 'none'):
         return bytes(data)
-    errors: tuple[type[Exception], ...] = (RuntimeError, EOFError, OSError, ValueError)
-    if compression == 'zstd':
-        errors = (*errors, _zstd().ZstdError)
-    elif compression not in ('lz4', 'bz2'):
-        raise ValueError(f'compression {compression!r} is unknown')
     try:
-        if compression == 'zstd':
-            plain = _expanded_zstd(data, limit)
-        else:
-            stream: Any = bz2.BZ2Decompressor() if compression == 'bz2' else _lz4_stream()
-            plain = stream.decompress(data, max_length=limit + 1)
-            if not stream.eof and len(plain) <= limit:
-                raise ValueError('the compressed data end early')
-    except errors as error:
-        raise ValueError(f'{error}') from error
+        size = _stated_size(data, compression)
+        if size > limit:
+            raise ValueError(f'it states {size} bytes, the limit is {limit}')
+        if size >= 0:
+            return bytes(_zstd_decompressor().decompress(data))
+        plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
+    except AllanError:
+        raise
+    except Exception as error:  # each library raises errors of its own
+        raise ValueError(str(error) or type(error).__name__) from error
     if len(plain) > limit:
         raise ValueError(f'the data expand to more than {limit} bytes')
     return plain
 
 
-def _lz4_stream() -> Any:
-    return optional_package('lz4.frame', 'reading lz4 data').LZ4FrameDecompressor()
+def _stated_size(head: bytes | memoryview, compression: str) -> int:
+    """Return the decompressed size that the first bytes of zstd data state, or -1."""
+    return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 
-def _expanded_zstd(data: bytes | memoryview, limit: int) -> bytes:
-    """Return decompressed data, at most a little beyond the limit."""
-    size = _zstd().frame_content_size(data)
-    if size > limit:
-        raise ValueError(f'it states {size} bytes, the limit is {limit}')
-    if size >= 0:
-        return bytes(_zstd_decompressor().decompress(data))
-    with _zstd().ZstdDecompressor().stream_reader(data) as reader:  # it states no size
-        return bytes(reader.read(limit + 1))
-
-
-def decompress_messages(
-    messages: list[bytes | memoryview], compression: str
-) -> Iterator[list[bytes | memoryview]]:
-    """Yield messages that were compressed one by one, in groups of limited total size.
-
-    Raises ValueError when a message is damaged or larger than `MAX_MESSAGE_BYTES`; its second
-    argument is the number of intact messages before it.
-    """
-    group: list[bytes | memoryview] = []
-    done = size = 0
-    for message in messages:
-        try:
-            plain = decompress(message, compression, MAX_MESSAGE_BYTES)
-        except ValueError as error:
-            raise ValueError(f'{compression}: {error}', done + len(group)) from error
-        group.append(plain)
-        size += len(plain)
-        if size > MAX_MESSAGE_BYTES:
-            yield group
-            done += len(group)
-            group, size = [], 0
-    if group:
-        yield group
+def _expanding(file: BinaryIO, compression: str) -> Any:
+    """Return a file with the decompressed content of another."""
+    if compression == 'zstd':
+        return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
+    if compression == 'lz4':
+        return optional_package('lz4.frame', 'reading lz4 data').open(file)
+    if compression == 'bz2':
+        return bz2.open(file)
+    raise ValueError(f'compression {compression!r} is unknown')
 
 
 def decompress_file(source: Path, compression: str, target: Path) -> None:
@@ -242,28 +219,23 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
     full.
     """
     remedy = 'copy it again; check the space for temporary files'
-    errors: tuple[type[Exception], ...] = (OSError, EOFError, RuntimeError, ValueError)
-    stated = 0
-    opened: Any
-    with open_regular(source) as file, target.open('wb') as out:
+    with (
+        translated(source, (Exception,), remedy),  # each library raises errors of its own
+        open_regular(source) as file,
+        target.open('wb') as out,
+    ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
-        if compression == 'zstd':
-            errors = (*errors, _zstd().ZstdError)
-            with translated(source, errors, remedy):
-                stated = _zstd().frame_content_size(file.read(MAX_FRAME_HEADER))
-            file.seek(0)
-            opened = _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
-        else:
-            opened = optional_package('lz4.frame', f'{source}: reading lz4 data').open(file)
-        with translated(source, errors, remedy):
-            size = 0
-            while data := opened.read(_COPY_BYTES):
-                size += len(data)
-                if size > limit:
-                    raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
-                out.write(data)
-            if size < max(stated, 1):
-                raise ValueError(f'{compression} data that end early')
+        stated = _stated_size(file.read(MAX_FRAME_HEADER), compression)
+        file.seek(0)
+        plain = _expanding(file, compression)
+        size = 0
+        while data := plain.read(_COPY_BYTES):
+            size += len(data)
+            if size > limit:
+                raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
+            out.write(data)
+        if size < max(stated, 1):
+            raise ValueError(f'{compression} data that end early')
 
 
 @lru_cache(maxsize=1)
@@ -284,15 +256,13 @@ def _zstd_decompressor() -> Any:
 class Chunk:
     """A stretch of the file that contains messages, the first recorded at ``start_ns``.
 
-    ``compression`` and ``size`` (decompressed) are known of ROS 1 chunks. Of mcap, the records of
-    ``index_length`` bytes behind it list its messages, or it has ``loose`` messages of no chunk.
+    In mcap, the records of ``index_length`` bytes behind it list its messages, or it has ``loose``
+    messages of no chunk.
     """
 
     start_ns: int
     offset: int
     length: int
-    compression: str = ''
-    size: int = 0
     index_length: int = 0
     loose: bool = False
 
@@ -389,7 +359,6 @@ class ChunkStorage(ABC):
         return data
 
 
-@dataclass
 class InOrder:
     """Sorts the messages of overlapping chunks by record time.
 
@@ -397,44 +366,39 @@ class InOrder:
     are complete; only the overlap is kept, so memory does not grow with the file.
     """
 
-    _held: list[Block] = field(default_factory=list)
+    def __init__(self) -> None:
+        self._held = Block(np.empty(0, np.int64), [])
 
     def add(self, block: Block, until: int | None) -> Block:
         """Add one chunk and return all messages recorded before ``until`` (None: all)."""
-        times = np.concatenate([*(held.record_ns for held in self._held), block.record_ns])
-        in_order = bool((times[1:] >= times[:-1]).all())
-        if in_order and not self._held and (until is None or not len(times) or times[-1] < until):
+        held, times = self._held, block.record_ns
+        complete = until is None or not len(times) or times[-1] < until
+        if complete and not len(held.record_ns) and (times[1:] >= times[:-1]).all():
             return block
-        payloads = _joined([part.payloads for part in (*self._held, block)])
-        if not in_order:
-            order = np.argsort(times, kind='stable')
-            times = times[order]
-            if isinstance(payloads, list):
-                payloads = [payloads[row] for row in order.tolist()]
-            else:
-                payloads = payloads[order]
+        payloads = _joined(held.payloads, block.payloads)
+        times = np.concatenate([held.record_ns, times])
+        order = np.argsort(times, kind='stable')
+        times = times[order]
         ready = len(times) if until is None else int(np.searchsorted(times, until))
-        self._held = [_copied(times[ready:], payloads[ready:])] if ready < len(times) else []
-        return Block(times[:ready], payloads[:ready])
+        later = _copied(payloads, order[ready:])
+        size = sum(map(len, later)) if isinstance(later, list) else later.nbytes
+        if size > MAX_HELD_BYTES:
+            raise ValueError(f'chunks overlap by more than {MAX_HELD_BYTES} bytes')
+        self._held = Block(times[ready:], later)
+        return Block(times[:ready], _copied(payloads, order[:ready]))
 
 
-def _copied(times: NDArray[np.int64], payloads: Payloads) -> Block:
-    """Return a block that does not keep the memory of its chunks alive."""
-    copies: Payloads
+def _joined(first: Payloads, second: Payloads) -> Payloads:
+    """Return the messages of both, as one array where all have the same length."""
+    if not len(first):
+        return second
+    if isinstance(first, list) or isinstance(second, list) or first.dtype != second.dtype:
+        return [*as_list(first), *as_list(second)]
+    return np.concatenate([first, second])
+
+
+def _copied(payloads: Payloads, rows: NDArray[np.intp]) -> Payloads:
+    """Return some messages, without keeping the memory of their chunk alive."""
     if isinstance(payloads, np.ndarray):
-        size, copies = payloads.nbytes, payloads.copy()
-    else:
-        size, copies = sum(map(len, payloads)), [bytes(payload) for payload in payloads]
-    if size > MAX_HELD_BYTES:
-        raise ValueError(f'chunks overlap by more than {MAX_HELD_BYTES} bytes')
-    return Block(times.copy(), copies)
-
-
-def _joined(parts: Iterable[Payloads]) -> Payloads:
-    """Return the messages of all parts, as one array where all have the same length."""
-    parts = list(parts)
-    arrays = [part for part in parts if isinstance(part, np.ndarray) and len(part)]
-    of_one_length = len({array.itemsize for array in arrays}) == 1
-    if of_one_length and sum(map(len, arrays)) == sum(map(len, parts)):
-        return np.concatenate(arrays)
-    return [one for part in parts for one in as_list(part)]
+        return payloads[rows]
+    return [bytes(payloads[row]) for row in rows.tolist()]

@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal, DecimalException
 from io import TextIOWrapper
+from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
@@ -26,17 +27,39 @@ from numpy.typing import NDArray
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import AXES, ImuBatch, even_stamps
+from ...core.imu import AXES, SAMPLE_SI, SENSORS, ImuBatch, even_stamps
 from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
+from .columns import LEFT_OUT, Columns, columns_of, listed, picked_names
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
-from .table_columns import TableLayout, bounded_lines, is_number, read_layout
 
 FRAME_COMMENT = '# frame_id:'
 
 COMMENT = '#'
 
 INT64 = np.iinfo(np.int64)
+
+MAX_LINE = 1 << 20
+"""Longest line of a table, in characters."""
+
+EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The form of a table.
+
+    ``delimiter`` is ',', ';', tab, or '' for white space, ``width`` the number of columns of every
+    row. The names are in the line ``header_line``, 0 without a header.
+    """
+
+    path: Path
+    delimiter: str
+    width: int
+    names: tuple[str, ...]
+    header_line: int
+    columns: Columns
+    rate_hz: float
 
 
 def open_table(path: Path, options: ReadOptions) -> Recording:
@@ -45,15 +68,92 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
     Raises AllanError when it has no rows, or its columns are unknown.
     """
     with _text(path) as file:
-        layout = read_layout(path, file, options)
-    info = SourceInfo(str(path), '', 'table', 'tsv' if layout.delimiter == '\t' else 'csv')
+        table = _read_form(path, file, options)
+    info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
     return Recording(
         info,
         None,
-        lambda report: _read(path, layout, report),
-        lambda frame_id: _temperature(path, layout),
-        options.with_units(layout.units),
+        lambda report: _read(table, report),
+        lambda frame_id: _temperature(table),
+        options.with_units(table.columns.units),
     )
+
+
+def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
+    """Return the form of a table, from its first lines.
+
+    Raises AllanError when there is no row, no name for the columns, or no sensor among them.
+    """
+    comment = ''
+    lines = _bounded_lines(path, file)
+    number = 0
+    for number, line in enumerate(lines, 1):  # noqa: B007
+        if line.startswith(COMMENT):
+            comment = line
+        elif not line.isspace():
+            break
+    else:
+        raise AllanError(f'{path}: has no line of data: record or export it again')
+    delimiter = next((mark for mark in '\t;,' if mark in line), '')
+    try:
+        rows = _split(chain([line], lines), delimiter)
+        first = tuple(cell.strip() for cell in next(rows))
+        number += getattr(rows, 'line_num', 1) - 1  # a header may have quoted line breaks
+        above = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
+    except (csv.Error, StopIteration) as error:
+        raise AllanError(
+            f'{path}: line {number} is not a row of a table: correct the file'
+        ) from error
+
+    given = tuple(name.strip() for name in options.columns)
+    picked = bool(given) and all('=' in name for name in given)
+    if given and not picked:
+        if len(given) != len(first):
+            raise AllanError(
+                f'{path}: has {len(first)} columns, {len(given)} are named by --columns: '
+                f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
+            )
+        used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
+        names, header_line = given, 0 if all(map(_is_number, used)) else number
+    elif not all(map(_is_number, first)):
+        names, header_line = first, number
+    elif len(above) == len(first) and not all(map(_is_number, above)):
+        names, header_line = tuple(cell.strip() for cell in above), 0
+    else:
+        raise AllanError(
+            f'{path}: has {len(first)} columns of numbers and no header: '
+            f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out)'
+        )
+    if header_line and all(line.startswith(COMMENT) or line.isspace() for line in lines):
+        raise AllanError(f'{path}: has no line after its header: record or export it again')
+    if picked:
+        names = picked_names(path, names, given)
+    columns = columns_of(path, names, options)
+    _check_complete(path, names, columns, options)
+    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
+
+
+def _check_complete(
+    path: Path, names: tuple[str, ...], columns: Columns, options: ReadOptions
+) -> None:
+    """Raise AllanError unless there are all axes of a sensor, and times."""
+    for sensor, place in SENSORS.items():
+        have = [AXES[axis] for axis in range(place.start, place.stop) if axis in columns.axes]
+        if have and len(have) < 3:
+            raise AllanError(
+                f'{path}: has {", ".join(have)} only: name all three {sensor} columns in the '
+                'header or with --columns'
+            )
+    if not columns.axes:
+        raise AllanError(
+            f'{path}: none of its columns ({listed(names)}) is a gyro or accel axis: name them, '
+            f'such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out) or gx=NAME,...'
+        )
+    if not columns.stamp and not options.rate_hz:
+        raise AllanError(
+            f'{path}: none of its columns ({listed(names)}) is a time: state the sample rate '
+            'with --rate, or name the column with --columns'
+        )
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
@@ -95,27 +195,57 @@ def _text(path: Path) -> TextIO:
     return TextIOWrapper(open_regular(path), encoding='utf-8-sig', errors='replace', newline=None)
 
 
+def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
+    """Yield the lines of a text file; raise AllanError when one is longer than `MAX_LINE`."""
+    number, read = 0, file.readline
+    while line := read(MAX_LINE):
+        number += 1
+        if len(line) == MAX_LINE and not line.endswith('\n'):
+            raise AllanError(
+                f'{path}: line {number} has more than {MAX_LINE} characters: '
+                'give a table of numbers'
+            )
+        yield line
+
+
+def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    """Yield the cells of each row; a quoted cell may contain line breaks.
+
+    Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
+    """
+    if not delimiter:
+        return map(str.split, lines)
+    return csv.reader(lines, delimiter=delimiter, strict=True)
+
+
+def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number, NaN and infinity included."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
 class _Lines:
     """The lines of a table after its header, without comments and empty lines.
 
     The last line has the ``number``, from 1, and the last comment that states one the ``frame_id``.
     """
 
-    def __init__(self, path: Path, file: TextIO, layout: TableLayout) -> None:
+    def __init__(self, table: _Table, file: TextIO) -> None:
         self.number = 0
         self.frame_id = ''
         self.complete = True
-        self._path = path
-        self._file = file
-        self._header_line = layout.header_line
+        self._table, self._file = table, file
 
     def __iter__(self) -> Iterator[str]:
-        for line in bounded_lines(self._path, self._file):
+        for line in _bounded_lines(self._table.path, self._file):
             self.number += 1
             if line.startswith(COMMENT):
                 if line.startswith(FRAME_COMMENT):
                     self.frame_id = line[len(FRAME_COMMENT) :].strip()
-            elif self.number > self._header_line and not line.isspace():
+            elif self.number > self._table.header_line and not line.isspace():
                 self.complete = line.endswith('\n')
                 yield line
 
@@ -124,8 +254,7 @@ class _Lines:
 class _Rows:
     """Consecutive rows of one frame: their line numbers and cells."""
 
-    path: Path
-    layout: TableLayout
+    table: _Table
     first: int = 0
     frame_id: str = ''
     numbers: list[int] = field(default_factory=list)
@@ -133,36 +262,34 @@ class _Rows:
 
     def batch(self) -> ImuBatch:
         """Return the rows as samples."""
-        layout, n = self.layout, len(self.cells)
+        table, n = self.table, len(self.cells)
+        known = table.columns
         for number, row in zip(self.numbers, self.cells):
-            if len(row) != layout.width:
+            if len(row) != table.width:
                 raise AllanError(
-                    f'{self.path}: line {number} has {len(row)} columns, {layout.width} expected: '
+                    f'{table.path}: line {number} has {len(row)} columns, {table.width} expected: '
                     'correct or remove the line'
                 )
         columns = list(zip(*self.cells))
         samples = np.full((n, len(AXES)), np.nan)
-        for axis, (column, scale) in layout.axes.items():
+        for axis, (column, scale) in known.axes.items():
             samples[:, axis] = self._floats(columns[column], column)
             if scale != 1.0:
                 samples[:, axis] *= scale
-        times = []
-        for parts in (layout.stamp, layout.record):
-            total = np.zeros(n, np.int64)
-            for column, scale in parts:
-                total += self._nanoseconds(columns[column], column, scale)
-            times.append(total)
-        stamps, record = times
-        if not layout.stamp:
-            stamps = even_stamps(self.first, n, layout.rate_hz)
-        return ImuBatch(stamps, samples, record if layout.record else None, self.frame_id)
+        stamps, record = (
+            sum((self._nanoseconds(columns[c], c, s) for c, s in parts), np.zeros(n, np.int64))
+            for parts in (known.stamp, known.record)
+        )
+        if not known.stamp:
+            stamps = even_stamps(self.first, n, table.rate_hz)
+        return ImuBatch(stamps, samples, record if known.record else None, self.frame_id)
 
     def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
         """Return one column as numbers; an empty cell is a missing value."""
         with suppress(ValueError):
             return np.array(list(map(float, cells)))
         for row, cell in enumerate(cells):
-            if cell.strip() and not is_number(cell):
+            if cell.strip() and not _is_number(cell):
                 raise self._not_a_number(row, column)
         return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
 
@@ -179,7 +306,7 @@ class _Rows:
                 raise self._not_a_number(row, column) from None
             if not INT64.min <= value <= INT64.max:
                 raise AllanError(
-                    f'{self.path}: line {self.numbers[row]}, column {column + 1}: the time '
+                    f'{self.table.path}: line {self.numbers[row]}, column {column + 1}: the time '
                     f'{cell.strip()} does not fit the range of stamps: state its unit with '
                     '--stamp-unit (s, ms, us, ns)'
                 )
@@ -188,29 +315,29 @@ class _Rows:
 
     def _not_a_number(self, row: int, column: int) -> AllanError:
         cell = self.cells[row][column].strip()[:40]
-        name = f' ({self.layout.names[column]})' if self.layout.names else ''
+        name = f' ({self.table.names[column]})' if self.table.names else ''
         return AllanError(
-            f'{self.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is not a '
-            'number: correct or remove the line'
+            f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '
+            'not a number: correct or remove the line'
         )
 
 
-def _rows(path: Path, file: TextIO, layout: TableLayout, report: Report) -> Iterator[_Rows]:
+def _rows(table: _Table, file: TextIO, report: Report) -> Iterator[_Rows]:
     """Yield the rows, about `BATCH` at a time; a comment with another frame_id begins new ones.
 
     The last line is not used if it has no line end, because its last number may be truncated.
     """
-    lines = _Lines(path, file, layout)
-    rows = _Rows(path, layout)
+    path = table.path
+    lines, rows = _Lines(table, file), _Rows(table)
     try:
-        for cells in layout.rows(lines):
+        for cells in _split(lines, table.delimiter):
             if not lines.complete:
                 report(finding('table_cut', path=path, line=lines.number))
                 break
             if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
                 if rows.cells:
                     yield rows
-                rows = _Rows(path, layout, rows.first + len(rows.cells), lines.frame_id)
+                rows = _Rows(table, rows.first + len(rows.cells), lines.frame_id)
             rows.numbers.append(lines.number)
             rows.cells.append(cells)
     except csv.Error as error:
@@ -224,30 +351,30 @@ def _rows(path: Path, file: TextIO, layout: TableLayout, report: Report) -> Iter
         yield rows
 
 
-def _read(path: Path, layout: TableLayout, report: Report) -> Iterator[ImuBatch]:
+def _read(table: _Table, report: Report) -> Iterator[ImuBatch]:
     """Yield the rows as batches."""
-    for sensor, (unit, name) in layout.assumed.items():
-        report(finding('unit_assumed', path=path, sensor=sensor, unit=unit, name=name))
-    with _text(path) as file:
-        for rows in _rows(path, file, layout, report):
+    for sensor, name in table.columns.assumed.items():
+        unit = SAMPLE_SI[sensor]
+        report(finding('unit_assumed', path=table.path, sensor=sensor, unit=unit, name=name))
+    with _text(table.path) as file:
+        for rows in _rows(table, file, report):
             yield rows.batch()
 
 
-def _temperature(path: Path, layout: TableLayout) -> TemperatureTrace | None:
+def _temperature(table: _Table) -> TemperatureTrace | None:
     """Return the temperature column, if there is one."""
-    column = layout.temperature
+    column = table.columns.temperature
     if column is None:
         return None
     kept: Decimated[tuple[int, list[str]]] = Decimated()
-    with _text(path) as file:
-        for row, cells in enumerate(layout.rows(_Lines(path, file, layout))):
+    with _text(table.path) as file:
+        for row, cells in enumerate(_split(_Lines(table, file), table.delimiter)):
             kept.add((row, cells))
     readings = []
     for row, cells in kept:
         with suppress(ValueError, IndexError, DecimalException):  # a truncated line
-            if layout.stamp:
-                stamp = sum(round(Decimal(cells[at].strip()) * size) for at, size in layout.stamp)
-            else:
-                stamp = round(row * 1e9 / layout.rate_hz)
+            stamp = round(row * 1e9 / table.rate_hz) if table.rate_hz else 0
+            if parts := table.columns.stamp:
+                stamp = sum(round(Decimal(cells[at].strip()) * size) for at, size in parts)
             readings.append((stamp, stamp, float(cells[column])))
-    return trace_of(layout.names[column].strip(), readings)
+    return trace_of(table.names[column].strip(), readings)

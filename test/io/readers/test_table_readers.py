@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
-from allan_ros.io.readers import table_columns, tables
+from allan_ros.io.readers import tables
 
 DEG = np.pi / 180
 ROW = '1,2,3,4,5,6'
@@ -139,7 +139,7 @@ def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path, read: Any) -> Non
 
 def test_a_line_without_end_is_refused(tmp_path: Path, refused: Any) -> None:
     path = tmp_path / 'imu.csv'
-    path.write_text('t,gx,gy,gz\n1,1,2,3\n' + '1' * (table_columns.MAX_LINE + 5))
+    path.write_text('t,gx,gy,gz\n1,1,2,3\n' + '1' * (tables.MAX_LINE + 5))
     assert 'line 3 has more than' in refused(path)
 
 

@@ -1,0 +1,181 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the columns of a table or DataFrame are, from their names.
+
+Names are recognized by how they end, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
+``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. A unit in brackets takes
+precedence over the unit in the options.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ...core.errors import AllanError
+from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
+from .recording import ReadOptions
+
+LEFT_OUT = '-'
+
+_BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
+
+_KINDS = {
+    kind: re.compile(pattern)
+    for kind, pattern in {
+        'gyro': '(?:^|_)(?:g|w|gyro|gyr|gyroscope|omega|ang_vel|angular_velocity|angular_rate|'
+        'w_rs_s)_?([xyz])$',
+        'accel': '(?:^|_)(?:a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|'
+        'a_rs_s)_?([xyz])$',
+        'record': '^record(?:_time|_stamp)?(?:_(s|ms|us|ns))?$',
+        'sec': '(?:^|_)secs?()$',
+        'nanosec': '(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)()$',
+        'stamp': '(?:^|_)(?:timestamp|stamp)s?(?:_(s|ms|us|ns))?$',
+        'time': '(?:^|_)(?:t|time)(?:_(s|ms|us|ns))?$',
+        'temperature': '(?:^|_)(?:temp|temperature)(?:_(c|degc|celsius))?$',
+    }.items()
+}
+"""What a column is -> names of such columns, and the group that states its axis or unit."""
+
+_STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',))
+"""Columns that a stamp is the sum of; a stamp of the sensor has precedence over other times."""
+
+_UNIT_SPELLINGS = {
+    'rads^-1': 'rad/s', 'degs^-1': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'rad/sec': 'rad/s',
+    'm/s2': 'm/s^2', 'm/s/s': 'm/s^2', 'ms^-2': 'm/s^2', 'm/s²': 'm/s^2', 'sec': 's', 'µs': 'us',
+}  # fmt: skip
+
+
+class Meaning(NamedTuple):
+    """What one column is: a key of `_KINDS` or '', its axis or unit of time, and its unit."""
+
+    kind: str
+    detail: str
+    unit: str
+    is_si: bool
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the columns of a table are.
+
+    Attributes
+    ----------
+    axes : dict
+        Index of the axis in `AXES` -> (column, factor to SI).
+    stamp, record : tuple of (column, factor to nanoseconds)
+        Columns whose sum is the stamp (``sec`` and ``nanosec``, or one); empty if there is none.
+    temperature : int or None
+        Column of the temperature in degC.
+    units, assumed : dict
+        Sensor -> unit of its columns; and sensor -> name of a column, where neither the names nor
+        the options state a unit.
+    """
+
+    axes: dict[int, tuple[int, float]]
+    stamp: tuple[tuple[int, int], ...]
+    record: tuple[tuple[int, int], ...]
+    temperature: int | None
+    units: dict[str, str]
+    assumed: dict[str, str]
+
+
+def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
+    """Return what the columns of these names are; the first of several alike counts.
+
+    Raises AllanError, with the table ``where``, when the unit of a column is unknown.
+    """
+    axes: dict[int, tuple[int, float]] = {}
+    units: dict[str, str] = {}
+    assumed: dict[str, str] = {}
+    times: dict[str, tuple[int, int]] = {}
+    temperature = None
+    for column, name in enumerate(names):
+        kind, detail, unit, is_si = _meaning(name)
+        if kind in SENSORS:
+            stated = unit or getattr(options, f'{kind}_unit')
+            if not stated and not is_si:
+                assumed.setdefault(kind, name)
+            stated = stated or SAMPLE_SI[kind]
+            if stated not in SAMPLE_UNITS[kind]:
+                raise AllanError(
+                    f'{where}: the unit of column {name!r} is unknown: use one of '
+                    f'{", ".join(SAMPLE_UNITS[kind])}'
+                )
+            units.setdefault(kind, stated)
+            axes.setdefault(AXES.index(f'{kind}_{detail}'), (column, UNITS[stated].factor))
+        elif kind in ('sec', 'nanosec'):
+            times.setdefault(kind, (column, STAMP_UNITS['s' if kind == 'sec' else 'ns']))
+        elif kind == 'temperature':
+            if temperature is None and unit in ('', 'c', 'degc', 'celsius'):
+                temperature = column
+        elif kind:
+            size = STAMP_UNITS[unit if unit in STAMP_UNITS else detail or options.stamp_unit]
+            times.setdefault(kind, (column, size))
+    stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
+    return Columns(
+        axes,
+        tuple(times[kind] for kind in stamp),
+        (times['record'],) if 'record' in times else (),
+        temperature,
+        units,
+        assumed,
+    )
+
+
+def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of all columns, from pairs such as ``gx=w_x``.
+
+    The unit of a header name is kept; columns that are not in the pairs are left out.
+    """
+    meanings = [LEFT_OUT] * len(names)
+    bare = [_base_and_unit(name)[0] for name in names]
+    for pair in pairs:
+        meaning, _, wanted = (word.strip() for word in pair.partition('='))
+        places = [at for at, name in enumerate(names) if name == wanted]
+        places = places or [at for at, name in enumerate(bare) if name == _base_and_unit(wanted)[0]]
+        if len(places) != 1:
+            raise AllanError(
+                f'{where}: {len(places)} of its columns ({listed(names)}) are named {wanted!r}: '
+                f'correct --columns {pair}'
+            )
+        unit = _BRACKET.match(names[places[0]])
+        if unit and not _BRACKET.match(meaning):
+            meaning = f'{meaning} [{unit[2]}]'
+        meanings[places[0]] = meaning
+    return tuple(meanings)
+
+
+def listed(names: tuple[str, ...], most: int = 10) -> str:
+    """Return the first names, and how many more there are."""
+    text = ', '.join(names[:most])
+    return f'{text} and {len(names) - most} more' if len(names) > most else text
+
+
+def _meaning(name: str) -> Meaning:
+    """Return what a column is, by the end of its name.
+
+    Examples
+    --------
+    >>> _meaning('Gyro X [deg/sec]'), _meaning('label').kind
+    (Meaning(kind='gyro', detail='x', unit='deg/s', is_si=False), '')
+    """
+    base, unit = _base_and_unit(name)
+    unit = unit.replace(' ', '').replace('°', 'deg')
+    unit = _UNIT_SPELLINGS.get(unit, unit)
+    base = re.sub(r'[^a-z0-9]+', '_', base).strip('_')
+    # these names are those of `write_table` and of the ROS messages, which are SI
+    is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
+    for kind, pattern in _KINDS.items():
+        if match := pattern.search(base):
+            return Meaning(kind, match[1] or '', unit, is_si)
+    return Meaning('', '', unit, is_si)
+
+
+def _base_and_unit(name: str) -> tuple[str, str]:
+    """Return a column name in lower case without its unit, and the unit."""
+    text = name.strip().lower()
+    match = _BRACKET.match(text)
+    return (match[1], match[2]) if match else (text, '')
