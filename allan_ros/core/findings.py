@@ -363,6 +363,9 @@ file_left_out: warning
 export_limits: info
   Upper limits (95 %) instead of measured values: {keys}.
   > Record longer, or reject limits with --strict.
+export_no_interval: info
+  Values without a 95 % interval: {keys}.
+  > Record longer and fit with method gls, or reject them with --strict.
 export_clamped: warning
   {key} would be {value:g}, outside the accepted range {low:g} to {high:g}; {written:g} is written.
   > Check unit and rate.

@@ -63,6 +63,11 @@ class Level:
     raised_from: float | None = None
 
     @property
+    def no_interval(self) -> bool:
+        """Whether it is an estimate without an interval: its method gives none, or it is likely."""
+        return self.ci95 is None and not self.is_limit and self.raised_from is None
+
+    @property
     def ends(self) -> Ends:
         """The value with its interval: from 0 to a limit, to infinity without an interval."""
         low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
@@ -93,13 +98,13 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
     Raises
     ------
     AllanError
-        When there is neither a positive estimate nor a finite limit, or ``strict`` and only a
-        limit. The message names ``axis``.
+        When there is neither a positive estimate nor a finite limit, or ``strict`` and no 95 %
+        interval. The message names ``axis``.
     """
     coefficient = fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
     if coefficient.status == 'estimated' and value is not None and 0.0 < value < math.inf:
-        return Level(axis, term, value, coefficient.ci95)
+        return _accepted(Level(axis, term, value, coefficient.ci95), strict)
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
             f'{term} of {axis} has neither a value nor a limit: record longer, or fit by method gls'
@@ -110,6 +115,16 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
             'limit by leaving out --strict'
         )
     return Level(axis, term, limit, is_limit=True)
+
+
+def _accepted(level: Level, strict: bool) -> Level:
+    """Return the level, unless ``strict`` refuses it because it has no interval."""
+    if strict and level.no_interval:
+        raise AllanError(
+            f'{level.term} of {level.axis} has no 95 % interval: record longer, fit by method gls, '
+            'or leave out --strict'
+        )
+    return level
 
 
 def reduce_axis(
@@ -134,7 +149,8 @@ def reduce_axis(
     horizons : Horizons
         Range of times over which the filter integrates.
     strict : bool
-        Refuse upper limits and reductions that are off by more than `POOR_RATIO`.
+        Refuse upper limits, values without a 95 % interval, and reductions that are off by more
+        than `POOR_RATIO`. A value that the reduction raises is accepted.
     expect_walk : bool
         Whether an unresolved K counts as in `expected_model`.
 
@@ -167,6 +183,7 @@ def reduce_axis(
         walk = Level(axis, 'K', reduction.walk, fit.noise['K'].ci95)
         if reduction.walk > 1.001 * resolved_walk:
             walk = replace(walk, ci95=None, raised_from=resolved_walk)
+        walk = _accepted(walk, strict)
     if reduction.white > 1.001 * white.value:
         white = Level(axis, 'N', reduction.white, raised_from=white.value)
     return AxisReduction(reduction, {'N': white, **({'K': walk} if walk else {})})

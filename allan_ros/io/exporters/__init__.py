@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...core.errors import AllanError
 from ...core.findings import Finding, finding
-from ...core.settings import check, parameter
+from ...core.settings import CheckedSettings, parameter
 
 if TYPE_CHECKING:
+    from ...core.filters.noise_parameters import Level
     from ..results import Results
     from .model import FilterNoise
 
@@ -73,7 +74,7 @@ Value = Any
 
 
 @dataclass(frozen=True)
-class ExportOptions:
+class ExportOptions(CheckedSettings):
     """Options of a file for a filter."""
 
     axis: str = parameter(
@@ -99,8 +100,9 @@ class ExportOptions:
     )
     strict: bool = parameter(
         False,
-        'Refuse to write 95 % upper limits, and reductions that misstate the error growth by more '
-        'than a factor of 2.',
+        'Refuse to write 95 % upper limits, values without a 95 % interval, and reductions that '
+        'misstate the error growth by more than a factor of 2. A value that the reduction raises '
+        'is accepted.',
     )
     exact: bool = parameter(
         False,
@@ -128,9 +130,6 @@ class ExportOptions:
         '', 'The date to name in the file; empty: the time of the first recorded sample.'
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -140,7 +139,7 @@ class Entry:
     value: Value
     # origin of the number: unit, formula, axis, interval. '' for what is not measured
     words: str = ''
-    is_limit: bool = False  # whether the number comes from a 95 % upper limit
+    levels: tuple[Level, ...] = ()  # the measured levels that it is made from
     # whether to leave the value in the user's own file alone, because it is not measured
     keep: bool = False
     findings: tuple[Finding, ...] = ()  # facts for the user of the file
@@ -149,6 +148,16 @@ class Entry:
     def key(self) -> str:
         """The last key of the path."""
         return self.path[-1]
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether the number comes from a 95 % upper limit."""
+        return any(level.is_limit for level in self.levels)
+
+    @property
+    def no_interval(self) -> bool:
+        """Whether the number comes from a value without a 95 % interval."""
+        return any(level.no_interval for level in self.levels)
 
 
 class Row(NamedTuple):
@@ -282,7 +291,9 @@ def make_export(
     )
     findings = [note for entry in entries for note in entry.findings]
     findings += noise.reduction_findings()
-    limits = [entry.key for entry in entries if entry.is_limit]
-    if limits:
-        findings.append(finding('export_limits', keys=', '.join(dict.fromkeys(limits))))
+    for id, keys in (
+        ('export_limits', [entry.key for entry in entries if entry.is_limit]),
+        ('export_no_interval', [entry.key for entry in entries if entry.no_interval]),
+    ):
+        findings += [finding(id, keys=', '.join(dict.fromkeys(keys)))] if keys else []
     return Export(text, tuple(dict.fromkeys(findings)))

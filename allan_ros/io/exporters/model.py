@@ -64,7 +64,7 @@ class SensorProcess(NamedTuple):
     tau: tuple[float, ...]
     words: str
     findings: tuple[Finding, ...]
-    is_limit: bool = False  # whether it follows from a 95 % upper limit of K
+    levels: tuple[Level, ...]  # K of the axes without a fitted process, which it follows from
 
     @property
     def driving(self) -> tuple[float, ...]:
@@ -78,24 +78,11 @@ def rounded(value: float) -> float:
 
 
 class FilterNoise:
-    """The noise of one IMU, with one set of options, for one target.
+    """The noise of one IMU, with one set of options, for one target; ``rule`` is the axis rule.
 
-    Attributes
-    ----------
-    results : Results
-    options : ExportOptions
-    target : Target
-    rule : str
-        The axis rule in force.
-    rate, rate_words : float, str
-        Rate in Hz at which the filter steps, and where it comes from.
-    horizons : Horizons
-        Range over which a reduction holds.
-
-    Raises
-    ------
-    AllanError
-        When an option does not fit the target.
+    The filter steps at ``rate`` Hz; reductions hold over ``horizons``. Every method raises
+    AllanError where an option does not fit the target, a sensor is absent, or an axis has neither
+    a value nor a limit.
     """
 
     def __init__(self, results: Results, options: ExportOptions, target: Target) -> None:
@@ -109,18 +96,16 @@ class FilterNoise:
         self.options = options
         self.target = target
         self.rule = options.axis or ('each' if target.three else AXIS_RULE)
-        self.rate, self.rate_words = _rate(results, options, target)
+        self.rate, self.rate_words = rounded(results.rate_hz), 'that of the recording'
+        if options.filter_rate:
+            self.rate, self.rate_words = options.filter_rate, 'given as the rate of the filter'
+        elif target.rate_hz:
+            self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizons = Horizons.up_to(options.horizon or target.horizon_s)
         self._used: dict[str, AxisReduction] = {}
 
     def entries(self) -> list[Entry]:
-        """Return the entries of the file.
-
-        Raises
-        ------
-        AllanError
-            When a sensor is absent, or an axis has neither value nor limit.
-        """
+        """Return the entries of the file."""
         target = self.target
         found = [self.row_entry(row) for row in target.rows]
         found += [Entry((*target.parent, k), v, keep=True) for k, v in target.fixed.items()]
@@ -178,11 +163,9 @@ class FilterNoise:
             sigmas = bias.driving if equals else bias.sigma
             values = tuple(sigma / UNITS[row.unit].factor for sigma in sigmas)
         written = [rounded(value) for value in values]
-        three = self.target.three
-        is_limit = bias.is_limit and row.what != 'tau'
-        return Entry(
-            path, written if three else written[0], words, is_limit, findings=bias.findings
-        )
+        levels = () if row.what == 'tau' else bias.levels
+        value = written if self.target.three else written[0]
+        return Entry(path, value, words, levels, findings=bias.findings)
 
     def entry(
         self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
@@ -191,28 +174,15 @@ class FilterNoise:
         values = [rounded(convert(value, self.rate)) for value in level.values]
         equals = f' = {formula}' if formula else ''
         words = f'[{unit}]{equals}: {"; ".join(map(level_words, level.levels))}'
-        is_limit = any(one.is_limit for one in level.levels)
-        return Entry(path, values if self.target.three else values[0], words, is_limit)
+        return Entry(path, values if self.target.three else values[0], words, level.levels)
 
     def level(self, sensor: str, term: str) -> SensorLevel:
-        """Return the level of a term of a sensor; N and K are those of the reduction.
-
-        Raises
-        ------
-        AllanError
-            When the sensor is absent, or an axis has neither value nor limit.
-        """
+        """Return the level of a term of a sensor; N and K are those of the reduction."""
         levels = [self._axis_level(axis, term) for axis in self.axes_of(sensor)]
         return sensor_level(levels, self.rule, self.options.inflate)
 
     def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
-        """Return the three axes of a sensor.
-
-        Raises
-        ------
-        AllanError
-            When the sensor is absent.
-        """
+        """Return the three axes of a sensor."""
         names = AXES[SENSORS[sensor]]
         missing = [name for name in names if name not in self.results.axes]
         if missing:
@@ -236,13 +206,7 @@ class FilterNoise:
         return self._used[axis].levels[term]
 
     def process(self, sensor: str) -> SensorProcess:
-        """Return the Gauss-Markov bias of a sensor.
-
-        Raises
-        ------
-        AllanError
-            When the sensor is absent, or an axis has neither value nor limit.
-        """
+        """Return the Gauss-Markov bias of a sensor."""
         names = list(self.axes_of(sensor))
         common = any(row.what == 'common_tau' for row in self.target.rows)
         tau = self.common_tau if common or self.rule != 'each' else None
@@ -252,17 +216,16 @@ class FilterNoise:
         unit = SI_UNITS[sensor]['B']
         axes = self.results.axes
         others = tuple(name for name in names if not axes[name].fit.selected.gauss_markov)
-        limits = [n for n in others if self.reduction(n, 'processes').levels['K'].is_limit]
+        walks = {name: self.reduction(name, 'processes').levels['K'] for name in others}
         described = '; '.join(
-            f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s'
-            + (' from the 95 % upper limit of K' if name in limits else '')
+            f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s{_origin(walks.get(name))}'
             for name, (s, t) in zip(names, pairs)
         )
         bounds = 'bounds' if self.target.bound else 'follows'
         words = f'sigma and correlation time whose growth {bounds} that of the model: {described}'
         note = finding('export_no_gauss_markov', others, horizons=self.horizons)
         taus = tuple(tau for _, tau in pairs)
-        return SensorProcess(sigma, taus, words, (note,) if others else (), bool(limits))
+        return SensorProcess(sigma, taus, words, (note,) if others else (), tuple(walks.values()))
 
     @cached_property
     def common_tau(self) -> float:
@@ -313,13 +276,22 @@ def level_words(level: Level) -> str:
         limit = significant(level.value, LIMIT_DIGITS)
         return f'{words} not observable, 95 % upper limit {limit} {unit}'
     words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
+    if level.raised_from:
+        measured = significant(level.raised_from, VALUE_DIGITS)
+        return f'{words}, raised from {measured} to cover the error growth of the other terms'
     if level.raised_from is not None:
-        measured = significant(level.raised_from, VALUE_DIGITS) if level.raised_from else 'none'
-        return f'{words}, raised from {measured} to cover the other terms'
+        return f'{words}, not in the model, set to cover the error growth of the other terms'
     if level.ci95 is None:
-        return f'{words}, no interval'
+        return f'{words}, no 95 % interval'
     low, high = (significant(end, VALUE_DIGITS) for end in level.ci95)
     return f'{words}, 95 % interval {low} .. {high}'
+
+
+def _origin(walk: Level | None) -> str:
+    """Return which K a process is made from, if it is a limit or has no interval."""
+    if walk is None or not (walk.is_limit or walk.no_interval):
+        return ''
+    return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
 
 
 def clamped(entry: Entry, low: float, high: float) -> Entry:
@@ -336,14 +308,6 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
 def divided(factor: float) -> Convert:
     """Return the conversion to a unit that equals ``factor`` SI units."""
     return lambda value, rate: value / factor
-
-
-def _rate(results: Results, options: ExportOptions, target: Target) -> tuple[float, str]:
-    if options.filter_rate:
-        return options.filter_rate, 'given as the rate of the filter'
-    if target.rate_hz:
-        return rounded(target.rate_hz), "the filter's own step"
-    return rounded(results.rate_hz), 'that of the recording'
 
 
 NAMED_SOURCES = 3
@@ -367,6 +331,7 @@ def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> lis
     """
     results, target, inflate = noise.results, noise.target, noise.options.inflate
     limits = dict.fromkeys(entry.key for entry in entries if entry.is_limit)
+    unsure = dict.fromkeys(entry.key for entry in entries if entry.no_interval)
     lines = [
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
@@ -378,6 +343,7 @@ def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> lis
         *noise.reduction_lines(),
         *(f'{entry.key} {entry.words}' for entry in entries if entry.words),
         f'upper limits instead of measurements: {", ".join(limits) or "none"}',
+        *([f'values without a 95 % interval: {", ".join(unsure)}'] if unsure else []),
         *(f'note: {note}' for note in target.notes),
         *dict.fromkeys(f'note: {note}' for entry in entries for note in entry.findings),
         *(f'warning: {note}' for note in noise.reduction_findings()),

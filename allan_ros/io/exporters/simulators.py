@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.filters.noise_parameters import reduce_axis
+from ...core.filters.noise_parameters import Level, reduce_axis
 from ...core.filters.reductions import STATES, Horizons, Reduction, StateSpace
 from ...core.imu import SI_UNITS, UNITS, sensor_of
 from . import (
@@ -43,23 +43,23 @@ MATRIX_DIGITS = 12
 """Significant digits of the matrices: diagonal elements of Phi are close to 1."""
 
 
-def _spaces(noise: FilterNoise) -> Iterator[tuple[str, StateSpace, list[str]]]:
-    """Yield each axis with its states, and the terms that are upper limits."""
+def _spaces(noise: FilterNoise) -> Iterator[tuple[str, StateSpace, tuple[Level, ...]]]:
+    """Yield each axis with its states, and the levels of N and K."""
     inflate = noise.options.inflate
     for axis in noise.results.axes:
         reduced = noise.reduction(axis, 'processes', expect_walk=True)
         one = reduced.reduction
         processes = tuple((rounded(inflate * s), rounded(tau)) for s, tau in one.gauss_markov)
         space = StateSpace(rounded(inflate * one.white), rounded(inflate * one.walk), processes)
-        yield axis, space, [term for term, level in reduced.levels.items() if level.is_limit]
+        yield axis, space, tuple(reduced.levels.values())
 
 
 def _document(noise: FilterNoise) -> Iterator[Entry]:
     yield Entry(('schema',), SCHEMA)
     yield Entry(('rate_hz',), noise.rate)
-    for axis, space, limits in _spaces(noise):
-        document = _axis(noise, axis, space, limits)
-        yield Entry(('axes', axis), document, is_limit=bool(limits))
+    for axis, space, levels in _spaces(noise):
+        limits = [level.term for level in levels if level.is_limit]
+        yield Entry(('axes', axis), _axis(noise, axis, space, limits), levels=levels)
 
 
 def _axis(noise: FilterNoise, axis: str, space: StateSpace, limits: list[str]) -> dict[str, Any]:
@@ -117,15 +117,16 @@ def _reduction(one: Reduction) -> dict[str, Any]:
 
 
 def _module(noise: FilterNoise) -> Iterator[Entry]:
-    axes, limited = {}, False
-    for axis, space, limits in _spaces(noise):
-        limited = limited or bool(limits)
-        axes[axis] = {
+    spaces = list(_spaces(noise))
+    axes = {
+        axis: {
             'white': space.white,
             'walk': space.walk,
             'gauss_markov': [list(pair) for pair in space.gauss_markov],
         }
-    yield Entry(('AXES',), axes, is_limit=limited)
+        for axis, space, _ in spaces
+    }
+    yield Entry(('AXES',), axes, levels=tuple(level for *_, levels in spaces for level in levels))
 
 
 _CODE = '''
@@ -208,7 +209,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
             # at least half of the variance, so that rounding does not suppress the noise completely
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
-            yield Entry((*path, 'stddev'), rounded(stddev), white_words, white.is_limit)
+            yield Entry((*path, 'stddev'), rounded(stddev), white_words, white.levels)
             if turn_on:
                 words = (
                     f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
@@ -216,7 +217,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
                 sigma = rounded(noise.options.inflate * turn_on.std)
                 yield Entry((*path, 'bias_stddev'), sigma, words)
             driving = Entry((*path, 'dynamic_bias_stddev'), rounded(bias.driving[i]), driving_words)
-            yield replace(driving, is_limit=bias.is_limit, findings=bias.findings)
+            yield replace(driving, levels=bias.levels, findings=bias.findings)
             yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
             if step:
                 words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'

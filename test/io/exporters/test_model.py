@@ -13,6 +13,7 @@ import yaml
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import Coefficient
+from allan_ros.core.fit.model import Status
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.results import Results
 
@@ -100,6 +101,31 @@ def test_a_walk_that_is_not_observable_is_written_as_its_limit(
     assert 'upper limits instead of measurements: gyroscope_random_walk\n' in path.read_text()
     with pytest.raises(AllanError, match='K of gyro_y is not observable'):
         export(hidden, 'kalibr', tmp_path, ExportOptions(strict=True, fidelity='coefficients'))
+
+
+@pytest.mark.parametrize('target', ['kalibr', 'kf_gins', 'gazebo', 'state_space'])
+@pytest.mark.parametrize('status', ['estimated', 'not_observable'])
+def test_a_value_without_interval_is_stated_and_strict_refuses_it(
+    results: Results, target: str, status: Status
+) -> None:
+    unsure = results
+    for axis in results.axes:  # K is the only drift; it is likely, or its method gives no interval
+        for term in ('B', 'R'):
+            unsure = with_coefficient(
+                unsure, axis, term, Coefficient(None, None, 1e-12, 'not_observable')
+            )
+        unsure = with_coefficient(unsure, axis, 'K', Coefficient(4e-6, None, 5e-6, status))
+    made = make_export(unsure, target)
+    assert 'values without a 95 % interval: ' in made.text
+    assert 'export_no_interval' in [found.id for found in made.findings]
+    with pytest.raises(AllanError, match=r'K of .* has no 95 % interval: record longer'):
+        make_export(unsure, target, ExportOptions(strict=True))
+
+
+def test_strict_accepts_intervals_and_what_a_reduction_raises(results: Results) -> None:
+    for options in (BARE, ExportOptions()):
+        made = make_export(results, 'kalibr', replace(options, strict=True))
+        assert 'values without' not in made.text and 'no 95 % interval' not in made.text
 
 
 @pytest.mark.parametrize(

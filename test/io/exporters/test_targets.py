@@ -119,8 +119,8 @@ def test_k_is_raised_to_cover_the_other_terms(known_results: Results, name: str)
     made = make_export(known_results, name)
     horizon = target_of(name).horizon_s
     assert f'error growth of the complete model over 1 to {horizon:g} s' in made.text
-    assert 'raised from 1.000e-05 to cover the other terms' in made.text
-    assert 'raised from none to cover the other terms' in made.text
+    assert 'raised from 1.000e-05 to cover the error growth of the other terms' in made.text
+    assert 'not in the model, set to cover the error growth of the other terms' in made.text
     bare = make_export(known_results, name, ExportOptions(fidelity='coefficients'))
     assert 'fidelity: bare coefficients' in bare.text
     assert 'raised' not in bare.text
