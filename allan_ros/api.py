@@ -46,7 +46,7 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import Results, analyse_recorded
+from .io.results import Results, analyse_recorded, judged_as_before
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
@@ -91,10 +91,14 @@ class ResultSettings(CheckedSettings):
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
     """Fit the sums and compare them with the datasheet and the earlier run of the settings.
 
+    Without a datasheet there, it is the one that the recordings were compared with before.
+
     Raises AllanError when there is too little data, or the datasheet or the earlier run cannot be
     read.
     """
     results = analyse_recorded(recorded, settings.method)
+    if not settings.sensor:
+        results = judged_as_before(results)
     return results.compared(settings.sensor, settings.baseline, settings.margin)
 
 
@@ -203,6 +207,8 @@ def analyze(
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:
     """Return the results of several recordings of one IMU together, by adding their sums.
 
+    If all that were compared with a datasheet were compared with the same one, so is the result.
+
     Parameters
     ----------
     *sources : Results or path
@@ -224,8 +230,8 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Re
     """
     if not sources:
         raise AllanError('nothing to merge: give results or paths')
-    ResultSettings(method=method)  # checks it
-    return analyse_recorded(add_recordings(map(_recorded, sources)), method)
+    settings = ResultSettings(method=method)
+    return fit_recorded(add_recordings(map(_recorded, sources)), settings)
 
 
 def compare(
@@ -418,7 +424,8 @@ def _recorded(source: Results | str | os.PathLike[str]) -> RecordingSums:
         return load_sums(source)
     if source.recorded is None:
         raise AllanError('these results were read without their sums: give the folder or sums.json')
-    return source.recorded
+    judged = () if source.datasheet is None else (source.datasheet,)
+    return replace(source.recorded, judged=judged)
 
 
 def _options_of(options: Mapping[str, Any]) -> tuple[ReadOptions, SegmenterSettings]:

@@ -357,6 +357,9 @@ record_longer: info
   > Record {how_long} at rest in one piece.
 
 # the files
+datasheets_differ: warning
+  The runs were compared with different datasheets ({names}); their sum is compared with none.
+  > Name the right one with --sensor.
 file_left_out: warning
   {file} is not written ({why}).
   > All other files are complete.

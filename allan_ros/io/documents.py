@@ -161,8 +161,8 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
         place = Path(file_in(path, RESULTS if has_results else SUMS))
     document = read_json(place)
     if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
-        sums, provenance = sums_file_from_document(document, str(place))
-        return analyse_recorded(RecordingSums(str(place), sums, provenance), method)
+        recorded = RecordingSums(str(place), *sums_file_from_document(document, str(place)))
+        return analyse_recorded(recorded, method)
     results = results_from_document(document, str(place))
     if Path(path).is_dir() and (place.parent / SUMS).is_file():
         return replace(results, recorded=load_sums(path))
@@ -170,10 +170,17 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
 
 
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
-    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis."""
-    path = file_in(path, SUMS)
-    sums, provenance = sums_file_from_document(read_json(path), path)
-    return RecordingSums(path, sums, provenance)
+    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
+
+    With the folder, they know the datasheet that the analysis was compared with.
+    """
+    place = file_in(path, SUMS)
+    recorded = RecordingSums(place, *sums_file_from_document(read_json(place), place))
+    beside = Path(path) / RESULTS
+    if not beside.is_file():
+        return recorded
+    datasheet = results_from_document(read_json(beside), str(beside)).datasheet
+    return replace(recorded, judged=() if datasheet is None else (datasheet,))
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
 from itertools import product
 from operator import add
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..core.allan.spectrum import SpectrumSums
 from ..core.allan.sums import AllanSums, add_sums
@@ -29,6 +29,9 @@ from ..core.stream.pipeline import ImuStream
 from .readers.open import open_recordings
 from .readers.recording import ReadOptions, Recording, SourceInfo
 from .signal import SignalEnvelope, TemperatureTrace
+
+if TYPE_CHECKING:
+    from .datasheets import DatasheetComparison
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class RecordingSums:
 
     The sums are one with all axes, or one per sensor where these have different rates, each with
     its spectrum. There is a signal and a temperature for each recording. Spectra, signals and
-    temperatures are empty unless they were asked for. The name is the path of the first recording.
+    temperatures are empty unless they were asked for. The name is the path of the first recording,
+    and ``judged`` holds the comparisons with datasheets that were made before.
     """
 
     name: str
@@ -77,6 +81,7 @@ class RecordingSums:
     signals: tuple[SignalEnvelope, ...] = ()
     spectra: tuple[SpectrumSums, ...] = ()
     temperatures: tuple[TemperatureTrace | None, ...] = ()
+    judged: tuple[DatasheetComparison, ...] = ()
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the sums of both recordings.
@@ -101,6 +106,7 @@ class RecordingSums:
             self.signals + other.signals,
             tuple(a + b for a, b in zip(self.spectra, other.spectra)) if same_spectra else (),
             self.temperatures + other.temperatures,
+            self.judged + other.judged,
         )
 
     def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..core.allan.curve import allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
-from ..core.findings import Finding, duration_text
+from ..core.findings import Finding, duration_text, finding
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
@@ -31,12 +31,11 @@ from .datasheets import (
     datasheet_findings,
     load_sensor,
 )
+from .exporters import ExportOptions, make_export, target_of
 from .files import PATH, write_atomic
 from .format import interval_text, pretty_unit, shown_unit, value_text
 from .recorded import Provenance, RecordingSums
-
-if TYPE_CHECKING:
-    from .verdict import Verdict
+from .verdict import WORDS, Verdict, verdict_of
 
 
 @dataclass(frozen=True)
@@ -109,8 +108,6 @@ class Results:
     @property
     def verdict(self) -> Verdict:
         """Whether the IMU is healthy, why, and what to do next."""
-        from .verdict import verdict_of
-
         return verdict_of(self)
 
     @property
@@ -228,8 +225,6 @@ class Results:
         **options
             Fields of `io.exporters.ExportOptions`, such as ``inflate=2``.
         """
-        from .exporters import ExportOptions, make_export, target_of
-
         expect(str, target=target)
         text = make_export(self, target, settings_from(ExportOptions, options)).text
         if path is not None:
@@ -354,6 +349,18 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     )
 
 
+def judged_as_before(results: Results) -> Results:
+    """Return the results compared with the datasheet that all recordings were compared with."""
+    known = results.recorded.judged if results.recorded is not None else ()
+    judged = {comparison.datasheet.name: comparison for comparison in known}
+    if len(judged) > 1:
+        differ = finding('datasheets_differ', names=', '.join(judged))
+        return replace(results, findings=(*results.findings, differ))
+    for comparison in judged.values():
+        return results.against_datasheet(comparison.datasheet, comparison.margin)
+    return results
+
+
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
     """Fit sums (one with all axes, or one for each sensor), as `analyse_recorded` does."""
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
@@ -392,19 +399,17 @@ def _summary_lines(results: Results) -> Iterator[str]:
             unit = shown_unit(name, term, 'datasheet')
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
-    for finding in _pressing(results):
-        yield f'  {finding.severity}: {finding}'
+    for each in _pressing(results):
+        yield f'  {each.severity}: {each}'
 
 
 def _html(results: Results) -> str:
     """Return the coefficients as an HTML table, with the verdict and the warnings."""
-    from .verdict import WORDS
-
     head = ''.join(f'<th>{term}</th>' for term in TERMS)
     rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
     notes = ''.join(
-        f'<li><b>{escape(finding.severity)}</b> {escape(str(finding))}</li>'
-        for finding in _pressing(results)
+        f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
+        for each in _pressing(results)
     )
     verdict = results.verdict
     return (
@@ -442,4 +447,4 @@ def _table_row(axis: AxisResult, term: str, units: str) -> dict[str, Any]:
 
 
 def _pressing(results: Results) -> list[Finding]:
-    return [finding for finding in results.findings if finding.severity != 'info']
+    return [each for each in results.findings if each.severity != 'info']

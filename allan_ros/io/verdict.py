@@ -6,14 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison
 from ..core.findings import Finding, duration_text
 from ..core.fit.reading import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
 from .format import grouped, shown_unit, significant
-from .results import Results
+
+if TYPE_CHECKING:
+    from .results import Results
 
 Level = Literal['healthy', 'attention', 'unknown', 'failed']
 

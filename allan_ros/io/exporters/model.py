@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ... import __version__
 from ...core.errors import AllanError, one_line
@@ -27,10 +27,12 @@ from ...core.filters.reductions import Horizons, States, closest_process, common
 from ...core.findings import Finding, duration_text, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ...core.noise import ProcessModel
-from ..axis_result import AxisResult
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from ..results import Results
 from . import AXIS_RULE, Entry, ExportOptions, Row, Target
+
+if TYPE_CHECKING:
+    from ..axis_result import AxisResult
+    from ..results import Results
 
 DIGITS = 6
 """Significant digits written: two more than any interval is known to."""
