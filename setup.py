@@ -61,7 +61,15 @@ setup(
     license='Apache-2.0 AND MIT',  # MIT: uPlot, which the report contains
     license_files=['LICENSE', f'{PACKAGE}/io/report/uplot/LICENSE'],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['py.typed', 'io/report/*.css', 'io/report/*.js', 'io/report/uplot/*']},
+    package_data={
+        PACKAGE: [
+            'py.typed',
+            'core/findings.txt',
+            'io/report/*.css',
+            'io/report/*.js',
+            'io/report/uplot/*',
+        ]
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
