@@ -310,6 +310,9 @@ def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
     squared weights of all samples to that of the recorded samples. At averaging factors m >= k it
     grows, in the sum over all starts, by 2 (k + k^2/2) for each step of m.
 
+    A recorded sample between two gaps has a part of both. Only the numbers of gaps are known, so
+    gaps are assumed to be independent, as random losses are.
+
     Parameters
     ----------
     m : (factors,) int64 array
@@ -324,19 +327,51 @@ def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
     (factors, ...) float64 array
     """
     out = np.zeros((len(m), *filled.shape[1:]))
+    scale = 2.0 * m.astype(float) ** 2
     for k, number in enumerate(filled, start=1):
         if number.any():
             slope = 2.0 * (k + k * k / 2.0)
             extra = np.array([_excess(k, min(int(f), k)) + slope * max(f - k, 0) for f in m])
-            out += np.multiply.outer(extra / (2.0 * m.astype(float) ** 2), number / samples)
+            out += np.multiply.outer(extra / scale, number / samples)
+    lengths = np.arange(1, len(filled) + 1)
+    recorded = np.maximum(samples - np.tensordot(lengths, filled, 1), 1)
+    for k, number in enumerate(filled, start=1):
+        for after, others in enumerate(filled, start=1):
+            neighbors = number * (others / recorded / samples)
+            if np.any(neighbors > LEAST_NEIGHBORS):
+                both = k + after
+                extra = np.array(
+                    [_common(k, after, min(int(f), both)) + k * after * max(f - both, 0) for f in m]
+                )
+                out += np.multiply.outer(extra / scale, neighbors)
     return out
+
+
+LEAST_NEIGHBORS = 1e-5
+"""Share of the samples below which those between two gaps do not matter."""
+
+
+@lru_cache(maxsize=1024)
+def _common(k: int, after: int, m: int) -> float:
+    """Return what gaps of k and ``after`` around one sample add to `_excess`, over all starts."""
+    base = _weights(m, k + after + 3)
+    left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
+    right = np.correlate(base, np.arange(after, 0, -1) / (after + 1))
+    n = len(right) - k - 1
+    return float(2.0 * left[:n] @ right[k + 1 :])
+
+
+def _weights(m: int, margin: int) -> Floats:
+    """Return the weights of the samples in a second difference, with zeros on both sides."""
+    outside = np.zeros(margin)
+    return np.concatenate([outside, -np.ones(m), np.ones(m), outside])
 
 
 @lru_cache(maxsize=1024)
 def _excess(k: int, m: int) -> float:
     """Return by how much one gap changes the squared weights, summed over all starts."""
     length = k + 2
-    base = np.concatenate([np.zeros(length), -np.ones(m), np.ones(m), np.zeros(length)])
+    base = _weights(m, length)
     share = np.arange(1, k + 1) / (k + 1)
     change = 0.0
     for at in range(len(base) - length + 1):

@@ -47,17 +47,22 @@ REGULAR_SHARE = 0.6
 """Stamps are regular when this share of the steps lies within 50 % of the median step, and their
 mean is at least this share of the mean of all steps."""
 
+JITTER_SHARE = 0.01
+"""Stamps jitter when more steps than this share are below half the period."""
+
 
 @dataclass(frozen=True)
 class Clock:
     """Working period and median step of the stamps of a stream.
 
-    ``bursty`` stamps come in bursts, so that single steps carry no information.
+    ``bursty`` stamps come in bursts, so that single steps carry no information. With ``jitter``
+    not every single loss is found.
     """
 
     period_ns: float
     step_ns: float
     bursty: bool
+    jitter: bool = False
 
     @property
     def look_ahead(self) -> int:
@@ -100,9 +105,36 @@ def learn_clock(stamps: Stamps) -> Clock | None:
         if period >= REGULAR_SHARE * mean:
             # jitter makes long steps and short ones, lost samples only long ones
             long_steps = np.count_nonzero(step > LATE * period)
-            jitter = 2 * np.count_nonzero(step < period / 2) >= long_steps
-            return Clock(mean if jitter else period, middle, bursty=False)
+            short_steps = np.count_nonzero(step < period / 2)
+            if short_steps > JITTER_SHARE * len(step):
+                period = lattice_period(stamps, period, LATTICE_RANGE)
+                return Clock(period, middle, bursty=False, jitter=True)
+            return Clock(mean if 2 * short_steps >= long_steps else period, middle, bursty=False)
     return Clock(mean, middle, bursty=True)
+
+
+def lattice_period(stamps: Stamps, period: float, reach: float) -> float:
+    """Return the period of which the stamps are most nearly multiples, within a fraction of one.
+
+    Lost samples do not change it, and jitter only lowers the contrast: |sum exp(2 pi i t / p)|.
+    """
+    step = np.diff(stamps) / period
+    t = np.cumsum(np.where(step > LATTICE_GAP, 1.0, step))
+    t -= t[len(t) // 2]
+    resolution = LATTICE_STEP / max(float(t[-1] - t[0]), 1.0)
+    rate = 1.0 + resolution * np.arange(-int(reach / resolution), int(reach / resolution) + 1)
+    contrast = np.array([abs(np.exp(2j * np.pi * r * t).sum()) for r in rate])
+    return float(period / rate[np.argmax(contrast)])
+
+
+LATTICE_RANGE, LATTICE_TRACKING = 0.05, 0.003
+"""Range in which the period is searched, at first and later."""
+
+LATTICE_GAP = 16.0
+"""Longest silence, in periods, behind which the phase of the samples is assumed to go on."""
+
+LATTICE_STEP = 0.25
+"""Cycles by which two tried periods differ over all stamps."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +190,8 @@ RATE_CHANGE_STEP = 1.45
 RATE_CHANGE_BURSTY = 0.10
 """Change of the period over `TRACK_BLOCKS` that means another rate when stamps are bursty."""
 
-BRIDGED_SHARE = 0.1
-"""Largest share of a block that is interpolated; beyond, lost samples split the data."""
+BRIDGED_SHARE = 0.5
+"""Most interpolated samples per received one in a block; beyond, lost samples split the data."""
 
 
 class SampleClock:
@@ -184,6 +216,7 @@ class SampleClock:
         self._index: NDArray[np.int64] = np.empty(0, np.int64)  # of the past samples
         self._since_cut = 0  # past samples since the last cut, at most `_reach`
         self._blocks = 0
+        self._suspect = False  # whether the last block looked like another rate
         self._track_start: tuple[int, int] | None = None  # stamp, index; None after a cut
 
     @property
@@ -226,6 +259,7 @@ class SampleClock:
             if count < 1:
                 break
             if self._are_even(count * CLOCK_BLOCK):
+                self._suspect = False
                 self._step_forward(count * CLOCK_BLOCK)
                 continue
             done += self._view(first)
@@ -302,7 +336,8 @@ class SampleClock:
     def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
         """Return how many of the samples come before a change of the rate.
 
-        The steps of a block show the change, its first unusual step the place. The samples that the
+        The steps of a block show the change, its first unusual step the place. With jitter it takes
+        two blocks, because one may have several losses that were not found. The samples that the
         period was learned from are exempt, so that every clock makes progress.
         """
         if self.clock.bursty:
@@ -314,8 +349,10 @@ class SampleClock:
                 break
             counted = indices > 0
             period = steps[counted].sum() / max(1, indices.sum())
+            before = self._suspect
+            self._suspect = abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
             if float(np.median(steps)) > RATE_CHANGE_STEP * usual or (
-                abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
+                self._suspect and (before or not self.clock.jitter)
             ):
                 odd = (steps > RATE_CHANGE_STEP * usual) | (RATE_CHANGE_STEP * steps < usual)
                 return at + int(np.argmax(odd))
@@ -414,7 +451,10 @@ class SampleClock:
         if self._blocks % TRACK_BLOCKS or self._track_start is None:
             return
         start_ns, start = self._track_start
-        period = (int(stamps[-1]) - start_ns) / (int(index[-1]) - start)
+        if self.clock.jitter:
+            period = lattice_period(stamps, self.clock.period_ns, LATTICE_TRACKING)
+        else:
+            period = (int(stamps[-1]) - start_ns) / (int(index[-1]) - start)
         off = abs(period / self.clock.period_ns - 1.0)
         if self.clock.bursty:
             self.rate_changed = off > RATE_CHANGE_BURSTY

@@ -37,10 +37,27 @@ def test_the_effect_of_one_gap_equals_direct_counting():
 def test_at_long_times_a_gap_adds_its_length_and_half_its_square():
     filled = np.array([[0], [10]])
     m = np.array([10**7])
-    assert filled_white(m, filled, 1000)[0, 0] * 10**7 == pytest.approx(10 / 1000 * 4.0)
+    assert filled_white(m, filled, 10**6)[0, 0] * 10**7 == pytest.approx(10 / 10**6 * 4.0)
 
 
-@pytest.mark.parametrize('share', [0.01, 0.05])
+def test_samples_between_two_gaps_have_a_part_of_both():
+    """Random losses of 30 %: the Allan variance of a million samples scatters by 0.5 % at m = 8.
+
+    Without the samples between two gaps it would be 4 % too small. False alarm probability 6e-5.
+    """
+    n = 1_000_000
+    rng = np.random.default_rng(3)
+    x, keep, at = rng.standard_normal(n), rng.random(n) > 0.3, np.arange(n)
+    phase = np.cumsum(np.interp(at, at[keep], x[keep]))
+    edges = np.flatnonzero(np.diff(~keep, prepend=False, append=False)).reshape(-1, 2)
+    filled = np.bincount(edges[:, 1] - edges[:, 0])[1:, None]
+    m = np.array([1, 2, 4, 8])
+    found = [np.mean((phase[2 * k :] - 2 * phase[k:-k] + phase[: -2 * k]) ** 2) for k in m]
+    expected = 1 / m + filled_white(m, filled, n)[:, 0]
+    assert found / (2 * m**2) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize('share', [0.01, 0.05, 0.2])
 def test_lost_samples_do_not_bias_the_noise(share):
     """Six axes: the mean of N scatters by 0.13 %, and 4 sigma of that; 0.7 and 3.6 % uncorrected.
 
