@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,10 +28,10 @@ Key = tuple[str, str]
 
 @dataclass
 class Survey:
-    """The topics of all files of a bag."""
+    """The topics of all files of a bag, and how many messages each has."""
 
     topics: dict[Key, Topic] = field(default_factory=dict)
-    counts: dict[Key, int] = field(default_factory=dict)
+    counts: Counter[Key] = field(default_factory=Counter)
     storage: str = ''
     cut: Cut | None = None
 
@@ -40,9 +41,15 @@ class Survey:
         for key in keys:
             encoding = self.topics[key].encoding
             foreign = '' if encoding in ENCODINGS else f', serialized as {encoding}'
-            shown.append(f'{key[0]} ({key[1]}, {self.counts.get(key, 0)}{foreign})')
+            shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{foreign})')
         more = f' and {len(shown) - LISTED} more' if len(shown) > LISTED else ''
         return ', '.join(shown[:LISTED]) + more
+
+    def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
+        """Return the Imu topics among these (by default all), else the Imus in other messages."""
+        keys = self.topics if keys is None else list(keys)
+        plain = [ImuSource(key) for key in keys if key[1] == IMU_TYPE]
+        return plain or [ImuSource(key, p) for key in keys for p in imu_fields(self.topics[key])]
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,7 @@ def survey_bag(bag: BagFiles) -> Survey:
             for topic in storage.topics:
                 key = (topic.name, topic.type)
                 survey.topics.setdefault(key, topic)
-                survey.counts[key] = survey.counts.get(key, 0) + counts.get(topic.id, 0)
+                survey.counts[key] += counts.get(topic.id, 0)
             survey.cut = survey.cut or storage.cut
         if expected is not None and expected <= set(survey.topics):
             break
@@ -86,7 +93,7 @@ def survey_bag(bag: BagFiles) -> Survey:
 
 def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
     """Return the Imu source that the user asks for, or the only one."""
-    candidates = _named(path, survey, wanted) if wanted else _candidates(survey)
+    candidates = [_named(path, survey, wanted)] if wanted else _candidates(survey)
     if not candidates:
         raise _no_imu(path, survey)
     if len(candidates) > 1:
@@ -106,13 +113,9 @@ def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
     return chosen
 
 
-def _plain(survey: Survey) -> list[ImuSource]:
-    return [ImuSource(key) for key in survey.topics if key[1] == IMU_TYPE]
-
-
 def _candidates(survey: Survey) -> list[ImuSource]:
-    """Return the Imu topics, else the Imus inside other messages; those with messages if any."""
-    sources = _plain(survey) or _nested(survey)
+    """Return all Imus; those with messages if any."""
+    sources = survey.imus()
     return [source for source in sources if survey.counts[source.key]] or sources
 
 
@@ -123,22 +126,21 @@ def no_message(path: Path, source: ImuSource) -> AllanError:
     )
 
 
-def _named(path: Path, survey: Survey, wanted: str) -> list[ImuSource]:
-    """Return a list of the only source that matches ``wanted``, a topic or topic:field."""
-    name, plain = wanted.lstrip('/'), _plain(survey)
-    there = [key for key in survey.topics if key[0].lstrip('/') == name.split(':')[0]]
-    fitting = [s for s in plain if s.label.lstrip('/') == name]
-    nested = [] if fitting else [s for s in _nested(survey) if s.key in there]
-    fitting += [s for s in nested if ':' not in name or s.label.lstrip('/') == name]
+def _named(path: Path, survey: Survey, wanted: str) -> ImuSource:
+    """Return the only source that matches ``wanted``, a topic or topic:field."""
+    name, _, field = wanted.lstrip('/').partition(':')
+    there = [key for key in survey.topics if key[0].lstrip('/') == name]
+    fitting = [s for s in survey.imus(there) if field in ('', '.'.join(s.field))]
     if len(fitting) == 1:
-        return fitting
+        return fitting[0]
     if fitting:
         labels = ', '.join(source.label for source in fitting)
         problem = f'topic {wanted} contains several Imus: choose one of {labels}'
     elif not there:
-        shown = survey.listed(source.key for source in plain) or survey.listed(survey.topics)
-        problem = f'has no topic {wanted}; it has {shown or "none"}: check --topic'
-    elif is_unknown(topic := survey.topics[there[0]]):
+        imus = [key for key in survey.topics if key[1] == IMU_TYPE]
+        shown = survey.listed(imus or survey.topics) or 'none'
+        problem = f'has no topic {wanted}; it has {shown}: check --topic'
+    elif _is_unknown(topic := survey.topics[there[0]]):
         problem = (
             f'topic {wanted} is of type {topic.type}, and the bag has no schema that '
             'describes it: record it as mcap, which stores the schemas'
@@ -151,26 +153,16 @@ def _named(path: Path, survey: Survey, wanted: str) -> list[ImuSource]:
     raise AllanError(f'{path}: {problem}')
 
 
-def _nested(survey: Survey) -> list[ImuSource]:
-    """Return the Imus inside messages of other types."""
-    return [
-        ImuSource(key, path)
-        for key, topic in survey.topics.items()
-        if key[1] != IMU_TYPE and topic.schema
-        for path in imu_fields(topic)
-    ]
-
-
 def _no_imu(path: Path, survey: Survey) -> AllanError:
-    if not survey.topics and survey.cut:
+    read = survey.cut and f'{survey.cut.read} of {survey.cut.size} bytes could be read'
+    if read and not survey.topics:
         return AllanError(
-            f'{path}: is truncated: {survey.cut.read} of {survey.cut.size} bytes could be read, '
-            'without a complete message: copy or record it again'
+            f'{path}: is truncated: {read}, without a complete message: copy or record it again'
         )
-    busiest = sorted(survey.topics, key=lambda key: -survey.counts.get(key, 0))
-    unknown = sum(is_unknown(topic) for topic in survey.topics.values())
+    busiest = sorted(survey.topics, key=lambda key: -survey.counts[key])
+    unknown = sum(map(_is_unknown, survey.topics.values()))
     schemas = f', {unknown} of them of unknown type without a schema' if unknown else ''
-    cut = f'; {survey.cut.read} of {survey.cut.size} bytes could be read' if survey.cut else ''
+    cut = f'; {read}' if read else ''
     return AllanError(
         f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
         f'{schemas}{cut}: record the topic of the IMU'
@@ -195,28 +187,21 @@ def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
     Raises AllanError when the schema mentions an Imu, but ``rosbags`` is not installed.
     """
     definitions = definitions_of(topic)
-    return list(_search(topic.type, definitions, ())) if definitions else []
+
+    def search(name: str, above: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        if name == IMU_TYPE:
+            yield above
+        elif name in definitions and len(above) < MAX_DEPTH:
+            for inside, (kind, inner) in definitions[name][1]:
+                if kind == kind.NAME:
+                    yield from search(inner, (*above, inside))
+
+    return list(search(topic.type, ())) if definitions else []
 
 
-def is_unknown(topic: Topic) -> bool:
+def _is_unknown(topic: Topic) -> bool:
     """Return whether the content of the messages is unknown: no schema, no standard package."""
     return not topic.schema and not STANDARD_PACKAGES.fullmatch(topic.type.split('/')[0])
-
-
-def _search(
-    name: str, definitions: dict[str, Any], above: tuple[str, ...]
-) -> list[tuple[str, ...]]:
-    from rosbags.interfaces import Nodetype
-
-    if name == IMU_TYPE:
-        return [above]
-    if name not in definitions or len(above) == MAX_DEPTH:
-        return []
-    found = []
-    for inside, (kind, inner) in definitions[name][1]:
-        if kind == Nodetype.NAME:
-            found += _search(inner, definitions, (*above, inside))
-    return found
 
 
 def definitions_of(topic: Topic) -> dict[str, Any]:
