@@ -73,7 +73,7 @@ def imu_topics(path: Path) -> list[str]:
 def survey_bag(bag: BagFiles) -> Survey:
     """Open the files until every topic that has messages was found."""
     survey = Survey()
-    expected = None if bag.described is None else {k for k, d in bag.described.items() if d.count}
+    expected = None if bag.described is None else {k for k, d in bag.described.items() if d.messages}
     for file in bag.files:
         with open_storage(file) as (storage, survey.storage):
             counts = storage.counts() if bag.described is None else {}
@@ -86,7 +86,7 @@ def survey_bag(bag: BagFiles) -> Survey:
             break
     for key, described in (bag.described or {}).items():
         if key in survey.topics:
-            survey.counts[key] = described.count
+            survey.counts[key] = described.messages
             survey.topics[key] = replace(survey.topics[key], encoding=described.encoding)
     return survey
 

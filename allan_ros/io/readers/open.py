@@ -13,14 +13,16 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from ...core.errors import AllanError
 from ..files import open_regular, read_bounded
 from .recording import ReadOptions, Recording
 from .storage import Storage, damaged, decompress_file, frame_compression, normal_type, translated
+
+METADATA = 'metadata.yaml'
 
 _LFS_MAGIC = b'version https://git-lfs'
 
@@ -43,6 +45,15 @@ _FAMILIES = {
 }
 
 
+_OPENERS = {
+    'bag': ('.rosbag2', 'open_bag'),
+    'table': ('.tables', 'open_table'),
+    'array': ('.arrays', 'open_array'),
+    'ulog': ('.ulog', 'open_ulog'),
+}
+"""Family -> module, which is imported for such a recording, and function that opens it."""
+
+
 def open_recordings(
     paths: Iterable[str | os.PathLike[str]], options: ReadOptions | None = None
 ) -> list[Recording]:
@@ -58,7 +69,7 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
     """Return the Imu topics of a bag; an empty list for other formats and unreadable files."""
     place = Path(path)
     try:
-        if not place.is_dir() and _family(place) != 'bag':
+        if _family(place) != 'bag':
             return []
         from .bag_topics import imu_topics
 
@@ -68,39 +79,28 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
 
 
 def _open(path: Path, options: ReadOptions) -> Recording:
-    if path.name == 'metadata.yaml':
+    if path.name == METADATA:
         path = path.parent
-    family = 'bag' if path.is_dir() else _family(path)
-    if family == 'bag':
-        from .rosbag2 import open_bag
-
-        return open_bag(path, options)
-    if family == 'array':
-        from .arrays import open_array
-
-        return open_array(path, options)
-    if family == 'ulog':
-        from .ulog import open_ulog
-
-        return open_ulog(path, options)
-    from .tables import open_table
-
-    return open_table(path, options)
+    module, opener = _OPENERS[_family(path)]
+    return cast(Recording, getattr(import_module(module, __package__), opener)(path, options))
 
 
 def _family(path: Path) -> str:
-    """Return the reader for the file, by its first bytes and, failing that, its suffix."""
-    head = first_bytes(path)
-    for magic, (family, _) in _MAGICS.items():
-        if head.startswith(magic):
-            return family
-    try:
-        return _FAMILIES[path.suffix.lower()]
-    except KeyError:
+    """Return the reader for a path, by its first bytes and, failing that, its suffix."""
+    if path.is_dir():
+        return 'bag'
+    family = _by_magic(first_bytes(path))[0] or _FAMILIES.get(path.suffix.lower())
+    if family is None:
         raise AllanError(
             f'{path}: not a known form of recording: give a rosbag2 folder, .db3, .mcap, '
             'ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg'
-        ) from None
+        )
+    return family
+
+
+def _by_magic(head: bytes) -> tuple[str, str]:
+    """Return the family and storage of a file by its first bytes; '' where unknown."""
+    return next((form for magic, form in _MAGICS.items() if head.startswith(magic)), ('', ''))
 
 
 def first_bytes(path: Path) -> bytes:
@@ -129,8 +129,6 @@ def first_bytes(path: Path) -> bytes:
 
 # --- the storage files of a bag ------------------------------------------------------------------
 
-METADATA = 'metadata.yaml'
-
 METADATA_KEY = 'rosbag2_bagfile_information'
 
 MAX_METADATA = 16 * 2**20
@@ -139,11 +137,10 @@ MAX_METADATA = 16 * 2**20
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 
 
-@dataclass(frozen=True)
-class Described:
-    """Number of messages of a topic, and their encoding, as metadata.yaml states."""
+class Described(NamedTuple):
+    """Number of messages of a topic and their encoding, as metadata.yaml states."""
 
-    count: int
+    messages: int
     encoding: str
 
 
@@ -167,19 +164,15 @@ def bag_files(path: Path) -> BagFiles:
     if not path.is_dir():
         return BagFiles(path, (path,))
     with translated(path, (OSError,), 'check its permissions'):
-        return _folder_files(path)
-
-
-def _folder_files(path: Path) -> BagFiles:
-    bag = _described(path) if os.path.lexists(path / METADATA) else None
-    if bag is None or not bag.files:
-        splits = [child for child in path.iterdir() if child.name.endswith(SPLITS)]
-        if not splits:
+        bag = _described(path) if os.path.lexists(path / METADATA) else BagFiles(path, ())
+        if not bag.files:
+            splits = [child for child in path.iterdir() if child.name.endswith(SPLITS)]
+            bag = bag._replace(files=tuple(sorted(splits, key=_natural)))
+        if not bag.files:
             raise _no_bag_in(path)
-        bag = BagFiles(path, tuple(sorted(splits, key=_natural)), bag.described if bag else None)
-    for file in bag.files:
-        first_bytes(file)
-    return bag
+        for file in bag.files:
+            first_bytes(file)
+        return bag
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -211,45 +204,32 @@ def _described(path: Path) -> BagFiles:
 
     from ..files import parse_yaml
 
-    remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     first_bytes(path / METADATA)
-    try:
+    remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
+    described: dict[tuple[str, str], Described] = {}
+    # each error that another content than that of rosbag2 leads to
+    errors = (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError)
+    with translated(path / METADATA, errors, remedy):
         text = read_bounded(path / METADATA, MAX_METADATA).decode()
         info: dict[str, Any] = parse_yaml(text)[METADATA_KEY]
         # Older bags include the folder that they were recorded to in the file names.
         files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
-        described: dict[tuple[str, str], Described] = {}
         for entry in info.get('topics_with_message_count') or []:
-            topic = entry['topic_metadata']
-            key = (_text(topic['name']), normal_type(_text(topic['type'])))
-            before = described[key].count if key in described else 0
-            count = before + _count(entry['message_count'])
-            described[key] = Described(count, _text(topic['serialization_format']))
-    except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
-        raise damaged(path / METADATA, error, remedy) from error
+            topic, count = entry['topic_metadata'], entry['message_count']
+            names = [topic['name'], topic['type'], topic['serialization_format']]
+            if not all(isinstance(name, str) and name.isprintable() for name in names):
+                raise ValueError('the name of a topic is not a printable text')
+            if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count < 2**63:
+                raise ValueError(f'message_count of {names[0]} is not a number of messages')
+            key = (names[0], normal_type(names[1]))
+            count += described[key].messages if key in described else 0
+            described[key] = Described(count, names[2])
     if missing := [file.name for file in files if not file.exists()]:
         raise AllanError(
             f'{path}: {len(missing)} of the {len(files)} files that {METADATA} names are missing '
             f'({missing[0]}): copy the whole folder'
         )
     return BagFiles(path, tuple(files), described)
-
-
-def _text(value: object) -> str:
-    """Return a printable text; a damaged file may contain anything else."""
-    if not isinstance(value, str):
-        raise TypeError(f'a text is expected, not {type(value).__name__}')
-    if not value.isprintable():
-        raise ValueError('a name contains control characters')
-    return value
-
-
-def _count(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
-        # A list may refer to itself so often that its text fills the memory.
-        shown = str(value)[:40] if isinstance(value, (int, float, str)) else type(value).__name__
-        raise ValueError(f'message_count is {shown!r}, not a number of messages')
-    return value
 
 
 @contextmanager
@@ -281,10 +261,8 @@ def _open_plain(path: Path, shown: Path) -> Iterator[tuple[Storage, str]]:
         'sqlite3': open_sqlite3,
         'ros1': Ros1Storage.open,
     }
-    head = first_bytes(path)
-    for magic, (_, kind) in _MAGICS.items():
-        if kind and head.startswith(magic):
-            with openers[kind](path, shown) as storage:
-                yield storage, kind
-            return
-    raise damaged(shown, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
+    kind = _by_magic(first_bytes(path))[1]
+    if not kind:
+        raise damaged(shown, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
+    with openers[kind](path, shown) as storage:
+        yield storage, kind

@@ -86,7 +86,7 @@ def _read(
             _compare(storage.stated(ids, read), read, file, report)
             total += read
     if bag.described is not None and source.key in bag.described:
-        _compare(bag.described[source.key].count, total, bag.path / METADATA, report)
+        _compare(bag.described[source.key].messages, total, bag.path / METADATA, report)
     for sensor, count in sorted(kept.items()):
         axes = AXES[SENSORS[sensor]]
         report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
