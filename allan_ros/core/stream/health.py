@@ -60,42 +60,26 @@ class Counts:
     Where the sensors have different rates all but ``received`` and ``skipped`` are counted per
     sensor stream. received + bridged = used + skipped + not_finite + duplicate + backward +
     untimed + moving + stuck + louder + those still buffered.
-
-    Attributes
-    ----------
-    received, used : int
-        Samples received, and samples in the sums (interpolated ones included).
-    skipped : int
-        Left out at the start (warm-up).
-    not_finite, duplicate, backward, untimed : int
-        Dropped: NaN or inf; stamp and values of the sample before; a stamp before the latest; a
-        thousand equal stamps in a row.
-    lost, bridged : int
-        Missing according to the stamps; those of them that were interpolated.
-    moving, saturated, stuck, louder : int
-        Dropped: the IMU moved (and was at the end of the range); an axis showed one value; the
-        noise at rest was much louder than the noise floor.
-    spikes : int
-        Values that were isolated spikes and were replaced, counted per axis.
-    cuts : Counter
-        Reason -> how many times the data were split.
     """
 
     received: int = 0
-    used: int = 0
-    skipped: int = 0
+    used: int = 0  # in the sums, interpolated ones included
+    # dropped
+    skipped: int = 0  # at the start, for the warm-up
     not_finite: int = 0
-    duplicate: int = 0
-    backward: int = 0
-    untimed: int = 0
+    duplicate: int = 0  # stamp and values of the sample before
+    backward: int = 0  # a stamp before the latest
+    untimed: int = 0  # a thousand equal stamps in a row
+    # missing according to the stamps
     lost: int = 0
-    bridged: int = 0
+    bridged: int = 0  # of the lost ones: interpolated
+    # not at rest, and dropped
     moving: int = 0
-    stuck: int = 0
-    saturated: int = 0
-    louder: int = 0
-    spikes: int = 0
-    cuts: Counter[str] = field(default_factory=Counter)
+    stuck: int = 0  # an axis showed one value
+    saturated: int = 0  # of the moving ones: at the end of the range
+    louder: int = 0  # at rest, but much louder than the noise floor
+    spikes: int = 0  # isolated spikes that were replaced, per axis
+    cuts: Counter[str] = field(default_factory=Counter)  # reason -> how often the data were split
 
     def add(self, other: Counts) -> None:
         """Add the counts of another sensor stream."""
@@ -182,40 +166,21 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """State and counts of a stream.
+    """State and counts of a stream."""
 
-    Attributes
-    ----------
-    counts : Counts
-        A copy; later samples do not change it.
-    rate_hz, bursty : float or None, bool
-        Working rate (None before it is learned), and whether stamps come in bursts.
-    first_ns, last_ns : int or None
-        First and latest stamp of the present frame.
-    stamps : str
-        Which stamps are used: 'header' or 'record'.
-    frame_id, evidence_frame_id : str
-        The frame_id of the latest sample, and that of the sums with the longest time.
-    frame_changes : int
-        How often a sample had another frame_id than the one before.
-    discarded : int
-        How often sums were discarded, because they were taken in motion: results of them are void.
-    loudest : mapping of axis to float
-        How many times louder than its floor an axis became at rest; empty if none did.
-    """
-
-    counts: Counts
+    counts: Counts  # a copy; later samples do not change it
     state: State = 'waiting'
-    rate_hz: float | None = None
-    bursty: bool = False
-    first_ns: int | None = None
+    rate_hz: float | None = None  # None before it is learned
+    bursty: bool = False  # whether stamps come in bursts
+    first_ns: int | None = None  # first and latest stamp of the present frame
     last_ns: int | None = None
-    stamps: str = 'header'
-    frame_id: str = ''
-    evidence_frame_id: str = ''
+    stamps: str = 'header'  # which stamps are used: 'header' or 'record'
+    frame_id: str = ''  # of the latest sample
+    evidence_frame_id: str = ''  # of the sums with the longest time
     frame_changes: int = 0
-    discarded: int = 0
+    discarded: int = 0  # how often sums were discarded: they were taken in motion
     loudest: Mapping[str, float] = field(default_factory=dict)
+    """How many times louder than its floor an axis became at rest; empty if none did."""
 
     @property
     def still_share(self) -> float | None:
@@ -330,36 +295,46 @@ class RunningMeans:
         return Means(self._axes, end_ns, values)
 
 
+EVENTS = (
+    *('clock_jumps', 'frame_changed', 'rate_changed', 'stuck', 'not_finite', 'duplicates'),
+    'backward_stamps',
+)
+"""Findings that count events, causes before their effects."""
+
+
+def events(health: StreamHealth) -> Counter[str]:
+    """Return how often each of the `EVENTS` happened."""
+    c = health.counts
+    jumps, changes = c.cuts['clock jump'], c.cuts['rate change']
+    counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
+    return Counter(dict(zip(EVENTS, counts)))
+
+
+def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
+    """Return the findings on events that happened; ``when`` completes their text."""
+    now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
+    happened = [id for id in EVENTS if counts[id] > 0]
+    return [finding(id, count=counts[id], times=counts[id], **now) for id in happened]
+
+
 def stream_findings(
     health: StreamHealth, sums: tuple[AllanSums, ...], settings: SegmenterSettings
 ) -> list[Finding]:
     """Return the findings about a stream and its sums."""
     counts = health.counts
-    found: list[Finding] = []
+    found = event_findings(events(health), health)
 
     def add(id: str, present: object, axes: tuple[str, ...] = (), **numbers: Any) -> None:
         if present:
             found.append(finding(id, axes, **numbers))
 
-    changes = health.frame_changes
-    add('frame_changed', changes, times=changes, frame_id=health.frame_id)
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
     declared = settings.declared_rate
     if declared and rate:
         differs = abs(rate / declared - 1.0) > RATE_CHANGE
         add('rate_differs', differs, measured=rate, declared=declared)
     add('bursty_stamps', health.bursty and rate, rate=rate)
-    changes = counts.cuts['rate change']
-    add('rate_changed', changes, times=changes, rate=health.rate_hz or 0.0)
-    for id, count in (
-        ('not_finite', counts.not_finite),
-        ('duplicates', counts.duplicate),
-        ('backward_stamps', counts.backward),
-        ('clock_jumps', counts.cuts['clock jump']),
-        ('stuck', counts.stuck),
-        ('saturated', counts.saturated),
-    ):
-        add(id, count, count=count)
+    add('saturated', counts.saturated, count=counts.saturated)
     gaps = counts.cuts['gap']
     add('gaps', gaps, lost=counts.lost, cuts=gaps)
     bridged = counts.bridged / max(counts.received, 1)

@@ -117,10 +117,7 @@ class MotionGate:
         self.loudest = np.zeros(len(axes))
         self._counts = counts
         self._ratio = motion_ratio
-        self._rate_limit = np.array(
-            [rate_limit if axis.startswith('gyro') else np.inf for axis in axes]
-        )
-        self._limits = RestLimits.of(axes)
+        self._limits = RestLimits.of(axes, rate_limit)
         self._floor: NoiseFloor | None = None
         self._learning: list[Block] = []  # stretches that wait for the floor
         # samples that do not fill a window yet
@@ -172,8 +169,8 @@ class MotionGate:
         rest."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
         stretches = [np.concatenate([b.rows for b in s], axis=1) for s in _stretches(first)]
-        floor = NoiseFloor.learned(stretches, self.size, len(self._rate_limit))
-        if floor.can_be_rest(self._limits, self.size):
+        floor = NoiseFloor.learned(stretches, self.size, self._limits)
+        if floor.can_be_rest():
             self._floor = floor
             waited, self._learning = self._learning, []
             self.moving = False
@@ -256,9 +253,7 @@ class MotionGate:
             self._last_mean = None
             self._cut = self._cut or block.cut
         assert self._floor is not None
-        found = classify_windows(
-            windows, self._last_mean, size, self._floor, self._ratio, self._rate_limit
-        )
+        found = classify_windows(windows, self._last_mean, size, self._floor, self._ratio)
         still = ~found.moving
         if self.moving or found.moving.any():
             for i in range(len(still)):
@@ -340,7 +335,7 @@ class MotionGate:
         still = np.concatenate([judged.still for judged in block])
         turning = all(judged.windows_class.turning_only.all() for judged in block)
         following = floor.following(windows, still, turning)
-        if following.can_be_rest(self._limits, self.size):
+        if following.can_be_rest():
             self._floor = following
         self._note_louder(block, windows, still)
         return []
@@ -351,7 +346,7 @@ class MotionGate:
         if not still.any() and not any(j.windows_class.stuck.any() for j in block):
             assert self._floor is not None
             rows = np.concatenate([judged.block.rows for judged in block], axis=1)
-            ratio = self._floor.louder(rows, windows, self.size, self._rate_limit, self._limits)
+            ratio = self._floor.louder(rows, windows)
         self._noisy_blocks = 0 if ratio is None else self._noisy_blocks + 1
         self.louder = ratio if self._noisy_blocks >= LOUDER_BLOCKS else None
         if self.louder is None:
@@ -411,12 +406,10 @@ def classify_windows(
     size: int,
     floor: NoiseFloor,
     motion_ratio: float,
-    rate_limit: Floats,
 ) -> WindowClass:
-    """Compare windows of ``size`` samples with the floor.
+    """Compare windows of ``size`` samples with the floor, by the ``motion_ratio`` of `MotionGate`.
 
-    The mean of the window before the first, (axes,), is None when it does not follow any;
-    ``motion_ratio`` and ``rate_limit``, (axes,), are those of `MotionGate`.
+    The mean of the window before the first, (axes,), is None when it does not follow any.
     """
     # (axes, 1) each; infinite where the floor is unknown
     scale, lsb = floor.scale[:, None], floor.lsb[:, None]
@@ -428,7 +421,7 @@ def classify_windows(
     most_variance = motion_ratio**2 * scale + unsure
     most_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
     most_step = STEP_SIGMAS * step_sigma + lsb + unsure
-    most_turn = np.maximum(rate_limit[:, None], STEP_SIGMAS * step_sigma)
+    most_turn = np.maximum(floor.limits.turn[:, None], STEP_SIGMAS * step_sigma)
     previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
     means = np.concatenate([previous, windows.mean], axis=1)
     step = np.abs(means[:, 1:] - means[:, :-1])

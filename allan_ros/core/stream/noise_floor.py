@@ -69,30 +69,31 @@ to the mean than this fraction of its least height: a knock rings, a spike does 
 class RestLimits:
     """Limits of the slow changes that a sensor can show at rest, (axes,) arrays.
 
-    They are the standard deviation within a window of noise at low frequencies, and the change
-    between the means of neighboring windows if it is more than that of white noise. White noise has
-    no limit: large values mean another unit, which is reported elsewhere. ``gravity`` flags the
-    axes that measure gravity.
+    White noise has no limit: large values mean another unit, which is reported elsewhere.
     """
 
-    deviation: Floats
-    step: Floats
-    gravity: NDArray[np.bool_]
+    deviation: Floats  # standard deviation within a window of noise at low frequencies
+    step: Floats  # between the means of neighboring windows, if more than that of white noise
+    turn: Floats  # of the mean rate from that at rest
+    gravity: NDArray[np.bool_]  # the axes that measure gravity
 
     @classmethod
-    def of(cls, axes: tuple[str, ...]) -> RestLimits:
+    def of(cls, axes: tuple[str, ...], rate_limit: float) -> RestLimits:
         """Return the limits in rad/s and m/s^2: above what any IMU shows at rest."""
         gyro = np.array([axis.startswith('gyro') for axis in axes])
-        return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), ~gyro)
+        turn = np.where(gyro, rate_limit, np.inf)
+        return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), turn, ~gyro)
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Statistics of k windows; (axes, k) arrays in the unit of the samples."""
+    """Mean, variance and largest deviation of k windows: values, (3, axes, k)."""
 
-    mean: Floats
-    variance: Floats
-    peak: Floats
+    values: Floats
+
+    mean = property(lambda self: self.values[0])
+    variance = property(lambda self: self.values[1])
+    peak = property(lambda self: self.values[2])
 
     @classmethod
     def of(cls, rows: Floats, size: int) -> Windows:
@@ -105,20 +106,16 @@ class Windows:
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
         # constant samples have no variance, whatever the rounding of their mean leaves
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
-        return cls(mean, variance, peak)
+        return cls(np.stack([mean, variance, peak]))
 
     def __getitem__(self, which: slice | NDArray[np.bool_]) -> Windows:
         """Return some of the windows."""
-        return Windows(self.mean[:, which], self.variance[:, which], self.peak[:, which])
+        return Windows(self.values[:, :, which])
 
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
         """Return the windows of all parts."""
-        parts = list(parts)
-        if len(parts) == 1:
-            return parts[0]
-        names = ('mean', 'variance', 'peak')
-        return cls(*(np.concatenate([getattr(p, n) for p in parts], axis=1) for n in names))
+        return cls(np.concatenate([part.values for part in parts], axis=2))
 
 
 def smoothness(stretches: Iterable[Floats]) -> Floats:
@@ -138,33 +135,25 @@ def smoothness(stretches: Iterable[Floats]) -> Floats:
 class NoiseFloor:
     """The noise of a sensor at rest, (axes,) arrays in the unit of the samples (squared).
 
-    Attributes
-    ----------
-    variance, mean : float64 array
-        Variance about the mean, and mean, of the samples of a still window.
-    step : float64 array
-        Standard deviation of the step between the means of neighboring windows.
-    lsb : float64 array
-        Smallest change between two samples: the resolution of the sensor, or less.
-    smooth : float64 array
-        `smoothness` of the samples the floor was learned from.
-    heavy : bool array
-        Whether these samples have heavy tails: then single large values are noise, not spikes.
+    It was learned in windows of ``size`` samples.
     """
 
-    variance: Floats
-    step: Floats
+    variance: Floats  # about the mean of a still window
+    step: Floats  # standard deviation of the step between the means of neighboring windows
     mean: Floats
-    lsb: Floats
-    smooth: Floats
-    heavy: NDArray[np.bool_]
+    lsb: Floats  # smallest change between two samples: the resolution of the sensor, or less
+    smooth: Floats  # `smoothness` of the samples
+    heavy: NDArray[np.bool_]  # whether they have heavy tails: large values are noise, not spikes
+    size: int
+    limits: RestLimits
 
     @classmethod
-    def learned(cls, stretches: Iterable[Floats], size: int, axes: int) -> NoiseFloor:
-        """Learn from the first samples, (axes, n) each, in windows of ``size`` samples."""
+    def learned(cls, stretches: Iterable[Floats], size: int, limits: RestLimits) -> NoiseFloor:
+        """Learn from the first samples, (axes, n) each."""
         stretches = list(stretches)
         measured: list[Windows] = []
         steps: list[Floats] = []
+        axes = len(limits.turn)
         lsb = np.full(axes, np.inf)
         for rows in stretches:
             window = min(size, rows.shape[1])
@@ -177,7 +166,8 @@ class NoiseFloor:
         lsb[~np.isfinite(lsb)] = 0.0
         zero = np.zeros(axes)
         if not measured:
-            return cls(zero, zero, zero, lsb, np.full(axes, np.nan), zero > 0.0)
+            unknown = np.full(axes, np.nan)
+            return cls(zero, zero, zero, lsb, unknown, zero > 0.0, size, limits)
         windows, step = Windows.joined(measured), np.concatenate(steps, axis=1)
         variance = _quantile(windows.variance, QUANTILE)
         scale = np.maximum(variance, 0.25 * lsb**2)
@@ -188,6 +178,8 @@ class NoiseFloor:
             lsb,
             smoothness(stretches),
             _have_heavy_tails(stretches, size, np.sqrt(scale)),
+            size,
+            limits,
         )
 
     @property
@@ -198,11 +190,11 @@ class NoiseFloor:
         """
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
-    def can_be_rest(self, limits: RestLimits, size: int) -> bool:
-        """Return whether a sensor at rest can have this floor, in windows of ``size`` samples."""
-        white = np.sqrt(2.0 / size) * np.sqrt(self.scale)
-        steps = (self.step > limits.step) & (self.step > COLOURED_STEP * white)
-        swings = (self.variance > limits.deviation**2) & (self.smooth < SLOW)
+    def can_be_rest(self) -> bool:
+        """Return whether a sensor at rest can have this floor."""
+        white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
+        steps = (self.step > self.limits.step) & (self.step > COLOURED_STEP * white)
+        swings = (self.variance > self.limits.deviation**2) & (self.smooth < SLOW)
         return not bool((steps | swings).any())
 
     def if_learned_in_motion(self, block: Windows) -> NoiseFloor | None:
@@ -237,15 +229,12 @@ class NoiseFloor:
             return replace(self, mean=_quantile(block.mean, 0.5))
         return self
 
-    def louder(
-        self, rows: Floats, block: Windows, size: int, rate_limit: Floats, limits: RestLimits
-    ) -> Floats | None:
+    def louder(self, rows: Floats, block: Windows) -> Floats | None:
         """Return how many times louder a block at rest is, (axes,); None if it is motion.
 
         Noise that became louder is stationary, as broad in its spectrum as the floor or as white
         noise, and leaves the mean rate and the direction of gravity where they were. The samples
-        of the block are ``rows``, (axes, n); a mean rate that differs from the floor by
-        ``rate_limit``, (axes,), is a turn.
+        of the block are ``rows``, (axes, n).
         """
         level = _quantile(block.variance, 0.5)
         scale = self.scale
@@ -263,14 +252,15 @@ class NoiseFloor:
         if (smoothness([rows])[louder] < least[louder]).any():
             return None
         sigma = np.sqrt(np.maximum(level, scale))
-        white = np.sqrt(2.0 / size) * sigma
+        white = np.sqrt(2.0 / self.size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
         least_step = COLOURED_STEP * np.maximum(white, self.step)
         if (MAD_TO_SIGMA * _quantile(steps, 0.5) > least_step).any():
             return None
         moved = np.abs(_quantile(block.mean, 0.5) - self.mean)
-        gravity = float(np.linalg.norm(self.mean[limits.gravity]))
-        allowed = np.where(limits.gravity, SAME_DIRECTION * gravity, rate_limit) + white
+        vertical = self.limits.gravity
+        gravity = float(np.linalg.norm(self.mean[vertical]))
+        allowed = np.where(vertical, SAME_DIRECTION * gravity, self.limits.turn) + white
         return None if (moved > allowed).any() else ratio
 
 
@@ -332,9 +322,7 @@ def without_spikes(
     if not changed.any():
         return block, windows, 0
     some = judged.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
-    again = Windows.of(some, size)
-    for name in ('mean', 'variance', 'peak'):
-        getattr(windows, name)[:, changed] = getattr(again, name)
+    windows.values[:, :, changed] = Windows.of(some, size).values
     found[floor.heavy] = False
     filled = found if block.filled is None else block.filled | found
     replaced = np.where(found, judged, rows)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from ..findings import Finding, finding
 from .cleaning import BACKWARD_RUN
-from .health import StreamHealth
+from .health import StreamHealth, event_findings, events
 
 LATELY_S = 60.0
 """Events of this time are reported; older ones only remain in the counts."""
@@ -43,27 +43,14 @@ LIVE_FINDINGS = (
 
 @dataclass
 class TransportStatistics:
-    """What happened to the messages in transport.
-
-    Attributes
-    ----------
-    received, malformed : int
-        Messages received, and those of them that are not Imu messages.
-    sent_before : int
-        Messages that a publisher had sent before the first one received; either the subscription
-        came later, or they were lost.
-    skipped_numbers, reported_lost : int
-        Sequence numbers of the publishers that are missing; losses that the middleware reported.
-    incompatible_qos : int
-        Publishers whose QoS is incompatible, so that nothing arrives from them.
-    """
+    """What happened to the messages in transport."""
 
     received: int = 0
-    sent_before: int = 0
-    skipped_numbers: int = 0
-    reported_lost: int = 0
-    malformed: int = 0
-    incompatible_qos: int = 0
+    sent_before: int = 0  # by publishers before the first one received: not yet subscribed, or lost
+    skipped_numbers: int = 0  # sequence numbers of the publishers that are missing
+    reported_lost: int = 0  # losses that the middleware reported
+    malformed: int = 0  # of those received: no Imu messages
+    incompatible_qos: int = 0  # publishers from which nothing arrives for their QoS
 
     @property
     def lost(self) -> int:
@@ -148,19 +135,9 @@ class TransportMonitor:
             self._tallies = deque([(time_s, begin)])
         self._samples = c.received
         self._follow_stamps(passed_s, transport, health)
-        counts = Counter(
-            received=transport.received,
-            lost=transport.lost,
-            absent=self._absent,
-            leapt=self._leapt,
-            stuck=c.stuck,
-            not_finite=c.not_finite,
-            duplicates=c.duplicate,
-            backward_stamps=c.backward,
-            clock_jumps=c.cuts['clock jump'],
-            rate_changed=c.cuts['rate change'],
-            frame_changed=health.frame_changes,
-        )
+        counts = events(health)
+        counts.update(received=transport.received, lost=transport.lost)
+        counts.update(absent=self._absent, leapt=self._leapt)
         self._tallies.append((time_s, counts))
         while len(self._tallies) > 2 and self._tallies[1][0] <= time_s - LATELY_S:
             self._tallies.popleft()
@@ -214,18 +191,11 @@ class TransportMonitor:
         """Return what happened in the last minute, causes before their effects."""
         more = self._tallies[-1][1].copy()
         more.subtract(self._tallies[0][1])
-        found = []
+        # the first stamps after a backward clock step are dropped as backward ones
+        more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
+        found = event_findings(more, health, LATELY)
         if more['leapt'] > 0 and health.rate_hz:
-            found.append(finding('stamps_leapt', seconds=more['leapt'] / health.rate_hz))
-        if more['clock_jumps'] > 0:
-            found.append(finding('clock_jumps', when=LATELY, count=more['clock_jumps']))
-            # the first stamps after such a step are dropped as backward ones
-            more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
-        if (times := more['frame_changed']) > 0:
-            frame = health.frame_id
-            found.append(finding('frame_changed', when=LATELY, times=times, frame_id=frame))
-        if (times := more['rate_changed']) > 0 and health.rate_hz:
-            found.append(finding('rate_changed', when=LATELY, times=times, rate=health.rate_hz))
+            found.insert(0, finding('stamps_leapt', seconds=more['leapt'] / health.rate_hz))
         received, lost, absent = more['received'], more['lost'], more['absent']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
@@ -233,9 +203,6 @@ class TransportMonitor:
         if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))
-        for id in ('stuck', 'not_finite', 'duplicates', 'backward_stamps'):
-            if more[id] > 0:
-                found.append(finding(id, when=LATELY, count=more[id]))
         if health.frame_id != health.evidence_frame_id:
             shown = health.evidence_frame_id
             found.append(finding('frame_waits', present=health.frame_id, shown=shown))

@@ -73,10 +73,11 @@ def imu_topics(path: Path) -> list[str]:
 def survey_bag(bag: BagFiles) -> Survey:
     """Open the files until every topic that has messages was found."""
     survey = Survey()
-    expected = None if bag.described is None else {k for k, d in bag.described.items() if d.messages}
+    described = bag.described
+    expected = None if described is None else {k for k, d in described.items() if d.messages}
     for file in bag.files:
         with open_storage(file) as (storage, survey.storage):
-            counts = storage.counts() if bag.described is None else {}
+            counts = storage.counts() if described is None else {}
             for topic in storage.topics:
                 key = (topic.name, topic.type)
                 survey.topics.setdefault(key, topic)
@@ -84,10 +85,10 @@ def survey_bag(bag: BagFiles) -> Survey:
             survey.cut = survey.cut or storage.cut
         if expected is not None and expected <= set(survey.topics):
             break
-    for key, described in (bag.described or {}).items():
+    for key, stated in (described or {}).items():
         if key in survey.topics:
-            survey.counts[key] = described.messages
-            survey.topics[key] = replace(survey.topics[key], encoding=described.encoding)
+            survey.counts[key] = stated.messages
+            survey.topics[key] = replace(survey.topics[key], encoding=stated.encoding)
     return survey
 
 
