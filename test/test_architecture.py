@@ -133,6 +133,11 @@ ANALYZE = """
 import numpy as np
 allan_ros.analyze(np.random.default_rng(0).normal(size=4000), rate=100)
 """
+BIAS = """
+from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.filters.reductions import state_space
+assert state_space(ProcessModel(NoiseTerms(N=1.0, B=1.0))).gauss_markov
+"""
 ALL = 'numpy scipy matplotlib pandas rosbags yaml rclpy'
 LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas rosbags'
 
@@ -146,9 +151,10 @@ LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas
         ('import allan_ros.core.stream.pipeline', 'scipy'),
         ('import allan_ros.io.plots', 'matplotlib.pyplot'),
         (ANALYZE, 'matplotlib'),
+        (BIAS, LARGE),
         ('import allan_ros.nodes.monitor', f'{LARGE} scipy.fft'),
     ],
-    ids=['package', 'help', 'every module', 'pipeline', 'plots', 'analyze', 'monitor'],
+    ids=['package', 'help', 'every module', 'pipeline', 'plots', 'analyze', 'bias', 'monitor'],
 )
 def test_no_large_library_is_loaded_before_it_is_needed(code: str, libraries: str) -> None:
     """Each takes 0.2 to 1 s of CPU at every start of `allan` or a node, and up to 20 MB."""
