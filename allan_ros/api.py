@@ -199,7 +199,7 @@ def analyze(
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
-        findings = without_absent(recorded.provenance.findings)
+        findings = without_absent(recorded.provenance.findings, recording.axes)
         recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
     return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
 

@@ -5,7 +5,7 @@
     python bench/bench_processes.py humps --rate 20       one process added to table 1, X
     python bench/bench_processes.py bounds                how often it can be found at all
     python bench/bench_processes.py growth --blocks 1     predicted against actual angle growth
-    python bench/bench_processes.py adis                  measured curve over drawn model
+    python bench/bench_processes.py adis                  measured curve over drawn model, settled
     python bench/bench_processes.py clean --rate 20       processes found where there are none
     python bench/bench_processes.py segments              one process in 400 short segments
 
@@ -30,6 +30,7 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.fit import AxisFit, fit_noise
 from allan_ros.core.fit.select import LIKELIER
+from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import (
     NoiseTerms,
     ProcessModel,
@@ -272,12 +273,12 @@ def adis(skip: float, with_gmwm: bool) -> None:
     errors: dict[str, list[float]] = {}
     for unit in ('imu1', 'imu2', 'imu4'):
         rows = load(unit)[round(skip * RATE) :, 1:]
-        sums = sums_of(rows)
-        tau, half = sums.m * sums.tau0, len(rows) / RATE / 2.0
         begin = time.process_time()
-        fits = fit_noise(sums)
+        sums, fits = fit_stationary(sums_of(rows))
         cost = 1e3 * (time.process_time() - begin) / len(fits.axes)
-        print(f'{unit}: {cost:.0f} ms per axis')
+        print(f'{unit}: {cost:.0f} ms per axis, {sums.samples / len(rows):.0%} used')
+        rows = rows[len(rows) - sums.samples :]
+        tau, half = sums.m * sums.tau0, len(rows) / RATE / 2.0
         for a, (axis, fit) in enumerate(fits.axes.items()):
             ratio = np.sqrt(sums.avar[:, a] / fit.selected.avar(tau, sums.tau0))
             for k, (low, high) in enumerate(((600.0, 1500.0), (1500.0, half))):

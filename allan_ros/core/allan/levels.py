@@ -177,7 +177,7 @@ LOG_SIZES = np.arange(-8.0, 8.01, 0.2)
 LOG_SCATTERS = np.arange(0.2, 4.01, 0.2)
 """Standard deviations of these logarithms that are tried."""
 
-DRIFT_RATIO = 10.0
+DRIFT_RATIO = 12.0
 """Twice the log likelihood ratio of a scatter, of the axes of one sensor together."""
 
 PART_CELLS = 128

@@ -28,7 +28,7 @@ LEAST_REST = 0.4
 """The settled part is used if at least this fraction of the samples remains: half after the sensor
 has settled, less what is lost because sums are divided at some ages only."""
 
-CERTAIN = 8.0
+CERTAIN = 6.5
 """Twice the log likelihood ratio beyond the threshold from which the early part is left out."""
 
 SHIFT, LEAST_SHIFT = 0.02, 0.005
@@ -38,8 +38,9 @@ TESTED_RECORDINGS = 8
 """Number of the longest recordings that are tested."""
 
 LEAST_TESTED_S = 120.0
-"""Seconds of a recording from which its drift is tested. Shorter ones are compared by means over
-less than a quarter of a second, which vibration moves rather than drift."""
+"""Seconds of a recording from which steps and the size of its drift are tested, and from which an
+early part is reported although no coefficient leaves its interval. Means of shorter ones are those
+of less than a quarter of a second, which vibration moves rather than drift."""
 
 STEPS_MATTER = 0.96
 """Steps are reported if without them the variance of the walk is below this fraction."""
@@ -58,17 +59,22 @@ class _Change:
     settled: Coefficient
 
     @property
-    def matters(self) -> bool:
-        """Whether the coefficient leaves its interval or moves by more than 2 %."""
+    def leaves(self) -> bool:
+        """Whether the coefficient leaves its interval."""
         a, b = self.complete, self.settled
         low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
         if b.status != 'estimated' or b.value is None:
             return b.upper95 is not None and b.upper95 < low
-        left = not low <= b.value <= high
-        if a.status != 'estimated' or not a.value:
-            return left
+        return not low <= b.value <= high
+
+    @property
+    def matters(self) -> bool:
+        """Whether the coefficient leaves its interval or moves by more than 2 %."""
+        a, b = self.complete, self.settled
+        if a.status != 'estimated' or b.status != 'estimated' or not a.value or b.value is None:
+            return self.leaves
         shift = abs(b.value / a.value - 1.0)
-        return shift > SHIFT or (left and shift > LEAST_SHIFT)
+        return shift > (LEAST_SHIFT if self.leaves else SHIFT)
 
     @property
     def _sizes(self) -> list[float]:
@@ -125,7 +131,8 @@ def fit_stationary(
     """
     if method == 'paper' or not sums.tau0:
         return sums, fit_noise(sums, method)
-    parts = [part for one in _tested(sums) for part in early_parts(one, _sensors(sums))]
+    longest = sums.history.recordings[:TESTED_RECORDINGS]
+    parts = [part for one in longest for part in early_parts(one, _sensors(sums))]
     used, model, found = _without_early_part(sums, method, settle, parts)
     age = max((part.age for part in parts), default=0)
     found += [_steps_finding(sums, steps) for steps in _steps(sums, age)]
@@ -179,7 +186,7 @@ def _without_early_part(
     last = max(parts, key=lambda part: part.age)
     divided = _rest(sums, last.age)
     if divided is None:
-        return sums, fit_noise(sums, method), [_unsettled(sums, last)]
+        return sums, fit_noise(sums, method), [_unsettled(sums, parts, last.age)]
     rest, age = divided
     settled = fit_noise(rest, method)
     certain = settle and max(part.excess for part in parts) >= CERTAIN
@@ -193,8 +200,9 @@ def _without_early_part(
         for term in TERMS
     ]
     every.sort(key=lambda change: -change.size)
-    changes = [change for change in every if change.matters]
-    if not changes and not certain:
+    brief = sums.history.length * sums.tau0 < LEAST_TESTED_S
+    changes = [each for each in every if each.matters and (each.leaves or not brief)]
+    if not changes and (brief or not certain):
         return sums, complete, []
     early = duration_text(age * sums.tau0)
     found = finding(
@@ -277,16 +285,16 @@ def _rest(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
     return (rest, edge) if rest.samples >= LEAST_REST * sums.samples else None
 
 
-def _unsettled(sums: AllanSums, part: EarlyPart) -> Finding:
-    """Return the finding of a warm-up after which too little data remains for a fit."""
+def _unsettled(sums: AllanSums, parts: list[EarlyPart], age: int) -> Finding:
+    """Return the finding of a warm-up after which, at an age, too little data remains for a fit."""
     tau0 = sums.tau0 or 0.0
-    duration = part.age * tau0
-    remaining = duration - max((r.length for r in sums.history.recordings), default=0) * tau0
+    duration = age * tau0
+    remaining = duration - sums.history.length * tau0
     after = f'after {duration_text(duration)}'
     return finding(
         'warm_up',
-        tuple(sums.axes[i] for i in part.axes),
-        what=_what(sums, [part]),
+        tuple(axis for i, axis in enumerate(sums.axes) if any(i in part.axes for part in parts)),
+        what=_what(sums, parts),
         settles=f'in about {duration_text(remaining)}' if remaining > 0.0 else after,
         how_long=duration_text(2.0 * duration),
     )

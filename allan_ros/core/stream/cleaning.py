@@ -258,6 +258,9 @@ def plan_sensors(
             findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
             continue
         axes, own = tuple(AXES[i] for i in present), rows[present]
+        lacking = tuple(axis for axis in AXES[place] if axis not in axes)
+        if lacking:
+            findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
         zeros = own == 0.0
         own_samples: OwnSamples = 'all'
         if zeros.all():

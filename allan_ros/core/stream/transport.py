@@ -35,8 +35,17 @@ NEVER_STILL_S = 10.0
 """Motion from the start on is reported after this time."""
 
 LIVE_FINDINGS = (
-    *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'sensor_all_zero'),
-    *('zero_filled', 'held', 'never_still', 'no_noise', 'gyro_unit', 'accel_unit', 'accel_scale'),
+    *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
+    *(
+        'sensor_all_zero',
+        'zero_filled',
+        'held',
+        'never_still',
+        'no_noise',
+        'gyro_unit',
+        'accel_unit',
+        'accel_scale',
+    ),
 )
 """Findings of a complete stream that remain true while it runs."""
 

@@ -322,21 +322,28 @@ def recording_in_memory(
         stamps = _stamps(index, 1)
     else:
         raise AllanError('the samples have no times: give their rate in Hz, such as rate=200')
-    return _recording(ImuBatch(stamps, rows), options.with_units(found.units))
+    given = tuple(AXES[axis] for axis in values)
+    return _recording(ImuBatch(stamps, rows), options.with_units(found.units), given)
 
 
-def _recording(batch: ImuBatch, options: ReadOptions = ReadOptions()) -> Recording:
+def _recording(
+    batch: ImuBatch, options: ReadOptions = ReadOptions(), axes: tuple[str, ...] = AXES
+) -> Recording:
     if len(batch) and np.abs(batch.stamps_ns.astype(float)).max() > MAX_INTEGER:
         raise AllanError('some times are beyond a hundred years from 1970: check their unit')
     if not len(batch):
         raise AllanError('there are no samples: give an array with at least some thousand rows')
     info = SourceInfo(NAME, '', 'array', 'memory')
-    return Recording(info, len(batch), lambda _: in_batches(batch), options=options)
+    return Recording(info, len(batch), lambda _: in_batches(batch), options=options, axes=axes)
 
 
-def without_absent(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return the findings without those on sensors that an array never had."""
-    return tuple(f for f in findings if f.id != 'sensor_absent')
+def without_absent(findings: Sequence[Finding], axes: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Return the findings without those on sensors and axes that an array never had."""
+    return tuple(
+        f
+        for f in findings
+        if f.id != 'sensor_absent' and not (f.id == 'axis_absent' and set(axes).isdisjoint(f.axes))
+    )
 
 
 def _numbers(samples: Any) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from ...core.findings import Finding
-from ...core.imu import SAMPLE_SI, SAMPLE_UNITS, STAMP_UNITS, ImuBatch, sample_factors
+from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, STAMP_UNITS, ImuBatch, sample_factors
 from ...core.settings import check, parameter
 from ..signal import TemperatureTrace
 
@@ -87,7 +87,7 @@ class Recording:
     """One recording, which can be read any number of times.
 
     ``messages`` is the number of samples that it states, or None; ``options`` are those in effect:
-    with the units that were found in the recording, or assumed.
+    with the units that were found in the recording, or assumed. ``axes`` are those it can have.
     """
 
     def __init__(
@@ -97,8 +97,10 @@ class Recording:
         read: Callable[[Report], Iterator[ImuBatch]],
         read_temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None,
         options: ReadOptions = ReadOptions(),
+        axes: tuple[str, ...] = AXES,
     ) -> None:
         self.info = info
+        self.axes = axes
         self.messages = messages
         self.options = options.with_units()
         self._read = read

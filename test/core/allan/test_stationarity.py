@@ -71,6 +71,40 @@ def test_the_settled_part_is_fitted_and_both_values_are_stated():
     assert everything is sums
 
 
+@pytest.mark.parametrize('rate', [1.0, 200.0])
+def test_a_short_warm_up_is_left_out_if_a_coefficient_changes(rate):
+    """2 h with 30 s, and the same samples as those of a recording of 36 s."""
+    early = 1000 * DEG_H * np.exp(-np.arange(SECONDS) / 30.0)
+    sums = sums_of_noise(NOISE, 6, early=early, rate=rate)
+    used, model = fit_stationary(sums)
+    assert used.samples < sums.samples
+    (found,) = (f for f in model.findings if f.id == 'settled_part')
+    assert 'warm-up' in found.message or 'drift' in found.message
+
+
+def test_an_early_part_of_a_short_recording_that_changes_no_coefficient_is_not_reported(
+    monkeypatch,
+):
+    part = EarlyPart('warm_up', (0,), np.zeros(3), 100.0, 2 * CERTAIN, 600)
+    monkeypatch.setattr(stationary, 'early_parts', lambda *_: (part,))
+    for rate, reported in ((1.0, True), (200.0, False)):
+        sums = sums_of_noise(NOISE, 1, rate=rate)
+        used, model = fit_stationary(sums)
+        assert (used is not sums) == reported
+        assert any(f.id == 'settled_part' for f in model.findings) == reported
+
+
+def test_only_axes_that_take_part_are_named():
+    """A warm-up of one axis is far above every threshold; the noise of the others is not."""
+    engine = RunningAllan(axes=AXES)
+    rng = np.random.default_rng(1)
+    y = np.stack([simulate_axis(SECONDS, 1.0, NOISE, rng) for _ in AXES], axis=1)
+    y[:, 1] += 3000 * DEG_H * np.exp(-np.arange(SECONDS) / 300.0)
+    engine.update(y, 0, (SECONDS - 1) * 10**9)
+    engine.end_segment()
+    assert parts_of(engine.sums)[0].axes == (1,)
+
+
 def test_a_warm_up_of_the_complete_recording_is_reported():
     t = np.arange(SECONDS)
     sums = sums_of_noise(NOISE, 5, early=1000 * DEG_H * np.exp(-t / 1500))

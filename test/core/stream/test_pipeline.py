@@ -392,6 +392,16 @@ def test_a_sensor_of_zeros_is_absent_and_named():
     assert found.axes == AXES[:3] and 'gyro' in found.message
 
 
+@pytest.mark.parametrize('value', [np.nan, np.inf, 1e300])
+def test_an_axis_without_a_finite_value_is_named_and_left_out(value):
+    t, x = still(5000)
+    x[:, 1] = value
+    result = accumulate(t, x)
+    assert {axis for s in result.sums for axis in s.axes} == set(AXES) - {AXES[1]}
+    (found,) = [f for f in result.findings if f.id == 'axis_absent']
+    assert found.axes == (AXES[1],)
+
+
 def test_an_imu_that_is_never_at_rest_is_an_error():
     t, x = still(12_000)
     result = accumulate(t, x + swing(t))
