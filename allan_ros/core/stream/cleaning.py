@@ -5,7 +5,7 @@ samples.
 
 Drivers that put a slower accelerometer into every gyro message repeat its last sample, or fill the
 missing half with zeros. Both change the noise (a 250 Hz accelerometer repeated at 400 Hz shows N
-5 % too high), so such a sensor gets a sensor stream of its own, with its own samples only.
+5 % too high), so such a sensor gets its own sensor stream, which contains only its new samples.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 BACKWARD_RUN = 16
-"""This many stamps in a row before the latest one mean that the clock was set back; fewer are
-dropped."""
+"""Number of consecutive stamps before the latest one that means that the clock was set back. Fewer
+such stamps are dropped."""
 
 
 class StampChoice:
@@ -36,10 +36,12 @@ class StampChoice:
     def __init__(self, use_record: bool, declared_rate: float) -> None:
         self.use_record = use_record
         self._rate = declared_rate
-        self._placed: int | None = None  # samples with stamps from that rate, where it is used
+        # samples whose stamps are computed from that rate, if it is used
+        self._placed: int | None = None
 
     def learn(self, first: ImuBatch) -> list[Finding]:
-        """Decide by the first samples of the stream, and return the findings on their stamps."""
+        """Choose the stamps from the first samples of the stream, and return the findings about
+        them."""
         stamps = first.stamps_ns
         if self.use_record or len(stamps) < 2 or stamps.min() != stamps.max():
             return []
@@ -73,7 +75,7 @@ class WarmUp:
 
     def take(self, stamps: Stamps) -> int:
         """Return how many of the next samples, at least one, belong to the warm-up."""
-        if self._over:  # a backward clock step later skips no more samples
+        if self._over:  # a later backward clock step skips no further samples
             return 0
         if self._end_ns is None:
             self._end_ns = int(stamps[0]) + self._length_ns
@@ -94,7 +96,8 @@ class StampFilter:
         self._backward = 0
 
     def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
-        """Take stamps, (n,), and rows, (axes, n); return the k samples that are kept.
+        """Take stamps, (n,), and rows, (axes, n); return stamps, rows and flags of the k samples
+        kept.
 
         The third array, (k,), flags backward clock steps.
         """
@@ -143,9 +146,10 @@ class StampFilter:
 class PassSplitter:
     """Splits a stream where its stamps go back and stay back, as in a looped recording.
 
-    Single backward stamps are left to `StampFilter`. So samples before the latest stamp wait until
-    `BACKWARD_RUN` of them have come in a row (a new pass begins with the first of them) or one
-    after it has come. ``latest_ns`` is the latest stamp of sums there are already (a checkpoint).
+    Single backward stamps are left to `StampFilter`. So samples with earlier stamps are buffered
+    until `BACKWARD_RUN` of them follow each other (the first of them begins a new pass), or a
+    sample with a later stamp follows. ``latest_ns`` is the latest stamp in existing sums (of a
+    checkpoint).
     """
 
     def __init__(self, latest_ns: int | None = None) -> None:
@@ -153,7 +157,7 @@ class PassSplitter:
         self._waiting: ImuBatch | None = None
 
     def split(self, batch: ImuBatch) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield (begins a new pass, samples) in order; together they are the stream."""
+        """Yield (begins a new pass, samples) in order; together these are the complete stream."""
         if self._waiting is not None:
             if self._waiting.frame_id == batch.frame_id:
                 batch = joined([self._waiting, batch])
@@ -178,12 +182,12 @@ class PassSplitter:
             yield False, waiting
 
     def _this_pass(self, batch: ImuBatch) -> tuple[int, bool]:
-        """Return how many samples belong to this pass, and whether another follows them."""
+        """Return how many samples belong to this pass, and whether a new pass follows them."""
         stamps = batch.stamps_ns
         latest = stamps[0] if self._latest is None else self._latest
         reached = np.maximum.accumulate(np.concatenate([[latest], stamps]))
         ahead = np.flatnonzero(stamps >= reached[:-1])
-        # between two samples that are ahead are those that are behind
+        # all samples between two samples with later stamps have earlier stamps
         edges = np.concatenate([[-1], ahead, [len(stamps)]])
         long = np.flatnonzero(np.diff(edges) > BACKWARD_RUN)
         if len(long):
@@ -193,19 +197,20 @@ class PassSplitter:
 
 
 SHARE = 0.1
-"""Least share of repeated or zero samples of a sample-and-hold or zero-filled sensor."""
+"""Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
+sensor."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
-"""Coarse values of a sensor at rest repeat, or are zero, by chance: then the logarithm of the share
-of all three axes is the sum of their logarithms. If they are repeated or filled together it is a
-third of that."""
+"""If coarse values of a sensor at rest repeat, or are zero, by chance, the logarithm of the share
+of all three axes is the sum of their logarithms. If the axes are repeated or filled together, it is
+a third of the sum. The threshold lies between the two."""
 
 OwnSamples = Literal['all', 'held', 'zero']
 
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The axes of a sensor stream, and which samples of the messages belong to it.
+    """The axes of a sensor stream, and the rule that selects its samples from the messages.
 
     ``own`` is 'all', 'held' to drop samples that repeat the previous one, or 'zero' to drop
     samples that are zero.
@@ -241,7 +246,7 @@ class SampleHoldFilter:
 def plan_sensors(
     stamps: Stamps, rows: Floats
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
-    """Return the sensor streams and their findings from the first samples of a stream.
+    """Return the sensor streams, found from the first samples of a stream, and the findings.
 
     The rows, (6, n), are NaN where a sensor is absent.
     """
@@ -293,7 +298,7 @@ def _sampled_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bo
 def _together(flags: NDArray[np.bool_]) -> bool:
     """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    Flags that are always set do not count: constant values are another fault.
+    Flags that are always set are ignored: constant values are another fault.
     """
     joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not SHARE < joint < 1.0:

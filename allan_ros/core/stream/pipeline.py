@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From batches of samples to sums: the path that nodes and offline tools share.
+"""Processing of batches of samples to sums, shared by the nodes and the offline tools.
 
 `ImuStream` separates IMUs by their frame_id, `FrameStream` chooses the stamps and separates the
 sensors where their rates differ, and `SensorStream` runs the stages from samples to sums.
@@ -42,14 +42,14 @@ from .motion import RELEARNED, MotionGate
 from .timing import LEARN, Block, Clock, SampleClock, learn_clock
 
 KEPT_FRAMES = 8
-"""Different frame_ids in one stream whose sums are kept: each is another IMU."""
+"""Number of frame_ids in one stream whose sums are kept; each is another IMU."""
 
 KEPT_RATES = 8
-"""Rates of one sensor stream whose sums are kept."""
+"""Number of rates of one sensor stream whose sums are kept."""
 
 
 class StreamOptions(NamedTuple):
-    """What is accumulated: the settings, and whether to keep spectra and means too."""
+    """What is accumulated: the settings, and whether spectra and means are kept."""
 
     settings: SegmenterSettings
     with_spectra: bool
@@ -78,10 +78,10 @@ class ImuStream:
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), self._options)
         self._frame_changes = 0
-        self._dropped = Counts()  # of the frames there was no room for
+        self._dropped = Counts()  # of frames beyond `KEPT_FRAMES`
 
     def update(self, batch: ImuBatch) -> None:
-        """Take the next samples of the stream."""
+        """Add the next samples of the stream."""
         if not len(batch):
             return
         frame_id = batch.frame_id
@@ -116,7 +116,7 @@ class ImuStream:
         )
 
     def outlook(self, sums: tuple[AllanSums, ...]) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return health and findings of `result`, from its earlier sums, at a tenth of the cost."""
+        """Return health and findings of `result` from its earlier sums, at a tenth of the cost."""
         light: dict[int, Any] = {}
         for frame in self._frames.values():
             for sensor in frame.sensors:
@@ -127,7 +127,7 @@ class ImuStream:
         return now._health(state, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Add a frame; if there are too many, drop the one with the shortest data."""
+        """Add a frame; if there are too many, drop the frame with the shortest data."""
         if len(self._frames) >= KEPT_FRAMES:
             least = min(
                 self._frames.values(),
@@ -141,7 +141,7 @@ class ImuStream:
         return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return the sums of the longest time for each sensor that was ever present."""
+        """Return the sums with the longest time for each sensor that was present at any time."""
         best: dict[str, StreamSums] = {}
         for each in (each for frame in self._frames.values() for each in frame.by_rate()):
             for axis in each.sums.axes if each.sums.samples else ():
@@ -180,7 +180,7 @@ class ImuStream:
 class FrameStream:
     """The samples of one frame_id: chooses the stamps and feeds the sensor streams.
 
-    There is one of these, or one per sensor where their rates differ; none during the learning
+    There is one sensor stream, or one per sensor if the rates differ, and none during the learning
     phase, whose findings are ``notes``.
     """
 
@@ -214,15 +214,15 @@ class FrameStream:
         return counts
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums of each sensor stream at each of its rates."""
+        """Return the sums of each sensor stream at each rate."""
         return [each for sensor in self.sensors for each in sensor.by_rate()]
 
     def update(self, batch: ImuBatch) -> None:
-        """Take the next samples."""
+        """Add the next samples."""
         if self.sensors:
             self._feed(batch)
             return
-        # the first LEARN samples decide together, whatever chunks they came in
+        # the first LEARN samples decide together, in any chunking
         take = min(LEARN - self._learned, len(batch))
         self._learning.append(batch[np.arange(take)])  # a copy
         self._learned += take
@@ -239,7 +239,7 @@ class FrameStream:
             sensor.flush()
 
     def _learn(self) -> None:
-        """Choose the stamps and the sensor streams from the first samples, then take them."""
+        """Choose the stamps and the sensor streams from the first samples, then process these."""
         first, self._learning, self._learned = joined(self._learning), [], 0
         plans, findings = plan_sensors(first.stamps_ns, first.samples.T)
         self.notes += [*self.stamps.learn(first), *findings]
@@ -260,16 +260,16 @@ class FrameStream:
 class SensorStream:
     """Feeds the engine with the samples at rest of the axes that are sampled together.
 
-    These are all six axes, or those of one sensor where the two have different rates. The stages
-    are: own samples, order of stamps, sample clock, motion gate, engine. ``relearned`` counts how
-    often the sums were discarded because they had been taken in motion.
+    These are all six axes, or the axes of one sensor if the sensors have different rates. The
+    stages are: own samples, order of stamps, sample clock, motion gate, engine. ``relearned``
+    counts how often the sums were discarded because they had been taken in motion.
     """
 
     def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
         self.counts = Counts()
         self.relearned = 0
         self._axes = plan.axes
-        self._former: list[StreamSums] = []  # one of each rate the stream had
+        self._former: list[StreamSums] = []  # one per rate of the stream
         self._identity = identity
         self._options = options
         self._own = SampleHoldFilter(plan)
@@ -277,7 +277,7 @@ class SensorStream:
         self._start(np.empty(0, np.int64), np.empty((len(plan.axes), 0)))
 
     def _start(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-        """Start to learn a rate, with the buffered samples."""
+        """Start to learn a rate from the buffered samples."""
         self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
         self._clock: SampleClock | None = None
         self._gate: MotionGate | None = None
@@ -296,7 +296,7 @@ class SensorStream:
 
     @property
     def _buffered(self) -> int:
-        """Number of samples that wait for the clock to be learned."""
+        """Number of samples that are buffered until the clock is learned."""
         return sum(len(stamps) for stamps, _, _ in self._learning)
 
     @property
@@ -308,14 +308,14 @@ class SensorStream:
 
     @property
     def loudest(self) -> dict[str, float]:
-        """Axis -> how many times louder than its floor it became at rest; empty if it did not."""
+        """Axis -> ratio of its noise at rest to its floor; only axes that became louder."""
         if self._gate is None or not self._gate.loudest.any():
             return {}
         return dict(zip(self._axes, self._gate.loudest.tolist()))
 
     @property
     def clock(self) -> Clock | None:
-        """Working period and regularity of the stamps; None before they are learned."""
+        """Working period and regularity of the stamps; None before the clock is learned."""
         return None if self._clock is None else self._clock.clock
 
     @property
@@ -329,7 +329,7 @@ class SensorStream:
         return StreamSums(sums, spectrum, segments)
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at each rate; a rate that returns is continued."""
+        """Return the sums at each rate; when a rate returns, its sums are continued."""
         return joined_by_rate(self._former, self.present)
 
     @property
@@ -343,7 +343,7 @@ class SensorStream:
         return {**light, id(self._spectrum): None, id(self._former): [], id(self._segments): []}
 
     def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-        """Take samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
+        """Process samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
         own = self._order.feed(*self._own.pick(stamps, rows))
         if self._clock is not None:
             self._advance(self._clock.feed(*own))
@@ -366,7 +366,7 @@ class SensorStream:
         self._end_gate()
 
     def _learn(self) -> None:
-        """Learn the clock from the first samples, then take them all."""
+        """Learn the clock from the first samples, then process these."""
         if not self._buffered:
             return
         parts, self._learning = self._learning, []
@@ -374,7 +374,7 @@ class SensorStream:
         rows = np.concatenate([part[1] for part in parts], axis=1)
         clock = learn_clock(stamps[:LEARN])
         if clock is None:
-            # equal stamps give no time; kept, they would fill the memory
+            # equal stamps contain no time, and buffering them would fill the memory
             self.counts.untimed += len(stamps)
             return
         settings, axes = self._options.settings, self._axes
