@@ -276,7 +276,9 @@ def compare(
     check_margin(margin)
     expect(LIST, labels=labels)
     if len(labels) > len(sources):
-        raise AllanError(f'{len(labels)} labels for {len(sources)} runs: give at most one per run')
+        raise AllanError(
+            f'{len(labels)} labels for {len(sources)} inputs: give at most one per input'
+        )
     expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
@@ -285,9 +287,9 @@ def compare(
     for name in names:
         expect(str, label=name)
         if names.count(name) > 1:
-            raise AllanError(f'two runs are called {name!r}: give each a label')
+            raise AllanError(f'two inputs are called {name!r}: give each a label')
     if len(sources) + len(sheets) < 2 or not sources:
-        raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
+        raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     runs = (results_of(source, method, observer) for source in sources)
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
 
@@ -404,7 +406,9 @@ def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping
         each = set(given) <= set('xyz')
         return {f'{sensor}_{axis}': given[axis] for axis in given} if each else {sensor: given}
     if not isinstance(given, (list, tuple)) or len(given) != 3:
-        raise AllanError(f'{sensor} is {one_line(repr(given)):.60}: give terms once or three times')
+        raise AllanError(
+            f'{sensor} is {one_line(repr(given)):.60}: give one mapping of terms, or three'
+        )
     return {f'{sensor}_{axis}': terms for axis, terms in zip('xyz', given)}
 
 

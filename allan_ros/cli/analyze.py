@@ -152,7 +152,7 @@ def check_result_arguments(args: argparse.Namespace) -> None:
     for name in args.export:
         target_of(name)
     if args.export and not args.output:
-        raise AllanError('--export writes into the folder of -o: give one')
+        raise AllanError('--export needs a folder: give one with -o')
 
 
 def fitted(

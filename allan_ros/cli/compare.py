@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     pictures = settings_of(PictureSettings, args)
     check_pictures(pictures, bool(args.output))
     if args.report and not args.output:
-        raise AllanError('--report writes into the folder of -o: give one')
+        raise AllanError('--report needs a folder: give one with -o')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
     comparison = api.compare(
         *(text for text in args.inputs if text not in given),

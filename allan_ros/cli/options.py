@@ -129,7 +129,7 @@ def words_with_config(
     tables = {key for key, value in settings.items() if isinstance(value, Mapping)}
     unknown = tables.difference(verbs)
     if unknown:
-        raise AllanError(f'{path}: [{min(unknown)}] is no verb: use {", ".join(verbs)}')
+        raise AllanError(f'{path}: [{min(unknown)}] is not a verb: use {", ".join(verbs)}')
     own = settings.get(verb, {})
     added: list[str] = []
     for key in own:
@@ -169,7 +169,7 @@ def _parsed(path: Path, text: str) -> Mapping[str, Any]:
     try:
         tree: Mapping[str, Any] = toml.loads(text)
     except ValueError as error:  # TOMLDecodeError is one
-        raise AllanError(f'{path}: is not TOML: {error}') from error
+        raise AllanError(f'{path}: is not TOML ({error}): correct the file') from error
     return tree
 
 

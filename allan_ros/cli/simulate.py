@@ -164,7 +164,7 @@ def _terms(text: str) -> dict[str, float]:
         pairs = [part.split('=') for part in text.split(',')]
         return {term.strip(): float(value) for term, value in pairs}
     except ValueError:
-        raise argparse.ArgumentTypeError(f'{text!r}: terms are given as N=0.3,B=7') from None
+        raise argparse.ArgumentTypeError(f'{text!r}: write terms as N=0.3,B=7') from None
 
 
 def _span(text: str) -> tuple[float, float]:
@@ -173,7 +173,7 @@ def _span(text: str) -> tuple[float, float]:
         start, length = text.split(':')
         return float(start), float(length)
     except ValueError:
-        raise argparse.ArgumentTypeError(f'{text!r}: a period is given as START:LENGTH') from None
+        raise argparse.ArgumentTypeError(f'{text!r}: write a period as START:LENGTH') from None
 
 
 COMMANDS = {'simulate': Command(__doc__ or '', add_arguments, run)}

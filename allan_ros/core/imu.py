@@ -60,7 +60,7 @@ class ImuBatch:
         if len(self.frame_id) > MAX_NAME:
             raise AllanError(
                 f'frame_id has {len(self.frame_id)} characters, {self.frame_id[:20]!r} ...: '
-                'a name is expected'
+                'a short name is expected'
             )
         if self.record_ns is not None and self.record_ns.shape != (n,):
             raise AllanError(
@@ -230,7 +230,7 @@ def to_si(value: float, unit: str, si: str) -> float:
     known = UNITS.get(unit)
     if known is None or known.si != si:
         fitting = ', '.join(name for name, u in UNITS.items() if u.si == si)
-        raise AllanError(f'unit {unit!r} does not fit here: use one of {fitting}')
+        raise AllanError(f'unit {unit!r} cannot be used here: use one of {fitting}')
     return value * known.factor
 
 

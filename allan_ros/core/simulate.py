@@ -235,7 +235,9 @@ def simulate_imu(
     try:
         samples = np.empty((n, len(AXES)))
     except (MemoryError, ValueError) as error:
-        raise AllanError(f'{n:,} samples do not fit the memory: simulate less') from error
+        raise AllanError(
+            f'{n:,} samples do not fit the memory: reduce the length or the rate'
+        ) from error
     for i, (axis_terms, axis_seed) in enumerate(zip(terms, axis_seeds.spawn(len(AXES)))):
         samples[:, i] = simulate_axis(n, tau0, axis_terms, np.random.default_rng(axis_seed))
     samples += np.asarray(mean, float)

@@ -364,7 +364,8 @@ def fit(
             tau, deviation = (np.asarray(values, float) for values in curve)
         except (TypeError, ValueError) as error:
             raise AllanError(
-                f'the curve is no pair of lists tau and adev ({error}): give these, or an AxisCurve'
+                f'the curve is not a pair of lists tau and adev ({error}): give these, or an '
+                'AxisCurve'
             ) from None
         if tau.ndim != 1 or tau.shape != deviation.shape or not len(tau) or not (tau > 0.0).all():
             raise AllanError(

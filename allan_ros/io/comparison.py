@@ -88,7 +88,7 @@ def compare_runs(
     """Compare each run with the first, and with each datasheet."""
     check_margin(margin)
     if len(runs) + len(datasheets) < 2 or not runs:
-        raise AllanError('give two runs, or one and a datasheet: there is nothing to compare')
+        raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     first, *others = runs
     for other in others:
         if not set(first.results.axes) & set(other.results.axes):

@@ -278,13 +278,14 @@ def _product(fields: Fields) -> Datasheet:
     # This refuses a file that names itself, too.
     if 'carries' in carried:
         raise AllanError(
-            f'{fields.where}.carries: {name!r} is not a sensor but carries one: name that one'
+            f'{fields.where}.carries: {name!r} is a product, not a sensor: name the sensor that '
+            'it contains'
         )
     sensor, own = _datasheet(carried), _sources(fields)
     for key in own:
         if key in sensor.sources:
             raise AllanError(
-                f'{fields.where}.sources: {key!r} is also a source of {name!r}: use another key'
+                f'{fields.where}.sources: {key!r} is also a source of {name!r}: choose another key'
             )
     return replace(
         sensor,
@@ -328,7 +329,9 @@ def _sources(fields: Fields) -> dict[str, Source]:
     stated = fields.fields('sources')
     sources = {key: _source(stated.fields(key)) for key in stated}
     if not sources:
-        raise AllanError(f'{fields.where}.sources is empty: name the document it is from')
+        raise AllanError(
+            f'{fields.where}.sources is empty: name the document that states the figures'
+        )
     return sources
 
 

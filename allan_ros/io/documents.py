@@ -248,14 +248,16 @@ def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
 def _period_from_document(fields: Fields) -> float:
     period = fields.number('tau0_s', least=SHORTEST_PERIOD_S)
     if period > LONGEST_PERIOD_S:
-        raise AllanError(f'{fields.where}.tau0_s is {period}: no IMU is that slow')
+        raise AllanError(f'{fields.where}.tau0_s is {period}: too long for an IMU')
     return period
 
 
 def _axes_of(fields: Fields) -> tuple[str, ...]:
     """Return the names of the axes of an object, in the order of `AXES`."""
     if strange := [name for name in fields if name not in AXES]:
-        raise AllanError(f'{fields.where}: {strange[0]!r:.40} is no axis: {", ".join(AXES)} are')
+        raise AllanError(
+            f'{fields.where}: {strange[0]!r:.40} is not an axis: use {", ".join(AXES)}'
+        )
     return tuple(name for name in AXES if name in fields)
 
 

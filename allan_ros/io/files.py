@@ -182,7 +182,7 @@ def parse_json(text: str, where: str) -> object:
         if '\\ud' in text.lower():  # half a surrogate pair, which no file can contain
             json.dumps(document, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
-        raise AllanError(f'{where}: is not JSON ({error}): write it again') from None
+        raise AllanError(f'{where}: is not JSON ({error}): create the file again') from None
     return document
 
 
@@ -196,7 +196,7 @@ def read_json(path: str | os.PathLike[str]) -> object:
     except OSError as error:
         raise AllanError(f'{path}: cannot be read ({error.strerror})') from error
     except ValueError as error:
-        raise AllanError(f'{path}: is not JSON ({error}): write it again') from None
+        raise AllanError(f'{path}: is not JSON ({error}): create the file again') from None
     return parse_json(text, str(path))
 
 
@@ -220,12 +220,12 @@ MERGE = 'tag:yaml.org,2002:merge'
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
     def fetch_flow_collection_start(self, token: Any) -> None:
         if self.flow_level >= MOST_BRACKETS:
-            raise yaml.YAMLError(f'more than {MOST_BRACKETS} brackets one in another')
+            raise yaml.YAMLError(f'more than {MOST_BRACKETS} nested brackets')
         super().fetch_flow_collection_start(token)
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         if any(key.tag == MERGE for key, _ in node.value):
-            raise yaml.YAMLError('it has a key "<<", which is not followed')
+            raise yaml.YAMLError('it has a merge key "<<", which is not supported')
 
 
 # YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
@@ -240,7 +240,7 @@ def parse_yaml(text: str) -> Any:
     try:
         return loader.get_single_data()
     except RecursionError:
-        raise yaml.YAMLError('it nests too deep') from None
+        raise yaml.YAMLError('it is nested too deeply') from None
     finally:
         loader.dispose()
 
@@ -381,7 +381,7 @@ class PathLock:
             raise unwritable(self._path, error) from error
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             os.close(handle)
-            raise AllanError(f'{self._mark}: is not a regular file, as a lock must be: remove it')
+            raise AllanError(f'{self._mark}: is not a regular file and cannot be a lock: remove it')
         return handle
 
 

@@ -159,5 +159,5 @@ def _sheet(path: Path) -> Mapping[str, Any]:
         log.propagate = passes_on
     if warnings:
         why = ' '.join(warnings[0].split())[:160]
-        raise AllanError(f'{path}: is no style sheet of matplotlib ({why})')
+        raise AllanError(f'{path}: is not a style sheet of matplotlib ({why})')
     return sheet

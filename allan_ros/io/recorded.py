@@ -95,8 +95,8 @@ class RecordingSums:
             raise AllanError(f'{other.name} cannot be added to {self.name}: {error}') from error
         if any(_share_a_segment(a, b) for a, b in product(self.sums, other.sums)):
             raise AllanError(
-                f'{other.name} contains samples of a recording given before it: give each '
-                'recording once, or its samples count twice'
+                f'{other.name} contains samples of an earlier recording: give each '
+                'recording once, because samples must not count twice'
             )
         same_spectra = len(self.spectra) == len(other.spectra)
         return RecordingSums(
@@ -244,7 +244,7 @@ def read_in_processes(
         raise
     except BrokenProcessPool as error:
         raise AllanError(
-            f'one of {workers} processes died, perhaps for lack of memory: use fewer --jobs'
+            f'one of {workers} processes died, probably for lack of memory: reduce --jobs'
         ) from error
     finally:
         pool.shutdown(cancel_futures=True)

@@ -99,7 +99,9 @@ def _folder_locked(folder: Path) -> Iterator[None]:
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:
-            raise AllanError(f'{folder}: {owner} is writing there: wait for it or give another -o')
+            raise AllanError(
+                f'{folder}: {owner} is writing to this folder: wait, or give another folder with -o'
+            )
         time.sleep(0.1)
     try:
         yield

@@ -185,7 +185,7 @@ def load_filter(name: str) -> FilterMapping:
     with located(str(path)):
         check_mapping(mapping)
     if not mapping.parameters:
-        raise AllanError(f'{path}: names no parameter')
+        raise AllanError(f'{path}: contains no parameter: add at least one')
     return mapping
 
 
@@ -244,7 +244,7 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
         if match and _is_number(match[1]):
             found[of] = float(match[1])
     if not found:
-        raise AllanError(f'{path}: has none of {", ".join(PUBLISHED)}')
+        raise AllanError(f'{path}: contains none of {", ".join(PUBLISHED)}')
     return found
 
 

@@ -137,7 +137,7 @@ def write_recording(
         raise AllanError(f'storage {storage!r} is unknown: choose one of {", ".join(COMPRESSIONS)}')
     if compression not in COMPRESSIONS[storage]:
         raise AllanError(
-            f'{storage} cannot be compressed by {compression!r}: '
+            f'{storage} cannot be compressed with {compression!r}: '
             f'choose one of {", ".join(COMPRESSIONS[storage])}'
         )
     try:
@@ -181,7 +181,7 @@ def _only_file(bag: Path) -> None:
 def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
     """Yield a temporary path of the same name; what is written there is moved to ``path``."""
     if path.exists() and not overwrite:
-        raise AllanError(f'{path} exists already: choose another name, or --overwrite it')
+        raise AllanError(f'{path} exists already: choose another name, or use --overwrite')
     if path.is_dir() and not (path / 'metadata.yaml').is_file():
         raise AllanError(f'{path} is a folder, but not a bag: choose another name')
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ class Accumulator(AllanNode):
         imus = settings.imus()
         if len(imus) != 1:
             raise AllanError(
-                f'input.topics names {len(imus)} IMUs: allan_accumulator takes one, '
+                f'input.topics contains {len(imus)} IMUs, but allan_accumulator takes one: '
                 'use allan_monitor for several'
             )
         watch = ImuWatch(self, imus[0], settings)
@@ -72,14 +72,14 @@ class Monitor(AllanNode):
         imus = settings.imus()
         if push.node and len(imus) > 1:
             raise AllanError(
-                f'push.node with {len(imus)} IMUs: start an allan_monitor for the one that '
-                f'{push.node} uses'
+                f'push.node with {len(imus)} IMUs: start a separate allan_monitor for the '
+                f'IMU of {push.node}'
             )
         units = settings.input.value
         if relay.value.enabled and (units.gyro_unit, units.accel_unit) != ('rad/s', 'm/s^2'):
             raise AllanError(
-                'relay.enabled with input.gyro_unit or input.accel_unit: a filter takes the '
-                'relayed samples for rad/s and m/s^2; convert them in the driver'
+                'relay.enabled with input.gyro_unit or input.accel_unit: a filter expects '
+                'relayed samples in rad/s and m/s^2; convert them in the driver'
             )
         parts: list[Part] = []
         described: list[str] = []

@@ -218,7 +218,7 @@ class Player(Node):
                 return 0
             last_ns, count = int(batch.stamps_ns[-1]), count + len(batch)
         if pace is None:
-            raise AllanError('the recording holds no Imu message: nothing to play')
+            raise AllanError('the recording contains no Imu message: choose another one')
         return last_ns - first_ns + (last_ns - first_ns) // max(count - 1, 1)
 
     def _publish(self, batch: ImuBatch, due: list[float] | None) -> None:

@@ -66,7 +66,7 @@ class InputSettings(CheckedSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.topics or not all(self.topics):
-            raise AllanError('input.topics names no topic: give at least one, such as imu/data')
+            raise AllanError('input.topics contains no topic: give at least one, such as imu/data')
         for name in ('labels', 'hardware_ids'):
             given = getattr(self, name)
             if given != ('',) and len(given) != len(self.topics):

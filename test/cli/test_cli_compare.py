@@ -73,8 +73,11 @@ def test_a_difference_fails_only_when_asked(analysed: Path, tmp_path: Path, caps
     [
         (['{run}'], 'there is nothing to compare'),
         (['sensor:adis16475-3'], 'there is nothing to compare'),
-        (['{run}', '{run}', '--label', 'x', '--label', 'x'], "two runs are called 'x'"),
-        (['{run}', '{run}', '--label', 'a', '--label', 'b', '--label', 'c'], '3 labels for 2 runs'),
+        (['{run}', '{run}', '--label', 'x', '--label', 'x'], "two inputs are called 'x'"),
+        (
+            ['{run}', '{run}', '--label', 'a', '--label', 'b', '--label', 'c'],
+            '3 labels for 2 inputs',
+        ),
         (['{run}', 'sensor:none'], "no datasheet 'none'"),
         (['{run}', '{run}', '--margin', '-1'], 'margin is -1: give 0 or more'),
     ],
@@ -114,7 +117,7 @@ def test_a_report_draws_the_others_over_the_first(
 ) -> None:
     words = ['compare', str(analysed), str(recording), '--label', 'kept', '--label', 'again']
     assert main([*words, '--report']) == 1
-    assert '--report writes into the folder of -o' in capsys.readouterr().err
+    assert '--report needs a folder' in capsys.readouterr().err
     assert main([*words, '--report', '-o', str(tmp_path)]) == 0
     page = (tmp_path / 'report.html').read_text()
     assert '"name":"again","axis":"gyro_x"' in page

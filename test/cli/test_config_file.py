@@ -53,7 +53,7 @@ def test_a_section_of_pyproject_does_the_same(
 @pytest.mark.parametrize(
     ('text', 'said'),
     [
-        ('[analyse]\nunits = "si"\n', '[analyse] is no verb'),
+        ('[analyse]\nunits = "si"\n', '[analyse] is not a verb'),
         ('[analyze]\nunit = "si"\n', 'has no option --unit: did you mean units?'),
         ('[analyze]\njson = "yes"\n', 'json is a switch'),
         ('[analyze]\nunits = true\n', 'units needs a text or a number'),

@@ -114,7 +114,7 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
             'leave out --merge-into',
         ),
         (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
-        (['analyze', '{results}', '--export', 'kalibr'], 'folder of -o'),
+        (['analyze', '{results}', '--export', 'kalibr'], '--export needs a folder'),
         (['merge', '{sums}', '--export', 'klibr', '-o', '{above}'], 'did you mean kalibr'),
         (['merge', '{above}'], 'no sums.json in this folder'),
     ],

@@ -58,7 +58,7 @@ def test_published_values_too_large_and_too_small_are_doubted(tmp_path, capsys):
         kalibr.write_text(f'gyroscope_noise_density: {value}\n')
         assert main(['fit', str(path), '--published', str(kalibr)]) == 0
         assert f'The published N of the gyro is {said}' in ' '.join(capsys.readouterr().out.split())
-    for text, said in (('rate: 3\n', 'has none of'), ('\xff', 'cannot be read')):
+    for text, said in (('rate: 3\n', 'contains none of'), ('\xff', 'cannot be read')):
         kalibr.write_text(text, encoding='latin-1')
         assert main(['fit', str(path), '--published', str(kalibr)]) == 1
         assert said in capsys.readouterr().err

@@ -129,7 +129,7 @@ def arw(**change):
         (arw(value=math.nan), r'gyro.arw.value is nan'),
         (
             arw(unit='deg/h'),
-            r"gyro.arw: unit 'deg/h' does not fit here: use one of .*deg/sqrt\(h\)",
+            r"gyro.arw: unit 'deg/h' cannot be used here: use one of .*deg/sqrt\(h\)",
         ),
         (arw(sided='one'), r"gyro.arw: 'sided' is unknown"),
         (arw(source='other'), r"gyro.arw.source is 'other': one of sheet"),
@@ -203,7 +203,7 @@ def test_a_bad_product_is_refused_with_its_place(load, change, said):
 
 
 def test_a_product_that_carries_itself_is_refused(load, tmp_path):
-    with pytest.raises(AllanError, match='is not a sensor but carries one'):
+    with pytest.raises(AllanError, match='is a product, not a sensor'):
         load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
 
 

@@ -101,7 +101,7 @@ def test_a_style_sheet_of_the_user_is_kept(small_results: Results, tmp_path: Pat
 def test_a_sheet_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     sheet = tmp_path / 'bad.mplstyle'
     sheet.write_text(text)
-    with pytest.raises(AllanError, match=r'bad\.mplstyle: is no style sheet') as caught:
+    with pytest.raises(AllanError, match=r'bad\.mplstyle: is not a style sheet') as caught:
         load_style(str(sheet))
     assert '\n' not in str(caught.value)
 

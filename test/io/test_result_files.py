@@ -123,7 +123,7 @@ def test_a_folder_that_stays_locked_is_refused(
     monkeypatch.setattr('allan_ros.io.result_files.LONGEST_WAIT_S', 0.0)
     lock = PathLock(tmp_path / 'results.json')
     assert lock.acquire() == ''
-    with pytest.raises(AllanError, match=f'process {os.getpid()} is writing there'):
+    with pytest.raises(AllanError, match=f'process {os.getpid()} is writing to this folder'):
         write_result_files(tmp_path, runs[0])
     lock.release()
 

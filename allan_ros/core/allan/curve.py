@@ -251,7 +251,7 @@ def sample_period(sums: AllanSums) -> float:
         When there are fewer than two samples, so that it is not known.
     """
     if sums.tau0 is None:
-        raise AllanError('fewer than two samples give no Allan curve: record some minutes')
+        raise AllanError('an Allan curve needs at least two samples: record some minutes')
     return sums.tau0
 
 

@@ -236,7 +236,7 @@ def _check(sums: AllanSums, where: str) -> None:
     most = sum((c.samples // stride + c.count for c in sums.classes), none)
     if np.any(pooled < 0) or np.any(pooled > most):
         raise AllanError(
-            f'{where}.count is not that of the segments and classes: the file is damaged'
+            f'{where}.count differs from the segments and length classes: the file is damaged'
         )
     if np.any(sums.group_count > sums.count):
         raise AllanError(f'{where}.group_count exceeds count: the file is damaged')
@@ -260,7 +260,7 @@ def _table(
     """Return a table of numbers that an IMU may have."""
     values = fields.table(key, rows, columns, least=max(least, -most))
     if np.any(values > most):
-        raise AllanError(f'{fields.where}.{key} is above {most:g}: no IMU has such samples')
+        raise AllanError(f'{fields.where}.{key} is above {most:g}: too large for samples of an IMU')
     return values
 
 
@@ -312,7 +312,7 @@ def _length_class(fields: Fields, axes: int, factors: int) -> LengthClass:
 def _history(fields: Fields, axes: int, factors: int) -> History:
     bins = tuple(_age_bin(f, axes, factors) for f in fields.each('bins', MAX_BINS))
     if [b.index for b in bins] != sorted({b.index for b in bins}):
-        raise AllanError(f'{fields.where}.bins: ages ascend')
+        raise AllanError(f'{fields.where}.bins: the ages must increase')
     recordings = tuple(_recording(f, axes) for f in fields.each('recordings', KEPT_RECORDINGS))
     first = age_bin(fields.integer('first_age', least=FIRST_EDGE))
     return History(first, bins, recordings, fields.integer('recording_count', least=1))
@@ -330,7 +330,7 @@ def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
             or len(each) != 3
             or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in each)
         ):
-            raise AllanError(f'{fields.where}.pooled: three whole numbers each are expected')
+            raise AllanError(f'{fields.where}.pooled: each entry must be three whole numbers')
     ramp = np.zeros((0, axes))
     if 'ramp_correction' in fields:
         rows = len(fields.sequence('ramp_correction', factors))
@@ -354,7 +354,7 @@ def _recording(fields: Fields, axes: int) -> Recording:
     if len(fields.sequence('reference', axes)) != axes:
         raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
     if np.any(number > step) or cells * step > length + step:
-        raise AllanError(f'{fields.where}: its cells contradict its length of {length}')
+        raise AllanError(f'{fields.where}: the cells do not fit the length of {length}')
     return Recording(
         fields.integer('start_ns'),
         length,
@@ -384,5 +384,5 @@ def _period_counts(fields: Fields, length: int) -> tuple[NDArray[np.int64], NDAr
             raise AllanError(f'{fields.where}.level_count: {len(begins)} rows are expected')
         count = count.reshape(len(begins), levels)
     if levels > MAX_LEVELS or np.any(np.diff(begins, append=length + 1) <= 0):
-        raise AllanError(f'{fields.where}: its periods contradict its length of {length}')
+        raise AllanError(f'{fields.where}: the periods do not fit the length of {length}')
     return begins, count

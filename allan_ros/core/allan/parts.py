@@ -43,7 +43,7 @@ def settled_sums(sums: AllanSums, age: int) -> AllanSums:
         When the age is not one of ``sums.history.ages``.
     """
     if age not in sums.history.ages:
-        raise AllanError(f'age {age} is no edge of the sums by age: {sums.history.ages}')
+        raise AllanError(f'age {age} is not an edge of the sums by age: {sums.history.ages}')
     late = [b for b in sums.history.bins if edge_age(b.index) >= age]
     early = [b for b in sums.history.bins if edge_age(b.index) < age]
     m, stride, none = sums.m, sums.stride, np.zeros_like(sums.count)

@@ -59,7 +59,7 @@ class SpectrumSums:
 
     def __add__(self, other: SpectrumSums) -> SpectrumSums:
         if self.axes != other.axes:
-            raise AllanError(f'spectra of {self.axes} and {other.axes} do not add up')
+            raise AllanError(f'spectra of {self.axes} and {other.axes} cannot be added')
         return SpectrumSums(self.axes, self.power + other.power, self.blocks + other.blocks)
 
 

@@ -147,7 +147,7 @@ class LengthClass(ByValue):
 
     def __add__(self, other: LengthClass) -> LengthClass:
         if self.index != other.index:
-            raise AllanError(f'length classes {self.index} and {other.index} do not add')
+            raise AllanError(f'length classes {self.index} and {other.index} cannot be added')
         return LengthClass(
             self.index,
             self.count + other.count,
@@ -274,7 +274,8 @@ class AllanSums(ByValue):
         self.check_addable(other)
         if self.axes != other.axes:
             raise AllanError(
-                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} do not add: '
+                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} cannot be '
+                'added: '
                 'analyze them separately'
             )
         return self.extended(other)
@@ -330,13 +331,14 @@ class AllanSums(ByValue):
         """
         if self.identity != other.identity:
             raise AllanError(
-                f'sums of {self.identity} and of {other.identity} do not add: '
+                f'sums of {self.identity} and of {other.identity} cannot be added: '
                 'they are different IMUs, analyze them separately'
             )
         a, b = self.tau0, other.tau0
         if a and b and abs(a - b) > a * (TAU0_TOLERANCE + self._end_slack + other._end_slack):
             raise AllanError(
-                f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz do not add: the rates are more than '
+                f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz cannot be added: the rates are '
+                'more than '
                 f'{TAU0_TOLERANCE:.1%} apart, analyze them separately'
             )
 
@@ -374,7 +376,8 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
     if set(by_axes) != {s.axes for s in a}:
         one, other = (' and separately '.join(', '.join(s.axes) for s in sums) for sums in (a, b))
         raise AllanError(
-            f'sums of {one} and of {other} do not add: the sensors differ, analyze them separately'
+            f'sums of {one} and of {other} cannot be added: the sensors differ, analyze them '
+            'separately'
         )
     return tuple(s + by_axes[s.axes] for s in a)
 

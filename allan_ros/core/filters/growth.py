@@ -261,7 +261,7 @@ def growth_parts(
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
     if not (np.all(h > 0.0) and np.all(w > 0.0)):
-        raise AllanError('a horizon or window is not above 0 s: give positive times')
+        raise AllanError('horizon and window must be above 0 s: give positive times')
     terms = model.terms
     if terms.Q and integrals == 1:
         yield 'Q', terms.Q**2 * (1.0 + (1.0 + h / w) ** 2 + (h / w) ** 2)

@@ -56,7 +56,7 @@ class Expression:
             root = ast.parse(text.strip(), mode='eval').body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise AllanError(
-                f'{text!r} is not an expression: write it as in 2 * N**2 * f'
+                f'{text!r} is not an expression: write it like 2 * N**2 * f'
             ) from error
         names: set[str] = set()
         self._formula = self._compiled(root, names)
@@ -67,7 +67,8 @@ class Expression:
         missing = sorted(self.names - values.keys())
         if missing:
             raise AllanError(
-                f'{self.text!r} names {missing[0]}: there are {", ".join(sorted(values))}'
+                f'{self.text!r} contains {missing[0]}, which is unknown: use '
+                f'{", ".join(sorted(values))}'
             )
         try:
             result = self._formula(values)
@@ -95,7 +96,7 @@ class Expression:
             call, arguments = _FUNCTIONS.get(node.func.id), node.args
         if call is None or not arguments:
             raise AllanError(
-                f'{self.text!r} holds {ast.unparse(node)!r}: use numbers, names, + - * / ** and '
+                f'{self.text!r} contains {ast.unparse(node)!r}: use numbers, names, + - * / ** and '
                 f'{", ".join(_FUNCTIONS)} only'
             )
         function, parts = call, [self._compiled(argument, names) for argument in arguments]
@@ -272,6 +273,6 @@ def check_mapping(mapping: FilterMapping) -> None:
         unknown = sorted(p.expression.names - {*TERMS, RATE, *mapping.constants})
         if unknown:
             raise AllanError(
-                f'{p.name}: {p.expression.text!r} names {unknown[0]}: there are '
+                f'{p.name}: {p.expression.text!r} contains {unknown[0]}, which is unknown: use '
                 f'{", ".join((*TERMS, RATE, *mapping.constants))}'
             )

@@ -107,12 +107,13 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
         return _accepted(Level(axis, term, value, coefficient.ci95), strict)
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
-            f'{term} of {axis} has neither a value nor a limit: record longer, or fit by method gls'
+            f'{term} of {axis} has neither a value nor a limit: record longer, or fit with '
+            'method gls'
         )
     if strict:
         raise AllanError(
-            f'{term} of {axis} is not observable (below {limit:.3g}): record longer, or write the '
-            'limit by leaving out --strict'
+            f'{term} of {axis} is not observable (below {limit:.3g}): record longer, or omit '
+            '--strict to write the limit'
         )
     return Level(axis, term, limit, is_limit=True)
 
@@ -177,7 +178,7 @@ def reduce_axis(
         raise AllanError(
             f'{axis}: {_NAMES[states]} misstates the growth of the error by a factor of '
             f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over {horizons}: choose '
-            'another --horizon, write state_space, or leave out --strict'
+            'another --horizon, write state_space, or omit --strict'
         )
     if walk is None and reduction.walk > 0.0:
         walk = Level(axis, 'K', reduction.walk, fit.noise['K'].ci95)

@@ -186,7 +186,7 @@ class Whitening:
             if lower is not None:
                 return cls(lower, deviation)
         raise AllanError(
-            'these sums follow no noise that can be computed: their numbers span too much, or '
+            'these sums match no noise model that can be computed: their range is too large, or '
             'are damaged; accumulate them again'
         )
 

@@ -190,7 +190,7 @@ class YamlForm(Form):
             after = _flat(_composed(body))
         except _NotYamlError:
             raise AllanError(
-                f'the file is written in a way that takes no new keys: {_BY_HAND}'
+                f'no keys can be added to a file in this YAML style: {_BY_HAND}'
             ) from None
         _prove(before, after, wanted)
         block = [f'# {line}\n' for line in (BLOCK_BEGIN, *header, BLOCK_END)]
@@ -234,9 +234,9 @@ def _composed(body: str) -> yaml.Node | None:
             f'the file to merge into is not YAML ({" ".join(str(error).split())}): {_BY_HAND}'
         ) from None
     except RecursionError:
-        raise _NotYamlError(f'the file to merge into is nested too deep: {_BY_HAND}') from None
+        raise _NotYamlError(f'the file to merge into is nested too deeply: {_BY_HAND}') from None
     if node is not None and not isinstance(node, yaml.MappingNode):
-        raise _NotYamlError(f'the file to merge into has no keys at its top: {_BY_HAND}')
+        raise _NotYamlError(f'the file to merge into has no keys at its top level: {_BY_HAND}')
     return node
 
 
@@ -254,7 +254,7 @@ def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str
         return body, None
     key, value = found
     if isinstance(value, yaml.MappingNode):
-        raise AllanError(f'{entry.key} of the file holds keys where a number belongs: {_BY_HAND}')
+        raise AllanError(f'{entry.key} of the file is a mapping, not a number: {_BY_HAND}')
     start, end = value.start_mark.index, _end(value)
     if start == end or (isinstance(value, yaml.CollectionNode) and not value.flow_style):
         # no value, or a block: the new value goes directly behind the colon
@@ -327,7 +327,7 @@ def _added(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str
         return body + _block(below)
     home = places[path[:depth]]
     if _item(home, path[depth]):
-        raise AllanError(f'{path[depth]} of the file holds a value where keys belong: {_BY_HAND}')
+        raise AllanError(f'{path[depth]} of the file is a value, not a mapping: {_BY_HAND}')
     if home.flow_style or not home.value:
         return _inserted(body, home, _inline(_rows(below)).strip()[1:-1])
     return _inserted(body, home, _block(below))

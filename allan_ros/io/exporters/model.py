@@ -89,9 +89,9 @@ class FilterNoise:
 
     def __init__(self, results: Results, options: ExportOptions, target: Target) -> None:
         if options.exact and not target.exact:
-            raise AllanError('exact is for vins_fusion only: leave --exact out')
+            raise AllanError('--exact is for vins_fusion only: omit it')
         if options.axis == 'each' and not target.three:
-            raise AllanError('this file takes one number a sensor: choose --axis worst or mean')
+            raise AllanError('this file takes one number per sensor: choose --axis worst or mean')
         if not 0.0 < results.tau0 < math.inf:
             raise AllanError('these results have no sample rate: record longer, or analyse again')
         self.results = results

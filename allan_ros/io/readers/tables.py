@@ -176,7 +176,9 @@ def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
                 _write_frame(file, batch.frame_id)
             frame_id = batch.frame_id
             if with_record != (batch.record_ns is not None):
-                raise AllanError(f'{path}: some batches have record times and some have none')
+                raise AllanError(
+                    f'{path}: some batches have record times and some do not: write a bag'
+                )
             columns = [map(str, batch.stamps_ns.tolist())]
             columns += [map(repr, axis) for axis in batch.samples.T.tolist()]
             if batch.record_ns is not None:

@@ -76,5 +76,5 @@ def test_constant_values_have_a_curve_of_zeros():
 
 
 def test_nothing_has_no_curve():
-    with pytest.raises(AllanError, match='fewer than two samples'):
+    with pytest.raises(AllanError, match='at least two samples'):
         allan_curve(AllanSums.empty())

@@ -169,7 +169,7 @@ def test_three_numbers_are_given_where_the_file_takes_them(
         vectors = [found[k] for k, v in EXPECTED[name][2].items() if isinstance(v, list)]
         assert all(len(set(v)) == 1 for v in vectors)
     elif name not in WHOLE:
-        with pytest.raises(AllanError, match='one number a sensor'):
+        with pytest.raises(AllanError, match='one number per sensor'):
             numbers(known_results, name, axis='each')
 
 

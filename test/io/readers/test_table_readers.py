@@ -195,7 +195,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate with --rate'),
         ('t,gx,gy\n1,2,3\n', {}, 'has gyro_x, gyro_y only'),
-        ('t,a,b\n1,2,3\n', {}, 'none of its columns (t, a, b) is a gyro or accel axis'),
+        ('t,a,b\n1,2,3\n', {}, 'no column (t, a, b) is a gyro or accel axis'),
         ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
         ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
         (f'{HEADER}1,\0,2,3,4,5,6\n', {}, 'line 2'),
