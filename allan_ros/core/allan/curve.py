@@ -5,8 +5,8 @@
 An estimate V of M second differences d has edf = 2 V^2 / Var V, and for Gaussian noise
 Var V = (2 V^2 / M^2) sum over pairs of rho^2, rho being the correlation of two d's (Greenhall &
 Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003, eq. 10;
-NIST SP 1065 section 5.4.1). Pooled segments are independent, so their variances add. The sum is
-taken in full over the lags where rho is not negligible, without the tables and fits of the source.
+NIST SP 1065 section 5.4.1). Pooled segments are independent, so their variances add. The sum
+includes all lags at which rho is not negligible; the tables and fits of the source are not used.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from .sums import AllanSums, counts
 Floats = NDArray[np.float64]
 
 CI_LEVEL = 0.683
-"""Confidence level of the limits on a curve: one sigma, as NIST SP 1065 and Stable32 write it."""
+"""Confidence level of the limits of a curve: one sigma, as in NIST SP 1065 and Stable32."""
 
 WHITE_PHASE, FLICKER_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 1, 0, -1, -2
 """Noise types by the exponent alpha of their spectrum S_y ~ f^alpha (NIST SP 1065 table 2)."""
 
 REACH = 6
-"""Correlations are summed up to this many m; beyond, rho^2 of flicker adds less than 1e-4."""
+"""Correlations are summed up to this many m; at larger lags, rho^2 of flicker adds less than
+1e-4."""
 
 FAR = 100.0
 """Lag in samples from which the flicker phase autocovariance is its continuous limit to 1e-5."""
@@ -60,7 +61,8 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     missing = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
     last = np.minimum(counts, len(pairs)) - 1
     variance = np.sum(number * (counts * pairs[last] - missing[last]))
-    return float(np.sum(number * counts)) ** 2 / float(variance)  # int64 ends at 3e9 squared
+    # the square of a count above 3e9 overflows int64
+    return float(np.sum(number * counts)) ** 2 / float(variance)
 
 
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
@@ -110,10 +112,11 @@ def chi_squared_limits(
 ) -> tuple[Floats, Floats]:
     """Return the confidence limits of the deviation sqrt(avar), NIST SP 1065 section 5.3.1.
 
-    They are sqrt(avar edf / chi^2) at the upper and lower quantile, with the probability ``level``
-    between them; NaN ``degrees`` (of freedom) give NaN.
+    The limits are sqrt(avar edf / chi^2) at the upper and lower quantile, which enclose the
+    probability ``level``. NaN ``degrees`` (of freedom) give NaN.
     """
-    from scipy.special import chdtri  # 20 MB: a node that only accumulates draws no limits
+    # imported here, because it takes 20 MB and a node that only accumulates needs no limits
+    from scipy.special import chdtri
 
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
     tail = (1.0 - level) / 2.0
@@ -125,26 +128,27 @@ SLOPE_SPAN = 4.0
 """A slope is fitted from m/4 to 4 m, two octaves to each side."""
 
 MIN_BLOCKS = 16
-"""Fewest averaging times in the record for which a slope is used."""
+"""Smallest number of averaging times in the record for which a slope is used."""
 
 QUANTIZATION_SLOPE = -1.5
-"""Slopes of sigma^2 below this count as -2: white or flicker phase, which look the same."""
+"""Slopes of sigma^2 below this count as -2: white or flicker phase, which cannot be
+distinguished."""
 
 
 def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:
     """Return the exponent alpha at every factor from the slope mu of log sigma^2 on log tau.
 
     alpha = -1 - mu (NIST SP 1065 table 4). It needs no samples. A slope of -2 is classified
-    as white phase, which in an IMU is quantization. Where the record holds under 16 averaging
-    times a slope is meaningless, and the type of the previous factor is used; white (0) where
-    nothing is known.
+    as white phase, which in an IMU is quantization. If the record contains fewer than 16 averaging
+    times, the slope is not reliable and the type of the previous factor is used, or white (0) if
+    there is none.
 
     Parameters
     ----------
     m : (factors,) int64 array
         Ascending.
     avar : (factors, axes) float64 array
-        Allan variance; NaN or 0 where there is none.
+        Allan variance; NaN or 0 without data.
     samples : int
         Length of the record.
     """
@@ -163,7 +167,7 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 def local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
     """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
 
-    The slope is NaN where fewer than two points in reach have a weight and a positive variance.
+    The slope is NaN if fewer than two points in the range have a weight and a positive variance.
 
     Parameters
     ----------
@@ -201,7 +205,7 @@ class AxisCurve:
     n : (factors,) int64 array
         Number of second differences in each point.
     adev, ci_low, ci_high : (factors,) float64 arrays
-        Deviation and its limits in the unit of the samples; (factors, columns) of several columns.
+        Deviation and its limits in the unit of the samples; (factors, columns) for several columns.
 
     Examples
     --------
@@ -229,7 +233,8 @@ class AllanCurve(AxisCurve):
     edf : (factors, axes) float64 array
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
-        Exponent alpha of S ~ f^alpha they were counted for: 2 (Q), 1, 0 (N), -1 (B), -2 (K, R).
+        Exponent alpha of S ~ f^alpha for which ``edf`` was computed: 2 (Q), 1, 0 (N), -1 (B), -2
+        (K, R).
     """
 
     axes: tuple[str, ...]
@@ -248,7 +253,7 @@ def sample_period(sums: AllanSums) -> float:
     Raises
     ------
     AllanError
-        When there are fewer than two samples, so that it is not known.
+        When there are fewer than two samples.
     """
     if sums.tau0 is None:
         raise AllanError('an Allan curve needs at least two samples: record some minutes')
@@ -279,7 +284,7 @@ def degrees_of_freedom(
 ) -> Floats:
     """Return the equivalent degrees of freedom of variances pooled over the segments of the sums.
 
-    NaN where no segment is long enough; pooled segments count with the mean length of their class.
+    NaN if no segment is long enough. Pooled segments have the mean length of their class.
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`AllanSums` as a plain document (dicts, lists, numbers, strings) and back, without loss.
 
-The same document is the checkpoint, ``sums.json`` and the payload of the sums topic. Its source is
-not trusted: the reader checks every length, every bound and whether the parts agree.
+The same document is the checkpoint, ``sums.json`` and the payload of the sums topic. The document
+is not trusted: the reader checks every length and bound, and the consistency of the parts.
 """
 
 from __future__ import annotations
@@ -51,25 +51,25 @@ SUMS_SCHEMA = 'allan_ros/sums/1'
 """Name and version of the document; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
-"""Most averaging factors: more would be centuries of samples."""
+"""Largest number of averaging factors: more would be centuries of samples."""
 
 MAX_CLASSES = 500
-"""Most length classes: 1.1^500 is 5e20 samples."""
+"""Largest number of length classes: 1.1^500 is 5e20 samples."""
 
 MAX_BINS = 120
-"""Most bins by age: the last edge is at 2^66 samples."""
+"""Largest number of bins by age: the last edge is at 2^66 samples."""
 
 MOST_PERIODS = 1024
-"""A recording of 2^60 samples has about 300 periods."""
+"""Largest number of periods: a recording of 2^60 samples has about 300."""
 
 MAX_SUM = 1e80
-"""Largest sum of squares; the covariance of a fit takes its fourth power."""
+"""Largest sum of squares; the covariance in a fit uses its fourth power."""
 
 MAX_PERIOD_NS = 10**13
 """Longest sample period, nearly three hours."""
 
 SAME = 1e-4
-"""The sums by age add up to the sums, to this fraction."""
+"""Largest relative difference of the sums by age, added up, from the sums."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 
 def _plain(values: Any) -> dict[str, Any]:
-    """Return a dataclass of whole numbers and arrays with lists of numbers."""
+    """Return a dataclass of whole numbers and arrays as a dict with lists of numbers."""
     found = {f.name: getattr(values, f.name) for f in dataclasses.fields(values)}
     return {k: v.tolist() if isinstance(v, np.ndarray) else int(v) for k, v in found.items()}
 
@@ -124,8 +124,8 @@ PACKED = ('cell_samples', 'cell_means', 'period_begin', 'level_count', 'level_su
 def _packed(values: NDArray[Any]) -> str:
     """Return an array as text: its numbers in little-endian bytes, byte by byte, compressed.
 
-    Floats are those of `history.short`: the upper half of double precision. 'z4:' (floats) or 'z8:'
-    (whole numbers) in front of the base64 text is the number of bytes per number.
+    Floats are shortened by `history.short` to the upper half of double precision. The base64 text
+    begins with 'z4:' (floats) or 'z8:' (whole numbers), the number of bytes per number.
     """
     kind, size = ('<f8', 4) if values.dtype.kind == 'f' else ('<i8', 8)
     data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)[:, 8 - size :]
@@ -135,7 +135,7 @@ def _packed(values: NDArray[Any]) -> str:
 def _unpacked(fields: Fields, key: str, most: int, former: str) -> NDArray[Any]:
     """Return the at most ``most`` numbers of a packed text.
 
-    Texts of earlier versions are not compressed; their numbers have the type ``former``.
+    Texts of earlier versions are not compressed; ``former`` is the type of their numbers.
     """
     where = f'{fields.where}.{key}'
     kind, _, coded = fields.text(key, longest=12 * most + 100).rpartition(':')
@@ -162,7 +162,7 @@ def _floats(
     values = _unpacked(fields, key, math.prod(shape), former).astype(float)
     if values.size != math.prod(shape):
         raise AllanError(f'{fields.where}.{key} has {values.size} numbers: {shape} are expected')
-    if not np.all((least <= values) & (values <= MAX_SUM)):  # NaN is not either
+    if not np.all((least <= values) & (values <= MAX_SUM)):  # this also excludes NaN
         raise AllanError(f'{fields.where}.{key} is not from {least:g} to {MAX_SUM:g}')
     return short(values).reshape(shape)
 
@@ -183,8 +183,8 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
     Raises
     ------
     AllanError
-        When the document is of another version, or anything in it is missing, of the wrong kind or
-        shape, not finite, beyond its bounds, or contradicts the rest of it.
+        When the document has another version, or when a field is missing, has a wrong type or
+        shape, is not finite, exceeds its bounds, or contradicts other fields.
     """
     top = Fields(document, where)
     top.schema(SUMS_SCHEMA)
@@ -257,7 +257,7 @@ def _table(
     least: float = -MAX_SUM,
     most: float = MAX_SUM,
 ) -> NDArray[np.float64]:
-    """Return a table of numbers that an IMU may have."""
+    """Return a table of numbers in the range of an IMU."""
     values = fields.table(key, rows, columns, least=max(least, -most))
     if np.any(values > most):
         raise AllanError(f'{fields.where}.{key} is above {most:g}: too large for samples of an IMU')
@@ -371,7 +371,7 @@ def _recording(fields: Fields, axes: int) -> Recording:
 
 def _period_counts(fields: Fields, length: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the ages at which periods begin, and the counts (periods, levels) in them."""
-    if 'period' in fields:  # an earlier version: periods of equal length
+    if 'period' in fields:  # earlier versions had periods of equal length
         rows = fields.sequence('level_count', MOST_PERIODS)
         levels = len(rows[0]) if rows and isinstance(rows[0], list) else 0
         count = fields.table('level_count', len(rows), levels, least=0.0).astype(np.int64)

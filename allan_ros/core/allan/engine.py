@@ -40,20 +40,23 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 BLOCK = 4096
-"""Phase points of a block: it fits the cache and amortizes the overhead of numpy calls."""
+"""Phase points per block: fits into the cache and amortizes the overhead of numpy calls."""
 
 PHASE_POINTS = 128
-"""Most points of the phase record of a segment; when full, every second one is dropped."""
+"""Largest number of points of the phase record of a segment; when it is full, every second point is
+dropped."""
 
 _HISTORY = 2 * LEVEL_FACTORS[-1]
-"""Points a level keeps of the previous block: the reach of its longest second difference."""
+"""Number of points of the previous block that a level keeps: the length of its longest second
+difference."""
 
 
 @dataclass
 class _LevelSums:
     """Sums of squared second differences of one level, (factors, axes) in each bin by age.
 
-    Beside them the sums by period, of the rows of every second octave, and those over groups.
+    It also contains the sums by period, for the rows of every second octave, and the sums over
+    groups.
     """
 
     bins: dict[int, Floats]
@@ -62,7 +65,7 @@ class _LevelSums:
 
     @classmethod
     def of(cls, factors: Sequence[int], axes: int) -> _LevelSums:
-        """Return the sums of no difference."""
+        """Return the sums of zero differences."""
         octaves = {i: m for i, m in enumerate(factors) if m.bit_count() == 1}
         periods = {i: PeriodSums(m, [], []) for i, m in octaves.items() if m.bit_length() % 2}
         return cls({}, periods, np.zeros((len(factors), axes)))
@@ -79,7 +82,8 @@ class _LevelSums:
 class _Level:
     """Phase at every 2^j-th sample of the open segment, and its sums of squares so far.
 
-    ``points`` are the last `_HISTORY` of the previous block, if any, and ``fill`` not summed yet.
+    ``points`` contains the last `_HISTORY` points of the previous block, if any, and ``fill``
+    points that are not summed yet.
     """
 
     def __init__(self, level: int, axes: int, offset: int) -> None:
@@ -103,7 +107,8 @@ class _Level:
         return self.points[:, _HISTORY : _HISTORY + self.fill]
 
     def sum_block(self) -> Floats:
-        """Sum the full block, keep its end, and return every second point for the next level."""
+        """Sum the full block, keep its last points, and return every second point for the next
+        level."""
         self._add(self.points[:, _HISTORY - self.past :], self.sums)
         if self.first is None:
             self.first = self.waiting()[:, :_HISTORY].copy()
@@ -114,7 +119,7 @@ class _Level:
         return upward
 
     def snapshot(self, new: Floats) -> tuple[_LevelSums, Floats, Floats]:
-        """Return the sums with those of differences that end in new points, and the end points."""
+        """Return the sums including the differences that end in new points, and the end points."""
         points = np.concatenate([self.points[:, _HISTORY - self.past : _HISTORY], new], axis=1)
         sums = self.sums.copy()
         self._add(points, sums)
@@ -122,7 +127,7 @@ class _Level:
         return sums, first, points[:, -_HISTORY:]
 
     def _add(self, points: Floats, sums: _LevelSums) -> None:
-        """Add the squares of every difference that ends in the points behind the `past` ones."""
+        """Add the squares of all differences that end in the points after the `past` ones."""
         scratch = np.empty((2, *points.shape))
         length = self.offset + ((self.summed + points.shape[1] - self.past) << self.level)
         for i, f in enumerate(self.factors):
@@ -185,7 +190,9 @@ def _squares(d: Floats) -> Floats:
 
 
 def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
-    """Return `_squares` of the columns before ``split`` and of every ``size`` ones after it."""
+    """Return `_squares` of the columns before ``split``, and of each group of ``size`` columns
+    after it.
+    """
     whole = max(0, d.shape[1] - split) // size
     rest = split + whole * size
     inner = d[:, split:rest].reshape(len(d), whole, size)
@@ -199,7 +206,7 @@ def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
 def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
     """Return the sum of all d at a lag, from the first and the last 2 lag points.
 
-    It telescopes: d(u) = g(u + lag) - g(u) with g(u) = theta(u + lag) - theta(u).
+    The sum telescopes: d(u) = g(u + lag) - g(u) with g(u) = theta(u + lag) - theta(u).
     """
     head = first[:, lag : 2 * lag] - first[:, :lag]
     tail = last[:, -lag:] - last[:, -2 * lag : -lag]
@@ -207,10 +214,10 @@ def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
 
 
 class _SparsePhase:
-    """The phase of a segment, kept at the ages that are multiples of a step.
+    """The phase of a segment, stored at the ages that are multiples of a step.
 
-    The segment begins at the age ``offset``. The step is a power of two and doubles whenever the
-    last age reaches ``points`` steps.
+    The segment begins at the age ``offset``. The step is a power of two and doubles when the last
+    age reaches ``points`` steps.
     """
 
     def __init__(self, axes: int, points: int, offset: int = 0) -> None:
@@ -236,7 +243,7 @@ class OpenSegment:
         self.reference = reference[:, None].copy()
         self.start_ns = self.last_ns = start_ns
         self.samples = 0
-        # of the phase at level 0, which begins at 0 in each block: rounding stays small
+        # phase at level 0; it starts from 0 in each block, which keeps rounding small
         self.base = np.zeros((axes, 1))
         self.theta = np.zeros(axes)
         self.levels = [_Level(0, axes, offset)]
@@ -255,7 +262,8 @@ class OpenSegment:
             begin = _HISTORY + bottom.fill
             phase = bottom.points[:, begin : begin + take]
             np.subtract(rows[:, at : at + take], self.reference, out=phase)
-            # theta goes into the first term, so the sum runs on in the same order in any chunking
+            # theta is added to the first term, so the order of additions is the same for any
+            # chunking
             phase[:, 0] += self.theta
             np.cumsum(phase, axis=1, out=phase)
             self.theta = phase[:, -1].copy()
@@ -266,7 +274,7 @@ class OpenSegment:
         self.samples += n
 
     def _sum_from_bottom(self) -> None:
-        """Sum the full block of level 0, and the blocks that its points fill above."""
+        """Sum the full block of level 0, and the blocks of higher levels that it completes."""
         bottom = self.levels[0]
         for sparse in (self.coarse, self.cells):
             sparse.points, sparse.step = sparse.extended(bottom.waiting(), self.base, bottom.summed)
@@ -289,7 +297,7 @@ class OpenSegment:
             j += 1
 
     def sums(self, identity: ImuIdentity, axes: tuple[str, ...]) -> AllanSums:
-        """Return the sums of the segment as if it ended here; the state does not change."""
+        """Return the sums as if the segment ended here; the state does not change."""
         n = self.samples
         m, stride = grid_for(n)
         shape = (len(m), len(axes))
@@ -410,7 +418,9 @@ class RunningAllan:
         self._open.last_ns = last_ns
 
     def end_segment(self) -> None:
-        """End the segment: the next sample starts a new one, no difference spans both."""
+        """End the segment: the next sample starts a new one, and no difference contains samples of
+        both.
+        """
         self._closed = self._exact
         self._open = None
 
@@ -437,7 +447,7 @@ class RunningAllan:
 
     @property
     def sums(self) -> AllanSums:
-        """The sums as if the open segment ended here; the state does not change."""
+        """The sums if the open segment ended here; the state does not change."""
         exact = self._exact
         return replace(exact, history=exact.history.rounded())
 

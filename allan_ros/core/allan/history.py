@@ -1,19 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums by age: the part of a recording that each sum of squares comes from.
+"""Sums by age: they assign each sum of squares to a part of the recording.
 
 The age of a sample is the number of sample periods since the first sample of its recording.
 
 - `AgeBin`: the Allan sums of the second differences that *start* in a range of ages. Segments are
   not split: all averaging factors are kept, and the bins add up to the sums of the recording.
-  Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. They make it possible to
-  leave out the early part of a recording afterwards (`parts.settled_sums`).
+  Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. With them, the early part of
+  a recording can be left out afterwards (`parts.settled_sums`).
 - `Recording`: the means of up to 512 cells of equal length, and the sums of squares at every
   second octave of about 100 periods, which are shorter towards the end. The stationarity tests and
   the comparison of the recent noise with the earlier noise use them.
 
-Everything is a function of the samples and their number alone, so any chunking gives the same
-values, and the values of several recordings add.
+All values depend only on the samples and their number, so any chunking gives the same values, and
+the values of several recordings can be added.
 """
 
 from __future__ import annotations
@@ -33,37 +33,38 @@ FIRST_EDGE = 256
 """Age in samples of the first edge between two bins."""
 
 EARLIEST_PART = 64
-"""Bins that end before this fraction of the recording are merged into the first one: below it the
+"""Bins that end before this fraction of the recording are merged into the first one, because the
 phase record has too few points to leave them out exactly."""
 
 CELLS, MERGED_CELLS = 512, 64
-"""Cells of a recording are fewer than this; of each of several recordings together, fewer."""
+"""A recording has fewer cells than the first number; if several recordings are added, each has
+fewer cells than the second."""
 
 LONGEST_PERIOD, PERIOD_DISTANCE = 32, 4
-"""A period is at most this fraction of its recording, and this fraction of the time from its end to
-the end of the recording."""
+"""Largest length of a period, as a fraction of its recording, and as a fraction of the time from
+its end to the end of the recording."""
 
 MERGED_PERIODS = 16
-"""Periods of each of several recordings, but for the latest, are fewer than this."""
+"""If several recordings are added, each of them except the latest has fewer periods than this."""
 
 SHORTEST_PERIODS = (128, 2048)
-"""Shortest period in samples of a short recording, and of one of 2e6 samples or more."""
+"""Shortest period in samples of a short recording, and of a recording of 2e6 samples or more."""
 
 PERIOD_OVER_FACTOR = 16
-"""A period has sums at averaging factors up to its length over this."""
+"""A period has sums at averaging factors up to its length divided by this number."""
 
 KEPT_RECORDINGS = 32
 """Number of recordings that keep their means and periods."""
 
 MOST_PIECES = 512
-"""Sums by period are merged to the periods of the recording beyond this many."""
+"""If there are more sums by period than this, they are merged to the periods of the recording."""
 
 PooledCount = tuple[int, int, int]
-"""Index of a length class, and how many segments and samples of it begin in a bin."""
+"""Index of a length class, and the number of its segments and samples that begin in a bin."""
 
 
 def age_bin(age: int) -> int:
-    """Return the index of the bin that holds an age in samples."""
+    """Return the index of the bin that contains an age in samples."""
     if age < FIRST_EDGE:
         return 0
     octave = age.bit_length() - 1
@@ -90,11 +91,12 @@ def shortest_period(length: int) -> int:
 
 
 def period_begins(length: int, begin: int = 0) -> Ints:
-    """Return the ages at which the periods of a recording begin, from that around ``begin`` on.
+    """Return the ages at which the periods of a recording begin, from the period that contains
+    ``begin``.
 
-    A period is the longest one, of a power of two samples and beginning at a multiple of it, within
-    1/32 of the length and 1/4 of the distance from its end to the end of the recording. As the
-    recording grows, periods are therefore only ever merged.
+    The length of a period is a power of two, and it begins at a multiple of its length. It is the
+    longest one within 1/32 of the length of the recording and 1/4 of the distance from its end to
+    the end of the recording. So periods are only merged, never split, as the recording grows.
     """
     begins = []
     shortest = shortest_period(length)
@@ -115,12 +117,12 @@ def starts_before(ages: Ints, m: Ints | int, stride: Ints | int, offset: int, sa
     ``m`` and ``stride`` (averaging factor, samples between two starts) broadcast with ``ages``;
     ``offset`` is the age of the first of the ``samples`` of the segment.
     """
-    ends = np.maximum(samples - 2 * np.asarray(m) + 1, 0)  # starts are below it
+    ends = np.maximum(samples - 2 * np.asarray(m) + 1, 0)  # all starts are smaller than this
     return np.asarray(-(-np.clip(ages - offset, 0, ends) // stride))
 
 
 def short(values: Floats) -> Floats:
-    """Return values rounded to the 16 significant bits with which the history is kept."""
+    """Return values rounded to the 16 significant bits that the history stores."""
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
     even = bits + ((bits >> 37) & 1) + ((1 << 36) - 1)
     return np.asarray((even >> 37 << 37).view('<f8'))
@@ -128,7 +130,7 @@ def short(values: Floats) -> Floats:
 
 @dataclass
 class PeriodSums:
-    """Sums of squares by period at one averaging factor; the periods may be too short yet."""
+    """Sums of squares by period at one averaging factor; some periods may still be too short."""
 
     m: int
     begins: list[int]
@@ -139,7 +141,9 @@ class PeriodSums:
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
     def add(self, begins: range, sums: Floats) -> None:
-        """Add sums, (periods, axes), of periods; the first is the last one known, or follows it."""
+        """Add sums, (periods, axes), of consecutive periods; the first is the last known one or the
+        next.
+        """
         if self.begins and begins[0] <= self.begins[-1]:
             self.sums[-1] = self.sums[-1] + sums[0]
             begins, sums = begins[1:], sums[1:]
@@ -147,11 +151,11 @@ class PeriodSums:
         self.sums.extend(sums)
 
     def over(self, begins: Ints, axes: int) -> Floats:
-        """Return the sums over periods that begin at some ages, (periods, axes)."""
+        """Return the sums over periods that begin at given ages, (periods, axes)."""
         return regrouped(np.reshape(self.sums, (-1, axes)), np.array(self.begins, int), begins)
 
     def merge(self, length: int) -> None:
-        """Merge periods if there are too many for a recording that has this length so far."""
+        """Merge periods if there are too many for the present length of the recording."""
         if len(self.begins) > MOST_PIECES:
             coarser = period_begins(length, self.begins[0])
             self.sums = list(self.over(coarser, len(self.sums[0])))
@@ -159,7 +163,7 @@ class PeriodSums:
 
 
 class ByValue:
-    """A dataclass with arrays whose values are compared by ``==``."""
+    """Base of dataclasses with arrays that are compared by value with ``==``."""
 
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
@@ -174,13 +178,13 @@ class ByValue:
 class AgeBin(ByValue):
     """Sums of the second differences that start in one range of ages."""
 
-    index: int  # it begins at ``edge_age(index)`` and ends where the next one of the history begins
+    index: int  # it begins at ``edge_age(index)`` and ends where the next bin of the history begins
     # (factors,) and (factors, axes), as in `AllanSums`
     count: Ints
     sum_sq: Floats
-    # the segments that begin here and are kept only by their length class
+    # segments that begin here and whose data are kept only in their length class
     pooled: tuple[PooledCount, ...]
-    # (factors, axes) what these segments contributed to the ramp corrections of their classes
+    # (factors, axes) contribution of these segments to the ramp corrections of their classes
     ramp: Floats
 
     def __add__(self, other: AgeBin) -> AgeBin:
@@ -203,8 +207,8 @@ class Recording(ByValue):
     length: int
     samples: int
     step: int  # length of a cell in samples, a power of two
-    cell_samples: Ints  # (cells,) samples used of each cell, 0 in gaps
-    # (cells, axes) mean of these samples less ``reference``; 0 where there are none
+    cell_samples: Ints  # (cells,) number of samples of each cell, 0 in gaps
+    # (cells, axes) mean of these samples less ``reference``; 0 without samples
     cell_means: Floats
     reference: Floats  # (axes,) first sample of the recording
     period_begin: Ints  # (periods,) ages at which the periods begin, see `period_begins`
@@ -215,7 +219,7 @@ class Recording(ByValue):
 
     @property
     def order(self) -> tuple[int, int]:
-        """Longest first, then earliest: the order that decides which recordings are kept."""
+        """Sort key: longest first, then earliest. It decides which recordings are kept."""
         return (-self.samples, self.start_ns)
 
     @property
@@ -230,12 +234,12 @@ class Recording(ByValue):
         return 4 ** np.arange(self.level_count.shape[1])
 
     def cells(self, first: int, last: int | None = None) -> Recording:
-        """Return the recording with only some of its cells; periods and length are unchanged."""
+        """Return the recording with only the given cells; periods and length are unchanged."""
         number, means = self.cell_samples[first:last], self.cell_means[first:last]
         return replace(self, cell_samples=number, cell_means=means)
 
     def coarser(self, cells: int, begins: Ints) -> Recording:
-        """Return the recording in fewer than ``cells`` cells, and in longer periods."""
+        """Return the recording with fewer than ``cells`` cells, and with longer periods."""
         step = max(cell_step(self.length, cells), self.step)
         number, means = self.cell_samples, self.cell_means
         if step > self.step:
@@ -254,17 +258,17 @@ class Recording(ByValue):
         )
 
     def summary(self) -> Recording:
-        """Return the recording in few cells and periods, as kept when several are added."""
+        """Return the recording with few cells and periods, as kept when several are added."""
         period = cell_step(self.length, MERGED_PERIODS)
         return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
 
     def rounded(self) -> Recording:
-        """Return a copy with the precision in which it is stored."""
+        """Return a copy rounded to the precision in which it is stored."""
         means, squares = short(self.cell_means), short(self.level_sum_sq)
         return replace(self, cell_means=means, level_sum_sq=squares)
 
     def continued(self, later: Recording) -> Recording:
-        """Return this recording with a later segment, whose ages count from the same sample."""
+        """Return this recording with a later segment; its ages count from the same first sample."""
         length = max(self.length, later.length)
         begins = period_begins(length)
         a = replace(self, length=length).coarser(CELLS, begins)
@@ -284,12 +288,12 @@ class Recording(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class History(ByValue):
-    """Sums by age of one recording, or of several added age by age."""
+    """Sums by age of one recording, or of several recordings added age by age."""
 
-    # index of the lowest edge that is kept: everything younger is in the bin of index 0
+    # index of the lowest edge that is kept: all smaller ages are in the bin of index 0
     first: int = 1
     bins: tuple[AgeBin, ...] = ()  # by index; bins without a difference are left out
-    # the latest and the 31 longest others, longest first, of ``recording_count``
+    # the latest recording and the 31 longest others, longest first, of ``recording_count``
     recordings: tuple[Recording, ...] = ()
     recording_count: int = 0
 
@@ -300,7 +304,7 @@ class History(ByValue):
 
     @property
     def ages(self) -> tuple[int, ...]:
-        """Ages in samples at which a bin begins, with data on both sides."""
+        """Ages in samples at which a bin begins, with data before and after."""
         return tuple(edge_age(b.index) for b in self.bins[1:])
 
     @property
@@ -318,7 +322,7 @@ class History(ByValue):
         return History(first, bins, (one,), 1)
 
     def __add__(self, other: History) -> History:
-        """Return the history of the recordings of both, added at equal ages."""
+        """Return the history of the recordings of both; sums at equal ages are added."""
         if not self.recordings or not other.recordings:
             return self if self.recordings else other
         first = max(self.first, other.first)
@@ -333,7 +337,7 @@ class History(ByValue):
         ).rounded()
 
     def rounded(self) -> History:
-        """Return a copy with the precision in which it is stored: 16 significant bits."""
+        """Return a copy rounded to the precision in which it is stored: 16 significant bits."""
         return replace(
             self,
             bins=tuple(replace(b, sum_sq=short(b.sum_sq)) for b in self.bins),
@@ -341,10 +345,10 @@ class History(ByValue):
         )
 
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
-        """Return a copy in which these segments are kept by their length class alone.
+        """Return a copy in which the given segments are kept only by their length class.
 
-        Each is the age of its first sample, (class index, segments, samples), and its ramp
-        correction.
+        Each segment is given by the age of its first sample, (class index, segments, samples), and
+        its ramp correction.
         """
         more = [
             AgeBin(
@@ -359,7 +363,7 @@ class History(ByValue):
         return replace(self, bins=_add_bins(self.bins, more))
 
     def _from(self, first: int) -> History:
-        """Return a copy with all bins below an edge merged into the first."""
+        """Return a copy in which all bins below an edge are merged into the first bin."""
         if first <= self.first:
             return self
         early = [b for b in self.bins if b.index < first]
@@ -371,7 +375,7 @@ class History(ByValue):
 
 
 def add_padded(a: NDArray, b: NDArray, axis: int = 0) -> NDArray:  # type: ignore[type-arg]
-    """Return a + b, along one axis the shorter one filled with zeros."""
+    """Return a + b; along one axis, the shorter one is filled with zeros."""
     if a.shape[axis] < b.shape[axis]:
         a, b = b, a
     out = a.copy()
@@ -386,7 +390,7 @@ def _first_edge(length: int) -> int:
 
 
 def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type: ignore[type-arg]
-    """Return rows that begin at the ages ``begins``, summed over longer periods."""
+    """Return sums of rows over the periods that begin at the ages ``begins``."""
     rows, first = np.unique(np.searchsorted(coarser, begins, 'right') - 1, return_index=True)
     out = np.zeros((len(coarser), *values.shape[1:]), values.dtype)
     if len(rows):
@@ -395,7 +399,8 @@ def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type:
 
 
 def _pair_sums(values: NDArray) -> NDArray:  # type: ignore[type-arg]
-    """Return the sums of neighbours along the first axis; a last one without neighbour stays."""
+    """Return the sums of pairs of neighbours along the first axis; a single last row is
+    unchanged."""
     if len(values) % 2:
         values = np.concatenate([values, np.zeros_like(values[:1])])
     return np.asarray(values[::2] + values[1::2])

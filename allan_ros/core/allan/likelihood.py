@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Likelihood of the means of the cells of a recording, as noise with and without an effect.
+"""Likelihood of the cell means of a recording: noise with or without an effect.
 
-The means are those of white noise, bias instability and random walk about a constant and a ramp.
-The three variances maximise the likelihood of the contrasts that are free of the constant and the
-ramp (restricted maximum likelihood: Patterson & Thompson, Biometrika 58, 1971).
+The model is white noise, bias instability and random walk, plus a constant and a ramp. The three
+variances maximise the likelihood of the contrasts that are free of the constant and the ramp
+(restricted maximum likelihood: Patterson & Thompson, Biometrika 58, 1971).
 """
 
 from __future__ import annotations
@@ -23,24 +23,25 @@ from .history import Recording
 Floats = NDArray[np.float64]
 
 GROWTH = 24
-"""Cells are pooled beyond this many, in proportion to their age: some 100 remain."""
+"""If there are more cells than this, they are pooled in proportion to their age; about 100
+remain."""
 
 TOLERANCE = 1e-3
-"""Gain in twice the log likelihood at which a maximisation stops."""
+"""Smallest gain in twice the log likelihood for which a maximisation continues."""
 
 
 @dataclass(frozen=True)
 class CellMeans:
-    """Means of consecutive stretches of one recording."""
+    """Means over consecutive intervals of one recording."""
 
-    # (stretches,) in cells since the start of the recording
+    # (stretches,) start in cells since the beginning of the recording
     begin: Floats
     end: Floats
     means: Floats  # (stretches, axes)
 
     @classmethod
     def of(cls, recording: Recording, growth: int = GROWTH) -> CellMeans:
-        """Return the means of stretches that grow in proportion to their age."""
+        """Return the means over intervals whose length grows in proportion to their age."""
         cells = len(recording.cell_samples)
         edges = [0]
         while edges[-1] < cells:
@@ -49,7 +50,7 @@ class CellMeans:
 
     @classmethod
     def even(cls, recording: Recording, most: int) -> CellMeans:
-        """Return the means of at most ``most`` stretches of equal length."""
+        """Return the means over at most ``most`` intervals of equal length."""
         width = 1
         while len(recording.cell_samples) > most * width:
             width *= 2
@@ -57,7 +58,7 @@ class CellMeans:
 
     @classmethod
     def _between(cls, recording: Recording, edges: NDArray[np.int64]) -> CellMeans:
-        """Return the means of the stretches that have samples in at least half of their time."""
+        """Return the means over the intervals that have samples in at least half of their time."""
         begin, end, number = edges[:-1], edges[1:], recording.cell_samples[: edges[-1]]
         if not len(begin):
             return cls(np.zeros(0), np.zeros(0), recording.cell_means[:0])
@@ -69,7 +70,7 @@ class CellMeans:
         return cls(begin[some].astype(float), end[some].astype(float), mean)
 
     def since(self, age: float) -> CellMeans:
-        """Return the stretches that begin at an age or later, in cells."""
+        """Return the means over the intervals that begin at a given age (in cells) or later."""
         late = self.begin >= age
         return CellMeans(self.begin[late], self.end[late], self.means[late])
 
@@ -105,13 +106,13 @@ class VarianceModel:
         return np.asarray(self.contrasts @ (area / (self.end - self.begin)))
 
     def steps(self, ages: Floats) -> Floats:
-        """Return the contrasts of steps of unit size at some ages, (contrasts, steps)."""
+        """Return the contrasts of steps of unit size at given ages, (contrasts, steps)."""
         width = self.end - self.begin
         after = np.clip((self.end[:, None] - ages) / width[:, None], 0.0, 1.0)
         return np.asarray(self.contrasts @ after)
 
     def early_walk(self, age: float) -> Floats:
-        """Return the covariance of the contrasts of a random walk that ends at an age."""
+        """Return the covariance of the contrasts of a random walk that ends at a given age."""
         left = np.maximum(age - (self.begin + self.end) / 2.0, 0.0)
         return self._of_contrasts(np.minimum(left[:, None], left))
 
@@ -119,9 +120,8 @@ class VarianceModel:
         return np.asarray(self.contrasts @ covariance @ self.contrasts.T)
 
     def _covariances(self) -> list[Floats]:
-        """Return the covariances of the means, up to those of a constant and a ramp.
-
-        They are second differences of the generalised covariances of the phase: -|t|/2, and
+        """Return the covariances of the means, without the part of a constant and a ramp. The
+        covariances are second differences of the generalised covariances of the phase: -|t|/2, and
         t^2 ln|t| / (2 pi), and |t|^3 / 12.
         """
         ends = (self.begin, self.end)
@@ -150,19 +150,19 @@ def clear_cache() -> None:
 
 
 def variance_model(means: CellMeans) -> VarianceModel:
-    """Return the model of some stretches; that of the last four is cached."""
+    """Return the model of given intervals; the last four models are cached."""
     return _model(tuple(means.begin.tolist()), tuple(means.end.tolist()))
 
 
 @dataclass(frozen=True)
 class Likelihood:
-    """A maximum of the likelihood of contrasts with normal distribution."""
+    """The maximum of the likelihood of normally distributed contrasts."""
 
-    value: float  # twice the log likelihood, up to a constant
+    value: float  # twice the log likelihood, without constant terms
     variances: Floats  # (components,)
     whitening: Floats  # (contrasts, contrasts) W with W C W' = 1
     residual: Floats  # (contrasts,) whitened contrasts less their mean
-    amplitudes: Floats  # (effects,) of the effects on the mean
+    amplitudes: Floats  # (effects,) amplitudes of the effects on the mean
 
 
 def likelihood(
@@ -205,9 +205,9 @@ def maximum(
     effects: Floats | None = None,
     rounds: int = 25,
 ) -> Likelihood:
-    """Return the maximum of `likelihood` over variances of 0 or above, by Fisher scoring.
+    """Return the maximum of `likelihood` over nonnegative variances, by Fisher scoring.
 
-    It begins with the variances ``start`` and takes ``rounds`` iterations at the most.
+    The search begins with the variances ``start`` and takes at most ``rounds`` iterations.
     """
     best = likelihood(values, units, start, effects)
     for _ in range(rounds):
@@ -242,7 +242,8 @@ def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
 def _climb(
     at: Likelihood, values: Floats, units: Sequence[Floats], change: Floats, effects: Floats | None
 ) -> Likelihood | None:
-    """Return the likelihood after the change or a part of it; None if none is better."""
+    """Return the likelihood after the complete change or a part of it; None if no part improves
+    it."""
     for halvings in range(10):
         new = np.maximum(at.variances + change * 0.5**halvings, 0.0)
         if not new.any():
@@ -260,12 +261,13 @@ STARTS = ((0.4, 0.3, 0.3), (0.9, 0.05, 0.05), (0.05, 0.05, 0.9))
 """Shares of the three components in the variance from which the maximum is searched."""
 
 FIRST_ROUNDS = 2
-"""Iterations from each start; the best one goes on. On simulated records this loses at most 0.005
-of twice the log likelihood against going on from all."""
+"""Iterations from each start; only the best one is continued. On simulated records, this loses at
+most 0.005 of twice the log likelihood compared with continuing from all starts."""
 
 
 def null_model(values: Floats, model: VarianceModel) -> Likelihood:
-    """Return the likelihood of contrasts without any effect; those of the last axes are cached."""
+    """Return the likelihood of contrasts without any effect; results of the last axes are
+    cached."""
     return _null_model(values.tobytes(), model)
 
 

@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of recordings, from their sums by age: the settled part, and recent against earlier noise.
+"""Parts of recordings from their sums by age: the settled part, and recent and earlier noise.
 
-Where the level of an axis stepped within a recent window, the time before the first step is
-compared with the time since the last one, otherwise the window with all the time before it. Steps
-are located by the likelihood ratio of two levels against one: a variance is scaled chi-squared with
-its equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
+If the level of an axis changed within the recent window, the time before the first step is compared
+with the time since the last step; otherwise the window is compared with all earlier data. Steps are
+located by the likelihood ratio of two levels to one: a variance is scaled chi-squared with its
+equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LEAST_STEPS = 8
-"""A segment of which fewer phase steps remain is left out."""
+"""Smallest number of remaining phase steps for which a shortened segment is kept."""
 
 
 def settled_sums(sums: AllanSums, age: int) -> AllanSums:
     """Return the sums of all second differences that start at an age in samples or later.
 
     Segments that begin earlier are shortened to begin at the next point of their phase record.
-    Where this is no start of a factor's differences, or pooled segments are divided, the sum of
-    squares is that of nearly the same differences, scaled to their exact number. Groups that do
-    not overlap and the history are left out.
+    If this point is not the start of a difference of some factor, or if pooled segments are
+    divided, the sum of squares contains nearly the same differences, scaled to their exact number.
+    Groups that do not overlap and the history are left out.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def settled_sums(sums: AllanSums, age: int) -> AllanSums:
 
 
 def _shortened(segment: SegmentRecord, age: int, tau0: float) -> SegmentRecord | None:
-    """Return a segment without what is younger than an age; None if too little remains."""
+    """Return a segment without its samples before an age; None if too little remains."""
     step = segment.phase_step
     points = -((segment.age - age) // step)
     if segment.samples // step - points < LEAST_STEPS:
@@ -110,7 +110,7 @@ def _signed_sums(phase: Floats, step: int, m: Ints, stride: Ints, count: Ints) -
     """Return the sums of d of a segment from its phase record, (factors, axes).
 
     The sum telescopes to sums of the phase near both ends; between two points of the record the
-    phase is interpolated, which for white noise is its expectation given the points.
+    phase is interpolated, which gives the conditional expectation for white noise.
     """
     out = np.empty((len(m), phase.shape[1]))
     for i, (lag, gap, number) in enumerate(zip(m, stride, count)):
@@ -136,7 +136,7 @@ def _replace_long_factors(
 ) -> None:
     """Recompute, in place, the differences of a shortened segment whose stride is a phase step.
 
-    Their starts counted from the new beginning of the segment may be others than before.
+    Counted from the new beginning of the segment, their starts may be different.
     """
     step = segment.phase_step
     for i in np.flatnonzero(stride % step == 0):
@@ -160,7 +160,7 @@ def _settled_classes(
 ) -> tuple[LengthClass, ...]:
     """Return the length classes without the segments that begin in the early bins.
 
-    The ramp corrections of those are taken from the longest class: only their sum matters.
+    Their ramp corrections are subtracted from the longest class, because only the sum matters.
     """
     gone = reduce(operator.add, early)
     pooled = {index: (count, samples) for index, count, samples in gone.pooled}
@@ -182,29 +182,30 @@ LONGEST_TAU_SHARE = 0.25
 """Longest averaging time that is compared, as a fraction of the window."""
 
 MIN_EDF = 30.0
-"""Fewest degrees of freedom on each side of a step; its ratio is then known to 30 %."""
+"""Smallest number of degrees of freedom on each side of a step; the ratio is then accurate to 30
+%."""
 
 LIKELIHOOD_RATIO = 30.0
 """Twice the log likelihood ratio of a step: chi-squared with one degree of freedom exceeds it once
-in 2e7, which allows for all times and axes that are tested."""
+in 2e7, which accounts for all tested times and axes."""
 
 
 @dataclass(frozen=True)
 class RecentNoise:
-    """Deviations of one axis in the recent time and before."""
+    """Deviations of one axis in the recent time and in the time before."""
 
-    # of this axis alone, at the same averaging times
+    # of this axis, at the same averaging times
     before: AllanCurve
     recent: AllanCurve
-    # how long ago the last step of the level was, in s; None if there was none
+    # time since the last step of the level in s; None without a step
     since_s: float | None
     tau: float | None  # averaging time in s at which the step is most significant
 
 
 def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
-    """Return the recent and the earlier noise of each axis; {} without enough data.
+    """Return the recent and the earlier noise of each axis; {} if there are too few data.
 
-    The recent window of ``window_s`` seconds ends with the latest recording.
+    The recent window of ``window_s`` seconds ends at the end of the latest recording.
     """
     if not window_s > 0.0:
         raise AllanError(f'a recent window of {window_s} s is invalid: give a positive number')
@@ -241,9 +242,9 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
 def _rows(
     recordings: tuple[Recording, ...], latest: Recording, start: float, levels: int
 ) -> tuple[Ints, Floats, Ints]:
-    """Return counts, sums of squares and ages of the time before the window and its periods.
+    """Return counts, sums of squares and ages: one row before the window, then its periods.
 
-    Without earlier data the first period counts as the time before.
+    Without earlier data, the first period is used as the time before.
     """
     begins, count, sum_sq = latest.period_begin, latest.level_count, latest.level_sum_sq
     first = int(np.searchsorted(begins, start))
@@ -275,8 +276,8 @@ def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
 def _steps(degrees: Floats, power: Floats) -> tuple[int, int, int | None]:
     """Return the rows at which the level of one axis first and last stepped, and at which factor.
 
-    (1, 1, None) without a step: the beginning of the window. ``degrees`` (of freedom) and ``power``
-    (sums of squares) are (rows, factors).
+    Without a step it is (1, 1, None), the beginning of the window. ``degrees`` (of freedom) and
+    ``power`` (sums of squares) are (rows, factors).
     """
     degrees, power = np.cumsum(degrees, axis=0), np.cumsum(power, axis=0)
     ratio = _two_levels(degrees, power)
@@ -293,9 +294,9 @@ def _steps(degrees: Floats, power: Floats) -> tuple[int, int, int | None]:
 
 
 def _two_levels(degrees: Floats, power: Floats) -> Floats:
-    """Return twice the log likelihood ratio of a step after each row against none.
+    """Return twice the log likelihood ratio of a step after each row to no step.
 
-    Chi-squared variances on both sides; -inf where either has too few degrees of freedom. Both
+    The variances on both sides are chi-squared; -inf if a side has too few degrees of freedom.
     ``degrees`` and ``power`` are running sums, (rows, ...).
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
@@ -310,7 +311,7 @@ def _two_levels(degrees: Floats, power: Floats) -> Floats:
 def _curve(
     axis: str, m: Ints, tau0: float, count: Ints, sum_sq: Floats, share: Floats, types: Ints
 ) -> AllanCurve:
-    """Return the curve of some rows; NaN at factors without data."""
+    """Return the curve of given rows; NaN at factors without data."""
     number = count.sum(axis=0)
     with np.errstate(invalid='ignore', divide='ignore'):
         avar = sum_sq.sum(axis=0) / (2.0 * m.astype(float) ** 2 * number)

@@ -3,9 +3,9 @@
 """Power spectral density of a stream in one pass and in constant memory.
 
 Welch's method (IEEE Trans. Audio Electroacoustics 15(2), 1967): periodograms of Hann-windowed
-blocks that overlap by half are averaged. For lower frequencies the same is done with averages of
-`DECIMATION` samples, with averages of those, and so on: each level costs a quarter of the previous
-one.
+blocks that overlap by half are averaged. For lower frequencies this is repeated with averages of
+`DECIMATION` samples, then with averages of these averages, and so on. Each level costs a quarter of
+the previous one.
 """
 
 from __future__ import annotations
@@ -21,39 +21,40 @@ from .curve import chi_squared_limits
 Floats = NDArray[np.float64]
 
 BLOCK = 1024
-"""Samples of a block: lines 0.1 % of the sample rate apart are resolved."""
+"""Samples per block: frequencies 0.1 % of the sample rate apart are resolved."""
 
 DECIMATION = 4
-"""Samples of one level that are averaged to a sample of the next."""
+"""Number of samples of one level that are averaged to one sample of the next."""
 
 LEVELS = 12
-"""A sample of the last level is the mean of 4^11: 12 h at 100 Hz."""
+"""Number of levels: a sample of the last level is the mean of 4^11 samples, 12 h at 100 Hz."""
 
 KEPT_BELOW = 1.0 / 16.0
-"""Highest frequency used of averaged samples, over their rate: below it averaging removes at most
-1.3 % of the power (sinc^2), and aliased white noise has the correct level."""
+"""Highest frequency that is used of averaged samples, relative to their rate. Below it, averaging
+removes at most 1.3 % of the power (sinc^2), and aliased white noise has the correct level."""
 
 LOWEST_BIN = 2
-"""Lowest bin used: below it the window leaks the mean."""
+"""Lowest bin that is used: lower bins contain leakage of the mean."""
 
 PER_DECADE = 40
 """Points per decade of frequency."""
 
 OVERLAP_LOSS = 1.0 + 2.0 * (1.0 / 6.0) ** 2
-"""Variance of a mean of Hann blocks that overlap by half, over that of as many independent
-blocks (Welch 1967, eq. 17 with the window's own correlation of 1/6)."""
+"""Variance of a mean of Hann blocks that overlap by half, relative to the mean of as many
+independent blocks (Welch 1967, eq. 17; the window correlates them by 1/6)."""
 
 BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
-"""The same for neighbouring bins, whose amplitudes the Hann window correlates by 2/3 and 1/6."""
+"""The same for neighbouring bins, whose amplitudes are correlated by 2/3 and 1/6 because of the
+Hann window."""
 
 
 @dataclass(frozen=True)
 class SpectrumSums:
-    """Sums of periodograms of one sensor, an addable value."""
+    """Sums of periodograms of one sensor; sums can be added."""
 
     axes: tuple[str, ...]
-    # (LEVELS, BLOCK/2 + 1, axes) sum of the one-sided periodograms of each level, per sample of
-    # that level
+    # (LEVELS, BLOCK/2 + 1, axes) sum of the one-sided periodograms of each level, per sample of the
+    # level
     power: Floats
     blocks: NDArray[np.int64]  # (LEVELS,) number of blocks of each level
 
@@ -68,7 +69,7 @@ class Spectrum:
     """One-sided power spectral density of all axes, with 68.3 % limits."""
 
     axes: tuple[str, ...]
-    # (points,) in Hz, evenly spaced on a logarithmic scale where there are enough bins
+    # (points,) in Hz, evenly spaced on a logarithmic scale if there are enough bins
     frequency: Floats
     # (points, axes) in the squared unit of the samples per Hz
     psd: Floats
@@ -109,7 +110,7 @@ class RunningSpectrum:
             rows = odd[:, :complete].reshape(len(odd), -1, DECIMATION).mean(axis=2)
 
     def end_segment(self) -> None:
-        """End the segment: no block spans the next sample and earlier ones."""
+        """End the segment: no block contains samples before and after this point."""
         nothing = np.empty((len(self._axes), 0))
         self._waiting = [nothing] * LEVELS
         self._odd = [nothing] * LEVELS
@@ -120,7 +121,7 @@ class RunningSpectrum:
         return SpectrumSums(self._axes, self._power.copy(), self._blocks.copy())
 
     def _take_blocks(self, level: int, waiting: Floats) -> Floats:
-        """Add the complete blocks and return the samples that the next block needs."""
+        """Process the complete blocks, and return the samples that the next block needs."""
         step = BLOCK // 2
         count = (waiting.shape[1] - step) // step
         if count < 1:
@@ -135,7 +136,8 @@ class RunningSpectrum:
 
 
 def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
-    """Return the density of the sums with sample period ``tau0`` in s; None without a block."""
+    """Return the density of the sums with sample period ``tau0`` in s; None without a complete
+    block."""
     some = np.flatnonzero(sums.blocks)
     if not len(some):
         return None
@@ -144,7 +146,7 @@ def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
         period = tau0 * DECIMATION**level
         top = BLOCK // 2 if level == 0 else int(BLOCK * KEPT_BELOW)
         bottom = LOWEST_BIN if level == some[-1] else int(BLOCK * KEPT_BELOW) // DECIMATION
-        bins = np.arange(bottom, top)  # the next level ends where this one begins
+        bins = np.arange(bottom, top)  # the next level ends at the lowest frequency of this one
         frequency.append(bins / (BLOCK * period))
         psd.append(sums.power[level, bins] * period / sums.blocks[level])
         blocks.append(np.full(len(bins), float(sums.blocks[level])))
@@ -153,7 +155,8 @@ def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
 
 
 def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) -> Spectrum:
-    """Return the means of the bins in each of `PER_DECADE` steps, weighted by number of blocks."""
+    """Return the means of the bins in each of `PER_DECADE` intervals, weighted by number of
+    blocks."""
     order = np.argsort(f)
     f, psd, blocks = f[order], psd[order], blocks[order]
     groups = np.floor(np.log10(f) * PER_DECADE).astype(int)
@@ -164,7 +167,7 @@ def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) 
     frequency = np.exp(np.add.reduceat(np.log(f) * blocks, starts) / weight)
     degrees = 2.0 * weight / OVERLAP_LOSS / np.where(number > 1, BIN_LOSS, 1.0)
     spread = np.broadcast_to(degrees[:, None], mean.shape)
-    # the limits are those of a deviation: squared, they are those of the density
+    # the limits are for a deviation; their squares are limits of the density
     low, high = chi_squared_limits(mean, spread)
     return Spectrum(axes, frequency, mean, low**2, high**2)
 
@@ -173,6 +176,6 @@ _WINDOW = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(BLOCK) / BLOCK)
 """Hann's window, periodic."""
 
 _ONE_SIDED = np.full(BLOCK // 2 + 1, 2.0 / float(np.sum(_WINDOW**2)))
-"""Scale of |FFT|^2 in a one-sided periodogram: the mean and the Nyquist bin count once."""
+"""Scale of |FFT|^2 in a one-sided periodogram, where the mean and the Nyquist bin count once."""
 
 _ONE_SIDED[[0, -1]] /= 2.0

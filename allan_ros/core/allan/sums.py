@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`AllanSums`: the sums of squared second differences of an IMU's samples, an addable value.
+"""`AllanSums`: the sums of squared second differences of an IMU's samples, which can be added.
 
 All sums are in sample units (sample period 1): the phase theta is the cumulative sum of the samples
 less the first sample of the segment, and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).
@@ -27,12 +27,12 @@ LEVEL_FACTORS = (8, 10, 12, 14)
 """Averaging factors of every level, in units of its stride 2^j."""
 
 MAX_LEVELS = 42
-"""Bound for documents: 2^41 x 14 samples are 970 years at 1 kHz; lags of a covariance fit 64-bit
-search keys."""
+"""Largest number of levels in a document: 2^41 x 14 samples are 970 years at 1 kHz. Lags of a
+covariance then fit into 64-bit search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors of the first levels and their strides, (5 + 4 levels,) each."""
+    """Return the averaging factors and strides of the first levels, (5 + 4 levels,) each."""
     m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
     stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
     return np.array(m, np.int64), np.array(stride, np.int64)
@@ -57,25 +57,27 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 Floats = NDArray[np.float64]
 
 LONGEST_FILLED = 128
-"""Longest gap of filled samples that is counted by its length; longer ones count as this."""
+"""Longest gap of interpolated samples with its own count; longer gaps are included in this
+count."""
 
 KEPT_SEGMENTS = 32
 """Number of longest segments that keep their own signed sums and phase record."""
 
 LENGTH_CLASS_RATIO = 1.1
-"""Other segments are pooled with those of the same length within 10 %."""
+"""Length ratio of a class: all other segments are pooled with segments of the same length within 10
+%."""
 
 TAU0_TOLERANCE = 1e-3
 """Sums with sample periods more than 0.1 % apart belong to different streams."""
 
 LEAST_VARIANCE = 1e-80
-"""Smaller variances count as 0: no IMU resolves 1e-40, and the cube and the inverse square of a
-variance, which a fit takes, stay within the range of normal numbers."""
+"""Smaller variances count as 0. No sensor has steps of 1e-40, and the cube and the inverse square
+of a variance, which the fit needs, stay within the range of normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentRecord(ByValue):
-    """Data of one segment from which its ramp is estimated, in addition to its part of the sums."""
+    """Data of one segment for the estimate of its ramp, in addition to its part of the sums."""
 
     start_ns: int  # stamp of its first sample
     samples: int  # number of samples
@@ -99,8 +101,8 @@ class SegmentRecord(ByValue):
     def ols_ramp(self) -> Floats:
         """Return the slope of the samples over the segment by least squares, per sample.
 
-        This fixed linear estimator removes the ramp of pooled segments; the 32 longest segments
-        get the efficient one in the fit. Zero with fewer than three points.
+        This fixed linear estimator removes the ramp of pooled segments. For the 32 longest
+        segments, the fit uses the efficient estimator. Zero with fewer than three points.
         """
         return np.asarray(ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase)
 
@@ -108,9 +110,9 @@ class SegmentRecord(ByValue):
 def ols_ramp_weights(points: int, step: int) -> Floats:
     """Return w such that w @ phase is the least-squares slope of the samples, per sample.
 
-    The interval means of the samples are (theta_{k+1} - theta_k)/step; w is the least-squares
-    slope of those on time, written in terms of theta. Exact for a pure ramp, 0 for a constant and
-    for fewer than two intervals.
+    The interval means of the samples are (theta_{k+1} - theta_k)/step; w is their least-squares
+    slope over time, expressed by theta. The slope is exact for a pure ramp, and 0 for a constant or
+    fewer than two intervals.
     """
     k = np.arange(points - 1, dtype=float)
     k -= k.mean() if points > 1 else 0.0
@@ -123,10 +125,10 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LengthClass(ByValue):
-    """Segments of one length within 10 %, pooled."""
+    """Pooled segments whose lengths are equal within 10 %."""
 
     index: int  # floor(log(samples) / log(1.1))
-    # number of segments, and of samples in all of them
+    # number of segments, and of their samples in total
     count: int
     samples: int
     # (factors, axes) correction that removes the ramps of these segments from the sums of d^2: sum
@@ -136,7 +138,7 @@ class LengthClass(ByValue):
 
     @classmethod
     def of(cls, segment: SegmentRecord) -> LengthClass:
-        """Return the class of one segment alone."""
+        """Return the class of a single segment."""
         n_m = len(segment.signed)
         m, stride = (a[:n_m] for a in grid(_levels(n_m)))
         r = segment.ols_ramp()
@@ -158,7 +160,7 @@ class LengthClass(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class AllanSums(ByValue):
-    """Running Allan sums of one stream; ``+`` adds those of another recording of the same IMU.
+    """Running Allan sums of one stream; ``+`` adds the sums of another recording of the same IMU.
 
     Sums of floating-point numbers depend on the order of addition in the last bits: sums of the
     same recordings added in another order agree to 1e-12 of their value.
@@ -173,7 +175,7 @@ class AllanSums(ByValue):
     sum_sq : (factors, axes) float64 array
         Sum of d^2, in the unit of the samples squared (theta is a sum of samples).
     group_count, group_sum_sq : as count and sum_sq
-        The same for starts 0, m, 2m ... only: groups that do not overlap.
+        The same for groups that do not overlap (starts 0, m, 2m ...).
     segments : tuple of SegmentRecord
         The 32 longest segments, longest first.
     classes : tuple of LengthClass
@@ -205,7 +207,7 @@ class AllanSums(ByValue):
     def empty(
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
-        """Return the sums of no samples: the neutral element of ``+``."""
+        """Return the sums of zero samples: the neutral element of ``+``."""
         none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
         return cls(identity, axes, none, no_sums, none, no_sums)
 
@@ -255,7 +257,8 @@ class AllanSums(ByValue):
 
     @property
     def _end_slack(self) -> float:
-        """Relative error of tau0 if the stamps at both ends of each segment are a period off."""
+        """Relative error of tau0 if the stamps at both ends of each segment are wrong by one
+        period."""
         return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
 
     def __deepcopy__(self, memo: object) -> AllanSums:
@@ -268,8 +271,8 @@ class AllanSums(ByValue):
         Raises
         ------
         AllanError
-            When the two are of different IMUs or axes, or their sample periods differ by more than
-            0.1 % and more than the uncertainty of the stamps at the ends of the segments.
+            When IMU or axes differ, or their sample periods differ by more than 0.1 % and more than
+            the uncertainty of the stamps at the ends of the segments.
         """
         self.check_addable(other)
         if self.axes != other.axes:
@@ -281,7 +284,7 @@ class AllanSums(ByValue):
         return self.extended(other)
 
     def extended(self, other: AllanSums, continues: bool = False) -> AllanSums:
-        """Return the sums of both without checking that they are of one stream.
+        """Return the sums of both without checking that they belong to one stream.
 
         Parameters
         ----------
@@ -322,12 +325,12 @@ class AllanSums(ByValue):
         return bool(self.history.recordings) or not self.samples
 
     def check_addable(self, other: AllanSums) -> None:
-        """Check that both are of one IMU and rate; their axes may differ.
+        """Check that both have the same IMU and rate; their axes may differ.
 
         Raises
         ------
         AllanError
-            When they are of different IMUs or sample periods, as in ``+``.
+            When IMU or sample period differ, as in ``+``.
         """
         if self.identity != other.identity:
             raise AllanError(
@@ -348,7 +351,7 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
 
     NaN without data, 0 below `LEAST_VARIANCE`.
     """
-    number = m.astype(float) ** 2 * count  # in int64 it overflows after weeks at 1 kHz
+    number = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
         variance: Floats = sum_sq / (2.0 * number[:, None])
     return np.where(variance < LEAST_VARIANCE, 0.0, variance)
@@ -360,15 +363,15 @@ def _levels(factors: int) -> int:
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
-    """Return the sums of two recordings of one IMU: those of the same axes added.
+    """Return the sums of two recordings of one IMU; sums of the same axes are added.
 
-    A recording has one `AllanSums` with all axes, or one per sensor where the sensors have
-    different rates. An empty sequence adds nothing.
+    A recording has one `AllanSums` with all axes, or one per sensor if the sensors have different
+    rates. An empty sequence is neutral.
 
     Raises
     ------
     AllanError
-        When the two are of different IMUs, rates, or axes.
+        When IMUs, rates or axes differ.
     """
     if not a or not b:
         return tuple(a or b)
@@ -383,12 +386,12 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
-    """Check that both may be of one stream, where one may have more axes.
+    """Check that both can belong to one stream; one may have more axes.
 
     Raises
     ------
     AllanError
-        When an axis that both have is of different IMUs or rates.
+        When a common axis has different IMUs or rates.
     """
     for x, y in product(a, b):
         if not set(x.axes).isdisjoint(y.axes):
