@@ -38,7 +38,7 @@ METHODS = {
     'relative': 'nonnegative least squares on relative residuals: no intervals',
     'paper': 'plain least squares over groups that do not overlap, as Cong et al. 2019',
 }
-"""method -> what it does."""
+"""Method -> its description."""
 
 
 def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = None) -> NoiseModel:
@@ -52,7 +52,7 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
         One of `METHODS`.
     like : NoiseModel, optional
         A fit of a part of the data by method gls: its processes and shortest averaging times are
-        kept instead of selected again.
+        kept and not selected again.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
     """
     if method not in METHODS:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
-    # A method is imported when it is used: they are slow to load, and most runs use one.
+    # A method is imported when it is used: imports are slow, and most runs use one method.
     if method == 'gls':
         from .gls import fit_gls
 
@@ -72,7 +72,7 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
 
 
 def clear_cache() -> None:
-    """Clear the tables that fits share: for processes that fit seldom and live long."""
+    """Clear the tables that fits share; useful in a process that rarely fits."""
     for name in (f'{__name__}.table', f'{__package__.rpartition(".")[0]}.allan.likelihood'):
-        if name in sys.modules:  # else no method with a cache has been used
+        if name in sys.modules:  # a module that is not imported has no cache
             sys.modules[name].clear_cache()

@@ -8,13 +8,13 @@ For Gaussian noise the covariance of two Allan variances is a sum over lags (Iss
 
 with C_ij(s) the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i), d_j(u)/(sqrt2 m_j)
 and cnt_ij(s) the number of pairs at lag s in the record. C is linear in (q, w, b, k), so the sum is
-ten matrices weighted by products of these variance coefficients: they depend on the length of the
-record only.
+ten matrices weighted by products of these variance coefficients: which depend only on the length of
+the record.
 
-cnt is piecewise linear in s, so it takes just the running sums of C_k C_l and of s C_k C_l at four
-lags. And the grid repeats itself every octave: the pair (2^a m, 2^a m') at lags 2^a s has the C of
-(m, m') at lags s up to a power of 2^a. One table of running sums, of pairs whose smaller factor
-stands on level 0, so it serves every pair of every record.
+cnt is piecewise linear in s, so only the running sums of C_k C_l and of s C_k C_l at four lags are
+needed. The grid repeats itself every octave: C of the pair (2^a m, 2^a m') at lags 2^a s equals C
+of (m, m') at lags s times a power of 2^a. So one table of running sums, for the pairs whose smaller
+factor is on level 0, is enough for all pairs of all records.
 """
 
 from __future__ import annotations
@@ -34,27 +34,28 @@ TERM_PAIRS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """The ten products of variance coefficients in a covariance: q q, q w, q b, .. k k."""
 
 EXACT_POINTS = 14
-"""Lag panels up to this long are summed point by point, longer ones by quadrature."""
+"""Lag panels up to this length are summed point by point, longer ones by quadrature."""
 
 EXACT_PANELS = 5
-"""Panels summed point by point on each side of the three lags where C is not smooth."""
+"""Number of panels that are summed point by point on each side of the three lags at which C is not
+smooth."""
 
 PANEL_RATIO = 4
-"""Growth of the smooth panels away from those lags."""
+"""Growth of the panels with the distance from those lags."""
 
 TAIL = 128
-"""Flicker differences are uncorrelated (C^2 < 1e-8) beyond this many times m_i + m_j."""
+"""Flicker differences are uncorrelated (C^2 < 1e-8) at lags above this many times m_i + m_j."""
 
 PANELS_AT_ONCE = 1024
-"""Panels summed together: a few megabytes of work space."""
+"""Number of panels that are summed together: a few megabytes of memory."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
 _KEY = np.int64(1) << 52
-"""Distance between the search keys of two rows: more than any lag."""
+"""Distance between the search keys of two rows: larger than any lag."""
 
 _SMOOTH_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 PRODUCTS = len(_SMOOTH_PAIRS) + 3
-"""Sums that are kept: of the six products C_k C_l and of the three C_k."""
+"""Number of running sums: of the six products C_k C_l and of the three C_k."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class PairSums:
         The factors m <= samples/2 and their numbers of differences.
     squares : (10, pairs) float64 array
         2 sum_s cnt C_k C_l for the `TERM_PAIRS`, at the pairs i <= j of `numpy.triu_indices`;
-        k != l counted twice, so that Cov(V_i, V_j) = sum p_k p_l squares_kl / (M_i M_j).
+        pairs with k != l count twice, so that Cov(V_i, V_j) = sum p_k p_l squares_kl / (M_i M_j).
     singles : (4, pairs) float64 array
         sum_s cnt C_k: the covariance of the sums of d_i/(sqrt2 m_i) and of d_j/(sqrt2 m_j).
     """
@@ -107,9 +108,10 @@ def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return the sums over lags a..b, ends halved, of the products and of s times them.
+    """Return the sums over lags a..b of the products, and of s times the products.
 
-    Point by point up to `EXACT_POINTS`, else the integral by Gauss-Legendre.
+    The first and the last lag count half. Up to `EXACT_POINTS` lags are summed, more are integrated
+    by Gauss-Legendre quadrature.
 
     Parameters
     ----------
@@ -131,7 +133,7 @@ def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _edges(mi: int, mj: int) -> Ints:
-    """Return panel borders: dense where C is not smooth (near s = b m_j - a m_i), then sparse."""
+    """Return panel borders: dense where C is not smooth (near s = b m_j - a m_i), else sparse."""
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
     reach = [span]
@@ -146,7 +148,7 @@ def _edges(mi: int, mj: int) -> Ints:
 
 
 class _LagTable:
-    """Running sums over lags for every pair whose smaller factor stands on level 0."""
+    """Running sums over lags for every pair whose smaller factor is on level 0."""
 
     def __init__(self, factors: int) -> None:
         first = len(FIRST_FACTORS) + len(LEVEL_FACTORS)
@@ -177,7 +179,7 @@ class _LagTable:
             np.cumsum(self.sums[:, :, a:z], axis=2, out=self.sums[:, :, a:z])
 
     def up_to(self, row: Ints, lag: Ints) -> Floats:
-        """Return the running sums up to each lag (the last point halved), (2, 9, n)."""
+        """Return the running sums up to each lag (the last lag counts half), (2, 9, n)."""
         lag = np.clip(lag, self.low[row], self.high[row])
         at = np.searchsorted(self.key, row * _KEY + lag, side='right') - 1
         start = self.edge[at].astype(float)
@@ -209,7 +211,7 @@ def pair_sums(samples: int) -> PairSums:
 
 
 def clear_pair_sums() -> None:
-    """Clear the cache of `pair_sums` and of the table it is computed from."""
+    """Clear the cache of `pair_sums` and of the table from which it is computed."""
     _lag_table.cache_clear()
     pair_sums.cache_clear()
 
@@ -217,12 +219,13 @@ def clear_pair_sums() -> None:
 def _smooth_sums(
     table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs), none of q yet.
+    """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs), without q.
 
-    Going up from the first lag, cnt rises from 1 by one every s_j samples to M_j at lag 0, stays,
-    and falls again to 1 at the last. A stair is a straight line half a step below its edges plus
-    what the Euler-Maclaurin formula leaves at the two ends of the line: for steps of
-    ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` = (ratio - 1/ratio)/12.
+    From the first lag on, cnt increases from 1 by one every s_j samples to M_j at lag 0, remains
+    constant, and decreases to 1 at the last lag. The sum over the steps is the sum over a straight
+    line half a step below the edges, plus the terms of the Euler-Maclaurin formula at the two ends
+    of the line: for steps of ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` =
+    (ratio - 1/ratio)/12.
     """
     level = np.maximum(i - len(FIRST_FACTORS), 0) // len(LEVEL_FACTORS)
     row = table.row[i - len(LEVEL_FACTORS) * level, j - len(LEVEL_FACTORS) * level]
@@ -239,7 +242,7 @@ def _smooth_sums(
         + count[j] * steps0[1]
         + ((end / ratio + 1.0 - fall) * steps0[2] - steps1[2] / ratio)
     )
-    # Where a step is longer than m_i, C is not smooth over it and the end terms do not hold.
+    # If a step is longer than m_i, C is not smooth over it and the end terms are not valid.
     bend = np.where(ratio <= mi, (ratio - 1.0 / ratio) / 12.0, fall / 2.0)
     outer, inner = (1.0 - fall) / 2.0 + bend, fall / 2.0 - bend
     for lag, weight in zip(lags, (outer, inner, inner, outer)):
@@ -248,10 +251,10 @@ def _smooth_sums(
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the sums over C_k C_l and C_k of the four terms from those of the smooth parts.
+    """Return the sums over C_k C_l and C_k of the four terms from the sums of the smooth parts.
 
-    On level a lags and factors are 2^a times those of the table: there the white C is 2^-a, the
-    flicker C once and the cubic C 2^a times that of the table (`scale` is 2^-a).
+    On level a, lags and factors are 2^a times those of the table. There the white C is multiplied
+    by 2^-a (`scale`), the flicker C by 1 and the cubic C by 2^a.
     """
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
         [scale**2, scale, np.ones_like(scale), np.ones_like(scale), 1 / scale, scale**-2]
@@ -273,7 +276,7 @@ def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
 def _add_quantization(
     squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
 ) -> None:
-    """Add the contribution of q: white phase is correlated at the nine lags b m_j - a m_i only."""
+    """Add the contribution of q: white phase is correlated only at the nine lags b m_j - a m_i."""
     mi, mj = m[i], m[j]
     norm = 2.0 * mi.astype(float) * mj
     lags = [
@@ -284,7 +287,7 @@ def _add_quantization(
     for weight, lag in lags:
         pairs = _pairs_at(lag, (count[i] - 1) * stride[i], (count[j] - 1) * stride[j], stride[j])
         pairs *= weight / norm
-        # Lags coincide where m_j/m_i is 1 or 2: there all their weights meet.
+        # Lags coincide if m_j/m_i is 1 or 2; their weights are then added.
         here = sum(other * (lag == at) for other, at in lags) / norm
         smooth = lag_covariance(lag.astype(float), mi.astype(float), mj.astype(float))
         white, flicker, cubic = smooth
@@ -295,7 +298,8 @@ def _add_quantization(
 
 
 def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
-    """Return how many starts of j have a start of i lag samples later (a multiple of s_i)."""
+    """Return how many starts of j have a start of i that is lag samples later (a multiple of
+    s_i)."""
     first = np.maximum(0, -lag)
     last = np.minimum(end_j, end_i - lag)
     number = last // stride_j + (-first) // stride_j + 1
@@ -303,12 +307,12 @@ def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
 
 
 def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
-    """Return what filled gaps add to the Allan variance of white noise of unit variance.
+    """Return the increase of the Allan variance of unit white noise due to interpolated gaps.
 
-    Linear interpolation replaces samples by weighted means of the two next to a gap. A second
-    difference is a weighted sum of independent samples, so its variance changes from the sum of the
-    squared weights of all samples to that of the recorded samples. At averaging factors m >= k it
-    grows, in the sum over all starts, by 2 (k + k^2/2) for each step of m.
+    Linear interpolation replaces samples by weighted means of the two samples next to a gap. A
+    second difference is a weighted sum of independent samples, so its variance changes from the sum
+    of the squared weights of all samples to that of the recorded samples. At averaging factors m >=
+    k it grows, in the sum over all starts, by 2 (k + k^2/2) for each step of m.
 
     A recorded sample between two gaps has a part of both. Only the numbers of gaps are known, so
     gaps are assumed to be independent, as random losses are.
@@ -318,9 +322,9 @@ def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
     m : (factors,) int64 array
         Averaging factors.
     filled : (lengths, ...) int64 array
-        Gaps of 1, 2, ... filled samples.
+        Number of gaps of 1, 2, ... interpolated samples.
     samples : int
-        Number of samples, including the filled ones.
+        Number of samples, including interpolated ones.
 
     Returns
     -------
@@ -369,7 +373,7 @@ def _weights(m: int, margin: int) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _excess(k: int, m: int) -> float:
-    """Return by how much one gap changes the squared weights, summed over all starts."""
+    """Return the change of the squared weights due to one gap, summed over all starts."""
     length = k + 2
     base = _weights(m, length)
     share = np.arange(1, k + 1) / (k + 1)

@@ -22,21 +22,23 @@ from .solve import K, N, Q
 from .table import PooledTable
 
 COARSEST_IGNORED = 0.02
-"""A step below this part of the white noise per sample adds 3e-5 of its variance."""
+"""Steps below this fraction of the white noise per sample are ignored: they add 3e-5 of its
+variance."""
 
 
 NEAR_WHOLE = 0.05
-"""How near to whole numbers the phase must be, in steps."""
+"""Tolerance of the phase, in steps, within which it is a whole number."""
 
 
 LEAST_POINTS = 8
-"""Fewer phase points are multiples of some step by chance."""
+"""Smallest number of phase points: fewer points are multiples of some step by chance."""
 
 
 def lattice_step(phase: Floats, deviation: float) -> float | None:
     """Return the step of which all points of a coarse phase record are multiples, or None.
 
-    ``deviation`` is that of the white noise per sample; far finer steps are negligible.
+    ``deviation`` is the standard deviation of the white noise per sample; much finer steps are
+    negligible.
     """
     least = COARSEST_IGNORED * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -47,18 +49,20 @@ def lattice_step(phase: Floats, deviation: float) -> float | None:
         step = _common_divisor(value, step, least)
         if step < least:
             return None
-        # Euclid gathers rounding errors; the multiples so far, the smallest first, take them out.
+        # Euclid's algorithm accumulates rounding errors; dividing by the multiples so far, smallest
+        # first, removes them.
         for known in values[: i + 1]:
             multiple = round(known / step)
             if multiple < 1:
-                return None  # the divisor exceeds a number it should divide: there is none
+                return None  # the divisor exceeds a number that it should divide: there is no step
             step = known / multiple
     off = np.abs(moved / step - np.round(moved / step))
     return step if off.max() < NEAR_WHOLE else None
 
 
 def _common_divisor(a: float, b: float, least: float) -> float:
-    """Return the greatest common divisor of two numbers, remainders below ``least`` being 0."""
+    """Return the greatest common divisor of two numbers, where remainders below ``least`` count as
+    0."""
     while b >= least:
         rest = a % b
         a, b = b, min(rest, b - rest)
@@ -66,29 +70,31 @@ def _common_divisor(a: float, b: float, least: float) -> float:
 
 
 ROUNDING_SHARE = 0.1
-"""Part of the white noise from which rounding is reported."""
+"""Fraction of the white noise above which rounding is reported."""
 
 FILTER_REMOVES = 0.1
-"""Part of the white noise per sample whose loss is reported as a low-pass filter. Interpolating 1 %
-of the samples removes 1.5 %."""
+"""Lost fraction of the white noise per sample above which a low-pass filter is reported.
+Interpolating 1 % of the samples removes 1.5 %."""
 
 SMALL_DEVIATION = 0.05
-"""Deviation of the curve from the model below which it is only information."""
+"""Deviation of the curve from the model below which the finding is only information."""
 
 HUMP_RATIO = 1.5
-"""Sinusoids whose frequencies are nearer than this describe one broad hump."""
+"""Sinusoids whose frequency ratio is smaller than this describe one broad hump."""
 
 SLOWEST_VIBRATION = 0.5
-"""Hz: slower sinusoids are not called vibration. Buildings and tables resonate from here on."""
+"""In Hz. Slower sinusoids are not called vibration: buildings and tables resonate above this
+frequency."""
 
 SHORTEST_THERMAL_S = 300.0
 """Slower cycles are typical of heating, air conditioning and temperature control."""
 
 FASTEST_VIBRATION = 400.0
-"""Hz: with a faster sample rate, vibration of rotors and engines is not aliased."""
+"""In Hz: at twice this sample rate or more, vibration of rotors and engines is not aliased."""
 
 ALIAS_FROM = 0.02
-"""Part of the sample rate: slower lines are aliases of a narrow band next to the rate only."""
+"""Fraction of the sample rate: slower lines can only be aliases of a narrow band next to the
+rate."""
 
 
 def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -101,7 +107,8 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def rounding_step(phase: Floats, white: float) -> float | None:
-    """Return the step to which samples are rounded, or None if it is small beside their noise.
+    """Return the step to which samples are rounded, or None if it is small compared with their
+    noise.
 
     ``phase`` is the coarse phase record, ``white`` the variance of the white noise per sample.
     """
@@ -143,7 +150,7 @@ def explain(
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     """Return the model with the largest deviation of each axis from the curve that was fitted.
 
-    It is reported where the selected model does not fit.
+    A finding reports it if the selected model does not fit.
     """
     axes, found = {}, []
     for i, name in enumerate(curve.axes):
@@ -163,12 +170,12 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
 def _shape_findings(
     name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
-    """Return the findings on parts of the curve that the five terms do not describe."""
+    """Return the findings about features of the curve that the five terms do not describe."""
     found = []
     if fit.m_min > 1:
         hint = ''
         if selected.hint is not None:
-            # A slow filter and a fast sinusoid change the shortest averages alike.
+            # A slow filter and a fast sinusoid have the same effect on the shortest averages.
             either = ', or a low-pass filter' if selected.filtered else ''
             hint = f': vibration near {selected.hint / tau0:.3g} Hz{either}'
         elif selected.filtered:
@@ -196,13 +203,13 @@ def _removed(selected: Selection) -> float:
 
 
 def _precise_until(selected: Selection) -> float:
-    """Return the averaging factor from which on the curve has few degrees of freedom."""
+    """Return the averaging factor above which the curve has few degrees of freedom."""
     few = few_averages(selected.fit.table, selected.fit.power)
     return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
 
 
 def _neighbours(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Return the sinusoids grouped: those of neighbouring frequencies are one broad hump."""
+    """Return groups of sinusoids: neighbouring frequencies are one broad hump."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
         if groups and line.frequency < HUMP_RATIO * groups[-1][-1].frequency:
@@ -213,7 +220,7 @@ def _neighbours(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
 
 
 def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
-    """Return the finding on one sinusoid, or on several that describe a broad hump."""
+    """Return the finding about one sinusoid, or about several that describe a broad hump."""
     largest = max(lines, key=lambda line: line.amplitude)
     amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
     if len(lines) > 1:
@@ -247,7 +254,7 @@ def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: f
 def _time_findings(
     pooled: PooledTable, axis: int, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
-    """Return what a longer record would resolve."""
+    """Return the findings about terms that a longer record would resolve."""
     name = (pooled.sums.axes[axis],)
     found = []
     if {'K', 'R'} <= {t for t, c in fit.noise.items() if c.status == 'not_observable'}:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The default method: generalised least squares with the model's own covariance, and intervals."""
+"""The default method: generalised least squares with the covariance of the model, and intervals."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ from .solve import FitOptions, K, Misfit, N, Q, solve
 from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
-"""With no more averaging factors than terms, a table cannot determine the terms."""
+"""Smallest number of averaging factors: one more than there are terms."""
 
 MAIN_LOBE = 2.0
-"""Width of the spectrum of a sinusoid, between its zeros, times the length of the record."""
+"""Width of the spectrum of a sinusoid between its zeros, times the length of the record."""
 
 AT_AN_END = 1e-9
-"""Relative distance from an end of its interval at which a value counts as that end."""
+"""Relative distance from an end of its interval below which a value counts as that end."""
 
 
 def fit_gls(sums: AllanSums, like: NoiseModel | None = None) -> NoiseModel:
     """Return the five terms of every axis with 95 % intervals and verdicts.
 
-    Too few data are no error: a term that the sums do not determine has neither value nor limit.
+    Too few data cause no error: a term that the sums do not determine has neither value nor limit.
     """
     pooled = PooledTable(sums)
     tau0 = sums.tau0 or 1.0
@@ -72,7 +72,7 @@ def _fit_axis(
     power, options = selected.fit.power, selected.fit.options
     if len(selected.fit.table.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(pooled, axis, constant)
-    # With the tangents, uncertain correlation times and frequencies widen all intervals.
+    # The tangents widen all intervals because of uncertain correlation times and frequencies.
     table = options.table(pooled, axis, options.noise(power), tangents=True)
     power = np.concatenate([power, np.zeros(table.terms.shape[1] - len(power))])
     sizes = range(table.noises + table.lines)
@@ -86,7 +86,8 @@ def _fit_axis(
     if selected.filtered or options.m_min > 1:
         noise['Q'] = _unresolved(None, np.inf)
     elif noise['Q'].status == 'not_observable':
-        # A q that is not significant nearly doubles the error of N; its interval keeps q.
+        # A q that is not significant nearly doubles the error of N; only the interval of N includes
+        # q.
         others = tuple(t for t in sizes if t != Q)
         alone = solve(
             selected.fit.table, power[: len(sizes)], columns=others, misfit=options.misfit
@@ -124,8 +125,9 @@ def _consistent(
 ) -> Floats:
     """Return the variance coefficients such that each value lies within its interval.
 
-    Intervals allow a negative q, values do not. In one record of a hundred this would put a value
-    outside its interval; it is replaced by the estimate that the interval belongs to.
+    Intervals allow a negative q, values do not. In one of a hundred records, a value would
+    therefore lie outside its interval. It is replaced by the estimate for which the interval was
+    computed.
     """
     above, below = 1.0 + AT_AN_END, 1.0 - AT_AN_END
     seen = [(t, each) for t, each in enumerate(intervals) if each.observable]
@@ -153,7 +155,7 @@ def _coefficient(
 
 
 def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
-    """Return the ramp in SI units, its size and its sign."""
+    """Return the ramp in SI units: its magnitude and its sign."""
     if ramp is None:
         return _unresolved(None, np.inf)
     sign = int(np.sign(ramp.value))
@@ -175,10 +177,10 @@ def _nothing() -> AxisFit:
 
 
 def _joined(processes: Processes, resolution: float) -> Processes:
-    """Return the processes, sinusoids closer than a resolution in Hz as one.
+    """Return the processes; sinusoids closer than a resolution in Hz are merged.
 
-    The mean square of the differences of a sinusoid depends on its phase. Far above the noise, a
-    fit needs two sinusoids side by side for that.
+    The mean square of the differences of a sinusoid depends on its phase. If a sinusoid is far
+    above the noise, a fit needs two adjacent sinusoids to describe this.
     """
     out: list[Sinusoid] = []
     for line in processes.sinusoid:

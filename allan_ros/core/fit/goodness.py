@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goodness of fit, and the model error where the terms do not describe the table."""
+"""Goodness of fit, and the model error if the terms do not describe the table."""
 
 from __future__ import annotations
 
@@ -16,43 +16,43 @@ from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
 from .table import Table
 
 Z_FAIL = 3.0
-"""A table of the model's own noise is further off than this once in several hundred."""
+"""Tables with noise of the model exceed this deviation once in several hundred."""
 
 Z_HOPELESS = 50.0
-"""A table this far off is not tested again with another walk."""
+"""A table with this deviation is not tested again with another walk."""
 
 DEFICIT_FALSE_ALARM = 1e-3
-"""Probability that the long averages of the model's own noise are called too low."""
+"""Probability that the long averages of noise of the model are classified as too low."""
 
 DEFICIT_LIMIT = float(ndtri(DEFICIT_FALSE_ALARM))
-"""Long averages this far below the model, as a normal deviate, are too low to be chance."""
+"""Normal deviate below the model at which long averages are significantly too low."""
 
 POINTS_PER_TEST = 8.0
-"""Neighbouring long averages are correlated: this many count as one independent test."""
+"""Neighbouring long averages are correlated: this number counts as one independent test."""
 
 FEW_AVERAGES = 60.0
-"""Degrees of freedom below which an Allan variance is too skewed for chi^2 of the residual: it
-cannot fall far below the model in units of its own error, however unlikely it is."""
+"""Degrees of freedom below which an Allan variance is too skewed for chi^2. Such a variance cannot
+be many standard errors below the model, however unlikely it is."""
 
 MISFIT_LIMIT = 10.0
-"""Fractional error beyond which the terms describe nothing."""
+"""Fractional error above which the terms do not describe the table at all."""
 
 MISFIT_START = 0.1
-"""Start of its search: a typical value of real sensors."""
+"""First value of the search for the misfit, typical of real sensors."""
 
 MISFIT_TOLERANCE = 0.04
-"""Relative accuracy of chi^2, which is 2 % of the misfit."""
+"""Relative accuracy of chi^2 in this search, which gives 2 % of the misfit."""
 
 MISFIT_STEPS = 30
-"""Bound on its search, which takes four to eight steps."""
+"""Largest number of steps of this search, which needs four to eight."""
 
 MARGIN = 0.05
-"""Part of the bracket that a step leaves at either side."""
+"""Smallest distance of a step from either end of the bracket, as a fraction of the bracket."""
 
 
 @dataclass(frozen=True)
 class Goodness:
-    """chi^2 of the residual, what it should be, and the difference as a normal deviate."""
+    """chi^2 of the residual, its expectation, and the difference as a normal deviate."""
 
     chi_squared: float
     freedom: float
@@ -69,10 +69,10 @@ class Goodness:
 
 
 def goodness(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return how far the table is from the active terms at their best fit.
+    """Return the goodness of fit of the active terms at their best fit.
 
-    The degrees of freedom are those of the covariance, less the active terms and the shapes of the
-    processes.
+    The degrees of freedom are the number of independent points of the table, less the active terms
+    and the shapes of the processes.
     """
     covariance = weights_at(table, power, misfit)
     active = np.flatnonzero(power != 0.0)
@@ -86,10 +86,10 @@ def goodness(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> Goodnes
 
 
 def degrees_of_freedom(covariance: Floats) -> float:
-    """Return how many independent numbers a table of this covariance holds.
+    """Return the number of independent points of a table with this covariance.
 
-    sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix: the jitter takes
-    the weight off directions that hold no information.
+    sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix: the jitter removes
+    directions without information.
     """
     deviation = np.sqrt(np.diag(covariance))
     eigenvalues = np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))
@@ -100,10 +100,10 @@ def degrees_of_freedom(covariance: Floats) -> float:
 def long_tau_deficit(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Return how far the lowest of the long averages lies below the model, as a normal deviate.
 
-    An Allan variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), here with
-    nu = 2 V^2 / Var V of the model. Only averages of few degrees of freedom are tested. The
-    deviate is that of the smallest probability after correction for the number of averages
-    tested (Bonferroni), so the limit is `DEFICIT_LIMIT` however long the record is.
+    An Allan variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), with nu = 2
+    V^2 / Var V of the model. Only averages of few degrees of freedom are tested. The deviate
+    corresponds to the smallest probability, corrected for the number of tested averages
+    (Bonferroni), so the limit is `DEFICIT_LIMIT` for any length of the record.
     """
     model = table.terms @ power
     few = few_averages(table, power, misfit) & (model > 0.0)
@@ -125,9 +125,9 @@ def best_case_goodness(table: Table, power: Floats) -> Goodness:
     """Return the goodness at the fitted coefficients, or with the walk at its upper limit if
     better.
 
-    Where a walk dominates the longest averages, k rests on few degrees of freedom, and an estimate
-    of k that is too low by chance makes everything else look too large. A table is only rejected if
-    no walk within the interval of k accounts for it.
+    If a random walk dominates the longest averages, k depends on few degrees of freedom. If its
+    estimate is too low by chance, the other averages seem too large. Therefore a table is only
+    rejected if no walk within the interval of k describes it.
     """
     first = goodness(table, power)
     if not first.fails or first.z > Z_HOPELESS:
@@ -141,7 +141,7 @@ def best_case_goodness(table: Table, power: Floats) -> Goodness:
 
 
 def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Misfit) -> Misfit:
-    """Return the least fractional error of the long averages at which none of them is too low.
+    """Return the smallest fractional error of the long averages for which none of them is too low.
 
     Without a ``misfit`` of all averages, only those of few degrees of freedom get the error: the
     terms that the precise part of the curve determines keep their values and intervals.
@@ -164,9 +164,9 @@ def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Mi
 def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misfit:
     """Return the fractional error eps, from ``m_min`` on, at which chi^2 is as expected.
 
-    C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
-    into one of relative residuals over the complete curve. chi^2 falls from its value at 0 about
-    as 1/eps^2 does, so the search steps in the logarithms of both.
+    The covariance is C + eps^2 diag(V_model^2), and eps is 0 if the terms describe the table. For
+    large eps, the fit minimises relative residuals over the complete curve. chi^2 decreases about
+    as 1/eps^2, so the search uses the logarithms of both.
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):

@@ -1,17 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Intervals by inverting the score test: the values that the table does not contradict.
+"""Intervals by inversion of the score test: the values that the test does not reject.
 
 To test a value c of one variance coefficient, fix it, refit the others, and compute how many
 standard deviations *at that fit* the free estimate lies from c: z(c) = (p - c)/se(c). The 95 %
-interval is where |z| < 1.96 (Rao 1948). The usual estimate +- 1.96 se takes se at the estimate,
-which for K of a short record is too small whenever the estimate is: its intervals miss the truth in
-9 to 13 % of records instead of 5.
+interval is where |z| < 1.96 (Rao 1948). The usual interval, estimate +- 1.96 se, uses se at the
+estimate. For K of a short record, se is too small if the estimate is too small, so these intervals
+miss the truth in 9 to 13 % of records instead of 5.
 
-An estimate that rests on a few long averages is skewed like a chi^2 of few degrees of freedom. The
-estimate is a sum l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are
-treated as gamma variables of the covariance C. With that skewness z is turned into a normal deviate
-by the cube root of Wilson & Hilferty (PNAS 17, 1931).
+An estimate that depends on a few long averages is skewed like a chi^2 of few degrees of freedom.
+The estimate is a sum l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are
+treated as gamma variables of the covariance C. With this skewness, the cube root of Wilson &
+Hilferty (PNAS 17, 1931) transforms z into a normal deviate.
 """
 
 from __future__ import annotations
@@ -42,32 +42,33 @@ from .solve import (
 from .table import PooledTable, Table
 
 Z_DETECT = 2.33
-"""Normal quantile of 99 %: a term that is 0 is resolved by mistake in 1 % of records."""
+"""Normal quantile of 99 %: an absent term is resolved by mistake in 1 % of records."""
 
 
 ENOUGH = 1e-3
-"""How near z must come to its target: a twentieth of a percent of the half-width."""
+"""Tolerance of z at its target: a twentieth of a percent of the half-width."""
 
 
 SLOW = 2
-"""Steps that may leave more than half of the bracket, or find none, before a long one is made."""
+"""Number of steps that may leave more than half of the bracket, or find no bracket, before a longer
+step is taken."""
 
 
 FARTHEST = 5.0
-"""Factor by which a step increases the distance from the start at most."""
+"""Largest factor by which a step increases the distance from the start."""
 
 
 NOWHERE = 1e8
-"""Distance in that of the first guess beyond which no end is searched."""
+"""Largest distance, in units of the first guess, at which an end is searched."""
 
 
 LITTLE_SKEW = 1e-3
-"""Skewness that changes no digit."""
+"""Skewness whose effect is negligible."""
 
 
 @dataclass(frozen=True)
 class CoefficientInterval:
-    """The interval of one variance coefficient and z at zero; from 0 to a limit if unresolved."""
+    """The interval of one variance coefficient and z at zero; an unresolved one begins at 0."""
 
     z_zero: float
     low: float
@@ -80,7 +81,7 @@ class CoefficientInterval:
 
 
 class Score:
-    """Score test of one variance coefficient: z(c), with its neighbours refitted.
+    """Score test of one variance coefficient: z(c) with all other terms refitted.
 
     Attributes
     ----------
@@ -97,7 +98,7 @@ class Score:
         self._start = power
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return z(c) as a normal deviate, an estimate below ``at_least`` counting as that."""
+        """Return z(c) as a normal deviate; estimates below ``at_least`` are replaced by it."""
         power, whitening, white = iterate(
             self.table,
             self._start,
@@ -155,7 +156,7 @@ def coefficient_interval(
     score = Score(table, term, power, misfit)
     z_zero = score(0.0)
     deviation = max(score.deviation, white_floor(table))
-    # Not the estimate under the weights of a zero where there is another: it can lie far outside.
+    # Not the estimate with the weights at zero, if there is another one: it can be far outside.
     middle = power[term] if power[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
         known = [(0.0, z_zero), (middle, score(middle))]
@@ -163,7 +164,7 @@ def coefficient_interval(
         high = cross(score, -Z_95, known, middle + reach, np.inf)
         low = cross(score, Z_95, known, middle - reach, 0.0)
         return CoefficientInterval(z_zero, low, high)
-    # An estimate below zero counts as zero: the limit is then that of the length of the record.
+    # An estimate below zero counts as zero: the limit then depends on the length of the record.
     known = [(0.0, max(z_zero, 0.0))]
     reach = middle + Z_95 * deviation
     upper = cross(lambda c: score(c, 0.0), -Z_95, known, reach, np.inf)
@@ -177,11 +178,13 @@ def cross(
     guess: float,
     limit: float,
 ) -> float:
-    """Return where a falling z meets the target, beyond the last known point towards the limit.
+    """Return the value at which a decreasing z reaches the target, between the last known point and
+    the limit.
 
-    Each step goes to where the hyperbola (alpha - c) / (beta + gamma c) through the last three
-    points meets the target: it is z if the deviation is linear in c. A step that leaves the bracket
-    is replaced by half the bracket, or twice the distance where there is none yet.
+    Each step goes to the intersection of the target with the hyperbola (alpha - c) / (beta + gamma
+    c) through the last three points, which equals z if the deviation is linear in c. A step outside
+    the bracket is replaced by half the bracket, or by twice the distance if there is no bracket
+    yet.
 
     Parameters
     ----------
@@ -192,7 +195,7 @@ def cross(
     guess : float
         Where to evaluate first.
     limit : float
-        Returned if z does not meet the target before.
+        Returned if z does not reach the target before.
     """
     points = list(known)
     start, value = points[-1]
@@ -214,7 +217,7 @@ def cross(
         precise = ENOUGH / 2.0 * max(abs(outer - start), ENOUGH * first)
         if abs(value - target) < ENOUGH or (met and abs(outer - inner) <= precise):
             return c
-        # z jumps where a neighbour becomes 0: only halving the bracket is certain to end there.
+        # z jumps where another term becomes 0: only bisection is certain to converge there.
         steps = steps + 1 if not met or abs(outer - inner) > width / 2.0 else 0
         c = _hyperbola(points[-3:], target)
         far = start + side * FARTHEST * (abs(inner - start) or first)
@@ -225,7 +228,9 @@ def cross(
 
 
 def _hyperbola(points: Sequence[tuple[float, float]], target: float) -> float:
-    """Return where the hyperbola, or the line, through the last points meets the target."""
+    """Return the value at which the hyperbola, or the line, through the last points reaches the
+    target.
+    """
     c, z = np.array(points).T
     columns = [np.ones_like(c), -z, -c * z][: len(points)]
     try:
@@ -236,11 +241,12 @@ def _hyperbola(points: Sequence[tuple[float, float]], target: float) -> float:
 
 
 WIDEST_SHAPE = 100.0
-"""Ratio of a correlation time or frequency to the ends of its interval at most."""
+"""Largest ratio of a correlation time or frequency to an end of its interval."""
 
 
 def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
-    """Return the processes of a fit in SI units; ``table`` is that of the fit with tangents."""
+    """Return the processes of a fit in SI units; ``table`` is the table of the fit with
+    tangents."""
     number = len(fit.options.extras)
     if not number:
         return Processes()
@@ -263,7 +269,7 @@ def processes_in_si(
     power : float64 array
         Variance coefficients of the four terms and of the processes.
     errors : (4 + 2 extras,) float64 array
-        Standard errors of these, and of the multiples of the derivatives of the columns of the
+        Standard errors of these, and of the factors of the derivatives of the columns of the
         processes by the logarithms of their shapes.
     tau0 : float
         Sample period in s.
@@ -286,18 +292,19 @@ def processes_in_si(
 
 
 Z_DETECT_RAMP = 2.58
-"""Normal quantile of 99.5 %: R has a sign, so both tails count for 1 % false alarms."""
+"""Normal quantile of 99.5 %: R has a sign, so both tails contribute to 1 % false alarms."""
 
 
 AGREE = 0.01
-"""p value of the test that all segments have one ramp; below it each has its own."""
+"""p value of the test that all segments have the same ramp; below it, they have different ramps."""
 
 
 @dataclass(frozen=True)
 class RampInterval:
     """A ramp per sample, its 95 % interval and verdicts.
 
-    ``shared`` is False where the segments' ramps differ: it is then that of the longest.
+    ``shared`` is False if the ramps of the segments differ; the ramp is then that of the longest
+    segment.
     """
 
     value: float
@@ -310,7 +317,7 @@ class RampInterval:
 def ramp_interval(
     pooled: PooledTable, axis: int, fit: PointFit, walk: float
 ) -> RampInterval | None:
-    """Return the ramp of one axis, or None where no segment determines it.
+    """Return the ramp of one axis, or None if no segment determines it.
 
     Parameters
     ----------
@@ -334,7 +341,8 @@ def ramp_interval(
 
     ignored = np.zeros(len(variance))
     ignored[counted] = np.nan
-    # With known ramps the Allan variance is quadratic in them, and nothing else depends on them.
+    # With known ramps, the Allan variance is quadratic in the ramps, and nothing else depends on
+    # them.
     at = value + deviation * np.array([-1.0, 0.0, 1.0])
     tables = []
     for c in at:

@@ -1,12 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares without the covariance of the sums: two plain methods, and curves made elsewhere.
+"""Least squares without the covariance of the sums: two simple methods, and curves computed
+elsewhere.
 
-Methods 'relative' and 'paper' are kept for comparison, and give no intervals.
+The methods 'relative' and 'paper' exist for comparison and give no intervals.
 
-'relative' minimises the relative residuals of the overlapped curve with no term negative, as
+'relative' minimises the relative residuals of the overlapped curve without negative terms, as
 several open tools do. No decade of tau dominates, but N is less precise than with method gls,
-because the short averaging times, which are known best, have no larger weight.
+because the short averaging times, which are the most precise, have no larger weight.
 
 'paper' is Cong, Wang, Yan, Industry and Mine Automation 45(10), 2019: sigma^2(tau) = sum A_p tau^p,
 p = -2..2, fitted without weights up to 1300 s over groups that do not overlap, and each coefficient
@@ -53,14 +54,14 @@ from .solve import Whitening, nonnegative_least_squares
 from .table import Table
 
 MIN_GROUPS = 9
-"""Averaging times that must fit into the record for method 'relative'. Beyond, a point may be
-several times too low by chance, and its relative residual then outweighs all the others."""
+"""Smallest number of averaging times in the record for method 'relative'. At longer averaging
+times, a point may be several times too low by chance, and its relative residual would dominate."""
 
 LONGEST_TAU = 1300.0
-"""Seconds: where the paper's curves end."""
+"""End of the paper's curves in s."""
 
 POWERS = (-2, -1, 0, 1, 2)
-"""Of tau, in the order of `TERMS`."""
+"""Exponents of tau, in the order of `TERMS`."""
 
 SQUARE_OF = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
 """A_p over the squared coefficient: 3 Q^2, N^2, (2 ln2/pi) B^2, K^2/3, R^2/2 (the paper's eq. 3;
@@ -91,7 +92,7 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
     """Return the coefficients as the paper computed them.
 
     A term whose A_p is negative has no value and is reported as a finding. Another finding states
-    the fit on overlapping groups and by how much its standard errors are smaller.
+    the fit on overlapping groups and the reduction of its standard errors.
     """
     groups, overlapped = fit_polynomials(sums)
     findings: list[Finding] = []
@@ -117,13 +118,14 @@ class Polynomial(NamedTuple):
 
 
 def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
-    """Return the indices of the factors the paper's fit uses: up to 1300 s, at least one group."""
+    """Return the indices of the factors that the paper's fit uses: up to 1300 s, at least one
+    group."""
     tau = sums.m * sample_period(sums)
     return np.flatnonzero((tau <= LONGEST_TAU) & (sums.group_count > 0))
 
 
 def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
-    """Return the fits on groups that do not overlap and on those that do, at the same factors.
+    """Return the fits on separate groups and on overlapping groups, at the same factors.
 
     A = P sigma^2 is linear, so its standard error follows from the variances of the points, 2
     sigma^4/edf, with edf from the noise type and sigma^2 from the overlapped curve, which is more
@@ -156,7 +158,8 @@ def _signs_of_ramps(sums: AllanSums) -> list[int]:
 
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:
-    """Return the fit of an axis from the squares of its coefficients; none where not above 0."""
+    """Return the fit of an axis from the squares of its coefficients; none for squares of 0 or
+    below."""
     noise = {term: Coefficient(None, status='not_observable') for term in TERMS}
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
@@ -183,22 +186,23 @@ def _gain(axis: str, error: Floats, a: Floats, error_overlapped: Floats) -> list
 
 
 POINTS_PER_OCTAVE = 4
-"""Points that are kept of a denser curve."""
+"""Number of points per octave that are kept of a denser curve."""
 
 DEFAULT_RECORD = 9.0
-"""Length of an unknown record in the longest averaging time: where most tools end."""
+"""Length of the record, relative to the longest averaging time, if it is unknown: most tools end
+there."""
 
 OVERLAPPING = 0.75
-"""Degrees of freedom of an average over tau, times tau over the record."""
+"""Degrees of freedom of an average over tau, times tau divided by the record."""
 
 LEAST_ERROR = 0.05
-"""Least relative error of a variance, for errors that independent points do not show."""
+"""Smallest relative error of a variance; accounts for errors that correlated points do not show."""
 
 FINE = 1000
-"""Units of time in the shortest averaging time: there, samples and continuous time are the same."""
+"""Units of time in the shortest averaging time: large enough that sampling has no effect."""
 
 LEAST_POINTS = 6
-"""Points from which a curve is fitted: one more than there are terms."""
+"""Smallest number of points of a curve that is fitted: one more than there are terms."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
@@ -237,7 +241,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     model = avar
     found = Found((), np.zeros(len(RANDOM_TERMS)), math.inf)
     z = 0.0
-    for _ in range(3):  # errors of the measured curve, then of the model
+    for _ in range(3):  # errors of the measured curve, then errors of the model
         covariance = np.diag((relative * model) ** 2)
         search = ProcessSearch(table, covariance, round(seconds / unit), signed=False, walk=True)
         five = search.fitted(())
@@ -251,7 +255,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, avar: Floats) -> tuple[Floats, Floats]:
-    """Return the valid points, `POINTS_PER_OCTAVE` at most, shortest first."""
+    """Return at most `POINTS_PER_OCTAVE` valid points per octave, shortest first."""
     good = np.isfinite(tau) & np.isfinite(avar) & (tau > 0.0) & (avar > 0.0)
     order = np.argsort(tau[good])
     tau, avar = tau[good][order], avar[good][order]

@@ -20,11 +20,11 @@ Ints = NDArray[np.int64]
 
 
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')
-"""The terms with a column, in the order of every array of variance coefficients."""
+"""The terms with a column, in the order of all arrays of variance coefficients."""
 
 
 WHITE = np.array([0.0, 1.0, 0.0, 0.0])
-"""Variance coefficients of white noise alone, for weights before the noise is known."""
+"""Variance coefficients of pure white noise, for weights before the noise is known."""
 
 
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
@@ -43,7 +43,7 @@ def avar_terms(m: NDArray[np.int64]) -> Floats:
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
     """Return the column of k, (|t|^3 - |t|)/12, computed from the columns -|t|/2 and |t|^3/12.
 
-    The sampled walk is the continuous one plus white noise of a sixth of its step.
+    The sampled walk is the continuous walk plus white noise of a sixth of its step.
     """
     return cubic + white / 6.0
 
@@ -51,7 +51,7 @@ def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
 def phase_covariance(t: Floats) -> Floats:
     """Return the generalised covariances of theta at lag t of unit q, w, b, k, (4, ...).
 
-    They hold for differences that annihilate straight lines of theta (Matheron 1973):
+    They are valid for differences that do not depend on straight lines in theta (Matheron 1973):
     delta(t), -|t|/2, t^2 ln|t|/(2 pi), (|t|^3 - |t|)/12.
     """
     a = np.abs(t)
@@ -73,12 +73,12 @@ def coefficient_to_si(term: str, power: float, tau0: float) -> float:
 
 
 Z_95 = 1.96
-"""Normal quantile of 97.5 %: of both ends of a 95 % interval, and of a 95 % upper limit.
+"""Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
 
 The same data decide whether a term gets an interval or a limit. With 1.645, the quantile of 95 %, a
-term near the threshold would miss in 5 % of records below and in 2.5 % above. With one quantile a
-limit is the upper end of the interval that begins at 0, as in the unified intervals of Feldman &
-Cousins (Phys. Rev. D 57, 1998) for estimates of 0 and above."""
+term near the threshold would be missed in 5 % of records below and in 2.5 % above. With one
+quantile, a limit is the upper end of an interval that begins at 0, as in the unified intervals of
+Feldman & Cousins (Phys. Rev. D 57, 1998) for estimates of 0 and above."""
 
 
 TERMS = ('Q', 'N', 'B', 'K', 'R')
@@ -95,11 +95,12 @@ class Coefficient:
     Attributes
     ----------
     value : float or None
-        The point estimate; None where none can be given. |R| for the ramp.
+        The point estimate (|R| for the ramp), or None if there is none.
     ci95 : (low, high) or None
-        95 % interval; None where the method gives none.
+        95 % interval; None if the method gives none.
     upper95 : float or None
-        95 % upper limit of a term that is not observable: the upper end of the interval from 0.
+        95 % upper limit of a term that is not observable: the upper end of an interval that begins
+        at 0.
     status : 'estimated' or 'not_observable'
     sign : int
         Sign of the ramp (R only), else 0.
@@ -158,7 +159,7 @@ class Sinusoid:
 
 @dataclass(frozen=True)
 class Processes:
-    """Processes in addition to the five terms, where these do not describe the curve.
+    """Processes in addition to the five terms, if these do not describe the curve.
 
     Attributes
     ----------
@@ -178,8 +179,8 @@ class Deviation(NamedTuple):
     Attributes
     ----------
     relative : float
-        Measured Allan deviation over that of the model, less 1. Above the line, the model includes
-        the terms that are not resolved, at their upper limits.
+        Ratio of the measured Allan deviation to that of the model, less 1. For points above the
+        line, the model includes the unresolved terms at their upper limits.
     tau : float
         Averaging time in s.
     """
@@ -197,15 +198,15 @@ class AxisFit:
     noise : mapping of term to Coefficient
         All five of `TERMS`.
     misfit : float
-        Fractional model error that makes the selected model fit; 0 where it fits without one.
+        Fractional model error with which the selected model fits; 0 if it fits without one.
     m_min : int
-        Smallest averaging factor used; above 1 where a low-pass filter hides the shorter ones.
+        Smallest averaging factor used; above 1 if a low-pass filter affects the shorter ones.
     gof_z : float or None
-        Goodness of fit of the five terms as a normal deviate; None where the method has none.
+        Goodness of fit of the five terms as a normal deviate; None if the method has none.
     processes : Processes
-        Gauss-Markov processes and sinusoids; empty where the five terms describe the curve.
+        Gauss-Markov processes and sinusoids; empty if the five terms describe the curve.
     deviation : Deviation or None
-        Where and by how much the selected model departs from the data; None where it does not.
+        Largest deviation of the data from the selected model; None if the model fits.
     """
 
     noise: Mapping[str, Coefficient]
@@ -217,21 +218,21 @@ class AxisFit:
 
     @property
     def gauss_markov(self) -> GaussMarkov | None:
-        """The Gauss-Markov process of the largest standard deviation, or None."""
+        """The Gauss-Markov process with the largest standard deviation, or None."""
         return max(self.processes.gauss_markov, key=lambda p: p.sigma, default=None)
 
     @property
     def sinusoid(self) -> Sinusoid | None:
-        """The sinusoid of the largest amplitude, or None."""
+        """The sinusoid with the largest amplitude, or None."""
         return max(self.processes.sinusoid, key=lambda p: p.amplitude, default=None)
 
     @property
     def selected(self) -> ProcessModel:
         """The selected model: likely terms and the processes, for drawing and prediction.
 
-        The five terms if they describe the curve, else the terms in addition to the processes. A
-        term that is not resolved counts if it is more than one standard deviation above zero:
-        leaving out a likely drift predicts too little of it.
+        It contains the processes, if there are any. A term that is not resolved is included if its
+        square is more than one standard deviation above zero, because a model without likely drift
+        predicts too little drift.
         """
         values = {
             term: c.value * (c.sign or 1)
@@ -263,19 +264,19 @@ class AxisFit:
 
     @property
     def is_filtered(self) -> bool:
-        """Whether the fit describes the curve with a low-pass filter: Q cannot be measured then."""
+        """Whether the fit describes the curve with a low-pass filter; Q then cannot be measured."""
         q, n = self.noise['Q'], self.noise['N']
         return self.m_min == 1 and q.value is q.upper95 is None and n.value is not None
 
 
 def _is_likely(term: str, c: Coefficient) -> bool:
-    """Return whether a term is resolved or its square is over one standard deviation from zero."""
+    """Return whether a term is resolved, or its square exceeds one standard deviation."""
     if c.status == 'estimated':
         return True
     if term not in 'BK' or c.value is None or c.upper95 is None:
         return False
-    # The limit of the square is `Z_95` standard deviations above its estimate. An estimate above
-    # its own limit, from a few seconds of data, contradicts the interval: the limit holds.
+    # The limit of the square is `Z_95` standard deviations above its estimate. With a few seconds
+    # of data, an estimate above its own limit contradicts the interval: the limit is used.
     return c.value < c.upper95 and Z_95 * c.value**2 > c.upper95**2 - c.value**2
 
 

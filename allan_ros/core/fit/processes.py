@@ -6,16 +6,16 @@ Both are linear in their variance and have one more parameter, their shape: a co
 frequency.
 
 The covariance of two Allan variances is a sum of squared covariances of differences over all lags
-(module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum, g
-and h being processes and k one of the four terms. A correlation time breaks the scaling between
-octaves that `covariance` relies on, so these sums are computed for each table. Three facts
-keep that at some 50 ms:
+(module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum,
+where g and h are processes and k is one of the four terms. A correlation time breaks the scaling
+between octaves that `covariance` relies on, so these sums are computed for each table. Three facts
+reduce this to about 50 ms:
 
-- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) with E a sum of nine exponentials.
-- C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so
-  half of the lags is enough. The number of pairs depends on max(2 m_j, m_i + m_j + u) only and
-  falls linearly until the segment ends: all segments share the values of C.
-- Between its corners at u = 0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
+- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) where E is a sum of nine exponentials. -
+C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so half of
+the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j + u) and decreases
+linearly until the segment ends, so all segments share the values of C. - Between its corners at u =
+0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
   Gauss-Legendre quadrature. The Euler-Maclaurin formula turns the integral into the sum over the
   lattice of lags: every corner adds a twelfth of its change of slope.
 """
@@ -35,7 +35,7 @@ from .model import RANDOM_TERMS, Floats, Ints, walk_from_cubic
 Q = RANDOM_TERMS.index('Q')
 
 LINE_PEAK = 0.371
-"""f m where sin^4(pi f m)/(pi f m)^2 is largest."""
+"""f m at the maximum of sin^4(pi f m)/(pi f m)^2."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class GaussMarkovTerm:
 
     @property
     def scale(self) -> float:
-        """Averaging factor at which it is largest relative to white noise."""
+        """Averaging factor at which the process is largest relative to white noise."""
         return 1.89 * self.shape
 
     def white(self) -> float:
-        """Return the variance per sample of white noise of the same long-term level."""
+        """Return the variance per sample of white noise with the same long-term level."""
         return float(gauss_markov_sums(self.shape)[0][0])
 
 
@@ -70,7 +70,7 @@ Extra = GaussMarkovTerm | SinusoidTerm
 
 
 def correlation_times(extras: Sequence[Extra]) -> tuple[float, ...]:
-    """Return the correlation times of the Gauss-Markov processes among some processes."""
+    """Return the correlation times of the Gauss-Markov processes among the given processes."""
     return tuple(e.shape for e in extras if isinstance(e, GaussMarkovTerm))
 
 
@@ -88,7 +88,7 @@ def line_scatter(samples: int, times: Sequence[float], lines: Sequence[Extra]) -
         for time in times:
             keep = np.exp(-1.0 / time)
             lost = -np.expm1(-1.0 / time)
-            # (1 - keep^2) / (1 - 2 keep cos(omega) + keep^2) without the loss of digits
+            # (1 - keep^2) / (1 - 2 keep cos(omega) + keep^2) without loss of digits
             density.append(lost * (1.0 + keep) / (lost**2 + keep * step))
         rows.append(8.0 / samples * np.array(density))
     return np.array(rows).reshape(len(lines), len(RANDOM_TERMS) + len(times))
@@ -97,12 +97,12 @@ def line_scatter(samples: int, times: Sequence[float], lines: Sequence[Extra]) -
 def line_rest(
     m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Extra]
 ) -> Floats:
-    """Return `Table.line_rest` of ``segments`` segments with ``samples`` samples in all.
+    """Return `Table.line_rest` of ``segments`` segments with ``samples`` samples in total.
 
-    Differences at every s-th start also hold the noise at the aliases of the sinusoid. With C
-    differences l_j of the sinusoid and d_j of white noise, the variance of mean(l d) is
-    E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k). The mean of l^2 itself depends on the phase
-    by 1/(C sin(omega s)), or entirely where each start meets the same phase.
+    Differences at every s-th start also contain the noise at the aliases of the sinusoid. With C
+    differences l_j of the sinusoid and d_j of white noise, the variance of mean(l d) is E[l^2]/C
+    sum_k (1 - |k|/C) cos(omega s k) R_d(s k). The mean of l^2 itself depends on the phase by 1/(C
+    sin(omega s)), or entirely if the phase is equal at all starts.
     """
     out = np.zeros((2, len(lines), len(m)))
     if not lines:
@@ -127,16 +127,17 @@ def line_rest(
 # --- covariance of Gauss-Markov processes ---------------------------------------------------------
 
 NODES = 14
-"""Quadrature points between two corners."""
+"""Number of quadrature points between two corners."""
 
 TAIL = (1.5, 9.0)
-"""Ends of the quadrature beyond the last corner, in the longest correlation time."""
+"""End of the quadrature after the last corner, in units of the longest correlation time."""
 
 PAIRS_AT_ONCE = 512
-"""Pairs of factors summed together: a few megabytes of work space."""
+"""Number of pairs of factors that are summed together: a few megabytes of memory."""
 
 CORNER_WEIGHTS = np.array([4.0, -4.0, -4.0, 2.0, 2.0])
-"""Of C at the corners, both signs of u together: products of (1, -2, 1) and (1, -2, 1)."""
+"""Weights of C at the corners, for both signs of u together: products of (1, -2, 1) and (1, -2,
+1)."""
 
 _GAUSS, _GAUSS_WEIGHTS = legendre.leggauss(NODES)
 _EVEN, _WEIGHTS = (1.0 + _GAUSS) / 2.0, _GAUSS_WEIGHTS / 2.0
@@ -147,13 +148,13 @@ time."""
 _SLOPES = 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
 _POLYNOMIALS = (_WEIGHTS[:, None] * legendre.legvander(_GAUSS, NODES - 1)).T
 _UP_TO = 0.5 * _POLYNOMIALS
-"""From P_k+1 - P_k-1 of Legendre to the weights of an integral from 0 to there."""
+"""Maps P_k+1 - P_k-1 of Legendre at a point to the weights of an integral from 0 to this point."""
 _AT = (2.0 * np.arange(NODES) + 1.0)[:, None] * _POLYNOMIALS
-"""From P_k of Legendre to the weights of a value there."""
+"""Maps P_k of Legendre at a point to the weights of a value at this point."""
 
 
 def process_pairs(processes: int) -> list[tuple[int, int]]:
-    """Return the products (a, b) that processes add to those of the four terms.
+    """Return the products (a, b) of processes with the four terms and with each other.
 
     Index 4 is the first process: (0, 4), (1, 4) .. (4, 4), (0, 5) .. (5, 5) and so on.
     """
@@ -196,7 +197,7 @@ def process_squares(
 
 
 class _Segments:
-    """Number of segments of at least some length, and their samples."""
+    """Number of segments of at least a given length, and their samples."""
 
     def __init__(self, lengths: Sequence[tuple[float, int]]) -> None:
         by_length = sorted(lengths)
@@ -212,20 +213,23 @@ class _Segments:
         return self._number[at], self._total[at]
 
     def differences(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences over ``reach`` samples, one every ``stride`` samples."""
+        """Return the number of differences over ``reach`` samples, with one start every ``stride``
+        samples.
+        """
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 
     def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
-        """Return the mean number of samples after the last difference of segments of at least some
-        length."""
+        """Return the mean number of samples after the last difference, of segments of at least a
+        given length.
+        """
         enough = (self.samples >= least[:, None]) * self.number
         rest = np.mod(self.samples - reach[:, None], stride[:, None])
         return np.asarray((rest * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
 
 
 class _Lags:
-    """Quadrature over the lags of some pairs of factors."""
+    """Quadrature over the lags of given pairs of factors."""
 
     def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
         self.mi, self.mj = mi.astype(float), mj.astype(float)
@@ -238,8 +242,9 @@ class _Lags:
         self.segments, self.stride_j = segments, stride_j
         self.plateau = segments.differences(2.0 * self.mj, stride_j)
         self.dense = self.mj < NODES * self.stride
-        # A segment has pairs of differences up to the lag of its samples less this. Lags of one
-        # sign end with the last difference at m_i, those of the other with the last at m_j.
+        # A segment has pairs of differences up to a lag of its samples less this. For one sign the
+        # lags end with the last difference at m_i, for the other sign with the last difference at
+        # m_j.
         unused = [
             segments.unused(2.0 * m, s, 2.0 * self.mj)
             for m, s in ((self.mi, self.stride), (self.mj, stride_j))
@@ -292,14 +297,14 @@ class _Lags:
         inner, _ = self._staircase()
         longer, _ = self.segments.longer(2.0 * self.mj - 0.5)
         at_near = np.where(self.dense, 0.0, 2.0 * longer * inner)
-        kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: of w, b, k
+        kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: for w, b, k
         for time in times:
             slope, step = (float(x[0]) for x in gauss_markov_sums(time))
             kink.append(slope - step / time)
         twelfth = np.where(self.dense, 0.0, self.stride / 12.0)[:, None]
         out = np.empty((len(products), len(self.mi)))
         for row, (a, b) in enumerate(products):
-            if a == Q:  # white phase: C is not 0 at the corners only
+            if a == Q:  # white phase: C differs from 0 only at the corners
                 out[row] = 4.0 * (at_corners * c_corners[b - 1]).sum(axis=1)
                 continue
             total = np.einsum('pu,pu,pu->p', weight, c[a - 1], c[b - 1])
@@ -310,7 +315,7 @@ class _Lags:
         return out
 
     def _weights(self, longest: float) -> tuple[Floats, Floats]:
-        """Return lags, (pairs, nodes), and the weights there of products of C in their sum.
+        """Return lags, (pairs, nodes), and the weights of the products of C at these lags.
 
         The number of pairs has a bend where a segment ends. A segment that ends between two
         corners is integrated up to its end, by the polynomial through the nodes.
@@ -329,14 +334,14 @@ class _Lags:
             lags.append(u)
             weights.append(weight)
         u, weight = np.concatenate(lags, axis=1), np.concatenate(weights, axis=1)
-        # Corners a few samples apart: all lags one by one, 0 counting half.
+        # Corners a few samples apart: sum over all lags, where lag 0 counts half.
         each, dense = np.arange(u.shape[1]), self.dense
         u[dense] = each * self.stride[dense, None]
         weight[dense] = np.where(each == 0, 1.0, 2.0) * self.pairs_at(u)[dense]
         return u, weight
 
     def _add_ends(self, weight: Floats, low: Floats, high: Floats, u: Floats) -> None:
-        """Add the weights of the segments whose last lag is in low..high."""
+        """Add the weights of the segments whose last lag lies in low..high."""
         _, outer = self._staircase()
         width = (high - low)[:, None]
         first = np.maximum(np.maximum(low, self.near) + self.less, 2.0 * self.mj - 1.0)
@@ -355,7 +360,7 @@ class _Lags:
             weight[at] += 2.0 * number * outer[at, None] * (powers[:, :NODES] @ _AT)
 
     def _bounds(self, longest: float) -> list[Floats]:
-        """Return the lags between which C is smooth, ascending."""
+        """Return the lags between which C is smooth, in increasing order."""
         corners = np.sort(
             np.stack([np.zeros_like(self.mi), self.mi, self.near, self.mj, self.far]), axis=0
         )
@@ -363,8 +368,8 @@ class _Lags:
         return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
 
     def _staircase(self) -> tuple[Floats, Floats]:
-        """Return the difference of sum and integral at the lag where the number of pairs begins to
-        fall and at its end, in units of C squared.
+        """Return the difference between sum and integral at the lag where the number of pairs
+        begins to decrease, and at its end, in units of C squared.
 
         The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
         """

@@ -8,16 +8,17 @@ The second differences of the coarse phase over the square of its step are estim
     r = 1' S^-1 z / 1' S^-1 1        var r = 1 / 1' S^-1 1
 
 with S the Toeplitz covariance of z under the noise model. Any such r is linear in the phase,
-``weights @ phase``. Taking r m^2 out of every difference d leaves a table whose expectation is
-still linear in the variance coefficients, for any fixed weights and exactly:
+``weights @ phase``. If r m^2 is subtracted from every difference d, the expectation of the table is
+still linear in the variance coefficients. For any fixed weights this is exact:
 
     E V'_i = E V_i - sqrt2 m_i Cov(S_i, r) + m_i^2 Var(r) / 2
 
-where S_i is the mean of d/(sqrt2 m_i). `RampEffect` holds both, per unit coefficient.
+where S_i is the mean of d/(sqrt2 m_i). `RampEffect` contains Cov(S_i, r) and Var(r) per unit
+coefficient.
 
 The phase of a Gauss-Markov process of unit variance has the generalised covariance
--A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times that of white noise, plus
-an exponential part.
+-A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times the covariance of white
+noise, plus an exponential part.
 """
 
 from __future__ import annotations
@@ -47,24 +48,27 @@ from .model import (
 N = RANDOM_TERMS.index('N')
 
 SHIFTS_PER_OCTAVE = 4
-"""Correlation times at which `DriftShift` is computed; it is interpolated to 1e-4 of it."""
+"""Number of correlation times per octave at which `DriftShift` is computed; interpolation is
+accurate to 1e-4."""
 
 SHORTEST_SHIFT = 0.25
 """Shortest of these correlation times, in samples."""
 
 _FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)
-"""Second differences of theta have the fourth difference of its covariance."""
+"""Coefficients of the fourth difference: the covariance of second differences of theta is the
+fourth difference of its covariance."""
 
 
 class Noise(NamedTuple):
     """Variance coefficients q, w, b, k and those of Gauss-Markov processes, (4 + processes,), with
-    the correlation times of these in samples."""
+    the correlation times of the processes in samples.
+    """
 
     power: Floats = WHITE
     times: tuple[float, ...] = ()
 
     def white(self) -> Floats:
-        """Return q, w, b, k of noise that is like this one over long times, none negative."""
+        """Return nonnegative q, w, b, k of noise with the same level at long times."""
         power = np.maximum(self.power, 0.0)
         four = power[: len(RANDOM_TERMS)].copy()
         if self.times:
@@ -81,7 +85,8 @@ class RampEffect:
     variance: Floats
 
     def shift(self, m: Ints) -> Floats:
-        """Return what removing the ramp adds to the expected d^2/(2 m^2), (factors, noises).
+        """Return the change of the expected d^2/(2 m^2) when the ramp is removed, (factors,
+        noises).
 
         -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
         """
@@ -97,17 +102,19 @@ class RampGeometry:
     Attributes
     ----------
     points, step : int
-        Of its coarse phase record.
+        Number of points and step of its coarse phase record.
     m : (factors,) int64 array
     second_differences : (4, points - 2) float64 array
         Covariance at lag 0, 1, .. of the second differences of the phase, per unit coefficient.
     cross : (4, factors, points) float64 array
         Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit coefficient.
     ends, shares : (factors, 6) float64 arrays
-        The covariance of S_i with a point at x is sum_e share_e F(end_e - x), F being the integral
-        of the covariance of the phase: the mean over the starts taken as an integral.
+        The covariance of S_i with a point at x is sum_e share_e F(end_e - x), where F is the
+        integral of the covariance of the phase: the mean over the starts is replaced by an
+        integral.
     kinks : (factors, points) float64 array
-        What the covariance with white noise, which has a kink at lag 0, differs from that by.
+        Difference of the covariance with white noise, which has a kink at lag 0, from that
+        integral.
     """
 
     points: int
@@ -121,7 +128,9 @@ class RampGeometry:
     stride: Ints
 
     def best_weights(self, noise: Noise) -> Floats | None:
-        """Return the weights on the phase of the best estimate of r; None under three points."""
+        """Return the weights of the phase for the best estimate of r; None for fewer than three
+        points.
+        """
         z = self.points - 2
         if z < 1:
             return None
@@ -134,7 +143,7 @@ class RampGeometry:
         return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
     def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
-        """Return the effect on the table of removing the ramp estimated with these weights.
+        """Return the effect on the table when the ramp, estimated with these weights, is removed.
 
         Parameters
         ----------
@@ -177,7 +186,7 @@ class RampGeometry:
 
         The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
         over the points x follows from the sums over the points before and after t, of the weights
-        and of the weights times an exponential, which are convolutions.
+        and of the weights times an exponential, which are computed as convolutions.
         """
         slope, size = gauss_markov_sums(times)
         time = np.reshape(times, (-1, 1))
@@ -206,7 +215,7 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     ----------
     samples : int
     step : int
-        Samples between two points of its phase record; 0 gives that of a complete segment.
+        Samples between two points of its phase record; 0 selects the step of a complete segment.
     """
     if not step:
         step = cell_step(samples, PHASE_POINTS)
@@ -242,7 +251,7 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
 
 
 def _kink_level(time: Floats, stride: Ints) -> Floats:
-    """Return how much of the kink of white noise a process has for sums over a lattice.
+    """Return the kink of a process in sums over a lattice, relative to white noise.
 
     The sum of exp(-|t|/T) over a lattice of step s is coth(s/2T), its integral 2T/s; for -|t|/2
     they differ by s/12.
@@ -255,7 +264,7 @@ def _kink_level(time: Floats, stride: Ints) -> Floats:
 
 
 def _lattice_decay(time: Floats, stride: Ints) -> Floats:
-    """Return the sum of exp(-t/T) over the lattice beyond t, relative to its integral."""
+    """Return the sum of exp(-t/T) over the lattice after t, relative to its integral."""
     half = np.minimum(stride / (2.0 * time), 300.0)
     return np.asarray(half / np.sinh(half))
 
@@ -263,8 +272,8 @@ def _lattice_decay(time: Floats, stride: Ints) -> Floats:
 def _ends(samples: int) -> tuple[Floats, Floats]:
     """Return `RampGeometry.ends` and `RampGeometry.shares` of a segment.
 
-    The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) as the integral over each
-    start's s.
+    The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the integral
+    over the step s around each start.
     """
     m, stride = grid_for(samples)
     count = counts(samples, m, stride)
@@ -277,9 +286,9 @@ def _ends(samples: int) -> tuple[Floats, Floats]:
 def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
     """Return the integrals from 0 to t of the generalised covariances of w, b and k, (3, ...).
 
-    Less s^2/24 times their second derivative, which turns the integral into the sum over starts
-    (Euler-Maclaurin). Lags in the logarithm are taken in a unit: what that adds to G, a multiple of
-    t^2, vanishes.
+    They are reduced by s^2/24 times their second derivative, which converts the integral into the
+    sum over starts (Euler-Maclaurin). The unit of lags in the logarithm adds a multiple of t^2 to
+    G, which has no effect.
     """
     size, end = np.abs(t), stride**2 / 24.0
     white = -t * size / 4.0 + end * np.where(t < 0.0, -0.5, 0.5)
@@ -294,7 +303,7 @@ def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
 def mean_covariances(samples: int, time: float) -> Floats:
     """Return the covariances of S_i and S_j of a Gauss-Markov process of unit variance, (pairs,).
 
-    At the pairs i <= j of `numpy.triu_indices`. The double sum over starts is taken as a double
+    For the pairs i <= j of `numpy.triu_indices`. The double sum over starts is replaced by a double
     integral, which is minus the second antiderivative of the covariance of the phase between the
     ends: -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T |t|).
     """
@@ -320,7 +329,7 @@ def mean_covariances(samples: int, time: float) -> Floats:
 
 
 def fixed_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
-    """Return the effect of the least-squares ramp of a pooled segment; None where it has none."""
+    """Return the effect of the least-squares ramp of a pooled segment; None without such a ramp."""
     geometry = ramp_geometry(samples)
     if geometry.points < 3:
         return None
@@ -334,7 +343,7 @@ def pooled_shift(
     count: Ints,
     times: Sequence[float] | Floats = (),
 ) -> Floats:
-    """Return what removing the ramps adds to the expected sums over the pooled differences.
+    """Return the change of the expected sums over the pooled differences when ramps are removed.
 
     Parameters
     ----------
@@ -376,32 +385,33 @@ def _lengths(pool: LengthClass) -> tuple[float, float, float]:
 
 
 def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Floats:
-    """Return how many differences a segment of a class has at the factors, on average."""
+    """Return the mean number of differences of a segment of a class at each factor."""
     if pool.count == 1:
         return counts(pool.samples, m, stride).astype(float)
-    # The mean of floor((n - 2 m)/s) + 1 over lengths n of any remainder.
+    # The mean of floor((n - 2 m)/s) + 1 over lengths n with any remainder.
     return np.asarray((mean - 2 * m) / stride + (1.0 + 1.0 / stride) / 2.0)
 
 
 def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
-    """Return what removing the ramp of a segment adds to each difference, (factors, noises)."""
+    """Return the change of each difference when the ramp of a segment is removed, (factors,
+    noises)."""
     effect = fixed_effect(samples, times)
     m = ramp_geometry(samples).m
     return np.zeros((len(m), len(RANDOM_TERMS) + len(times))) if effect is None else effect.shift(m)
 
 
 class DriftShift:
-    """What removing the ramps adds to the expected table of Gauss-Markov processes.
+    """Change of the expected table of Gauss-Markov processes when the ramps are removed.
 
-    Over the long-term level of the process it is a smooth function of the logarithm of the
-    correlation time: it is computed once at `SHIFTS_PER_OCTAVE` and interpolated by cubics.
+    Relative to the long-term level of the process, it is a smooth function of the logarithm of the
+    correlation time. It is computed once at `SHIFTS_PER_OCTAVE` points and interpolated by cubics.
 
     Parameters
     ----------
     samples : int
-        Length of the longest segment: the longest correlation time.
+        Length of the longest segment, which is also the longest correlation time.
     compute : callable
-        Returns it at some correlation times, (factors, processes).
+        Returns the change at given correlation times, (factors, processes).
     """
 
     def __init__(self, samples: int, compute: Callable[[Floats], Floats]) -> None:
@@ -415,7 +425,7 @@ class DriftShift:
         return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
 
     def __call__(self, times: Floats) -> Floats:
-        """Return it for processes of unit variance, (factors, processes)."""
+        """Return the change for processes of unit variance, (factors, processes)."""
         u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
         at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
         x = np.maximum(u - at, 0.0)

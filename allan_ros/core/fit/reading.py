@@ -1,7 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fit means: the drawn line and the largest deviation from it, which part of the model
-dominates in which range of tau (as in Cong et al. 2019), and how long to record."""
+"""Interpretation of a fit.
+
+The drawn line and the largest deviation from it; the part of the model that dominates in each range
+of tau (as in Cong et al. 2019); and the recommended length of a recording.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ from ..noise import FLICKER_FLOOR
 from .model import AxisFit, Deviation, Floats
 
 MIN_WIDTH = 3.0
-"""tau_high/tau_low from which a part dominates a range alone: half a decade."""
+"""Smallest ratio tau_high/tau_low of a range that a single part dominates: half a decade."""
 
 
 SIGNIFICANT = 3.0
-"""A point departs from the line by chance if it is nearer than this many of its error bars."""
+"""Deviations of a point from the line of fewer error bars than this are chance."""
 
 
 FILTER_LOSS = 0.02
-"""Relative loss of deviation below which the effect of a low-pass filter is not visible."""
+"""Relative loss of deviation below which a low-pass filter has no visible effect."""
 
 
 class ModelLine(NamedTuple):
@@ -38,7 +41,7 @@ class ModelLine(NamedTuple):
     adev : (factors,) float64 array
         Deviation of the selected model.
     upper : (factors,) float64 array
-        The same with every term that is not resolved at its 95 % upper limit.
+        The same model with every unresolved term at its 95 % upper limit.
     """
 
     adev: Floats
@@ -50,7 +53,7 @@ def model_line(
 ) -> ModelLine:
     """Return the line of the selected model at the points of a measured curve.
 
-    It begins at the shortest averaging time of the fit. Where Q cannot be measured because of a
+    The line begins at the shortest averaging time of the fit. If Q cannot be measured because of a
     low-pass filter, it begins where the filter no longer lowers the points.
 
     Parameters
@@ -77,10 +80,11 @@ def model_line(
 def largest_deviation(
     line: ModelLine, tau: Floats, adev: Floats, low: Floats, high: Floats
 ) -> Deviation | None:
-    """Return where the measured deviation departs most from the line of the model.
+    """Return the largest deviation of the measured points from the line of the model.
 
-    A point above the line departs from it only by what exceeds the unresolved terms at their upper
-    limits. Points within `SIGNIFICANT` error bars, on the logarithmic axis, do not count.
+    For a point above the line, the deviation is measured from the model with unresolved terms at
+    their upper limits. Points within `SIGNIFICANT` error bars, on the logarithmic axis, are
+    ignored.
 
     Parameters
     ----------
@@ -111,10 +115,10 @@ class Region:
         Ends of the range in s.
     term : str
         The part of the model with the largest share of sigma^2 (a term's letter, or the name of
-        a process), or several joined by '+' where they dominate in turn or mixed.
+        a process), or several parts joined by '+', if they dominate alternately or together.
     slope : float
         d log adev / d log tau of the measured curve over the range: -1 (Q), -1/2 (N), 0 (B),
-        1/2 (K), 1 (R) where one term is alone.
+        1/2 (K), 1 (R) for a single term.
     """
 
     tau_low: float
@@ -125,7 +129,7 @@ class Region:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Consecutive points with one dominant part, or with several if stretches were joined."""
+    """Consecutive points with one dominant part, or with several parts if stretches were joined."""
 
     terms: tuple[str, ...]
     points: slice
@@ -134,9 +138,9 @@ class _Stretch:
 def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     """Return the regions of one axis, from the shortest tau to the longest.
 
-    A part dominates where its share of the modelled sigma^2 is the largest. A stretch narrower
-    than a factor 3 in tau has no dominant part: adjacent ones are joined, and a single one is
-    joined with its runner-up.
+    A part dominates where it has the largest share of the modelled sigma^2. A stretch narrower than
+    a factor of 3 in tau has no dominant part: adjacent stretches are joined, and a single one gets
+    its two largest parts.
 
     Parameters
     ----------
@@ -150,7 +154,7 @@ def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     Returns
     -------
     list of Region
-        They touch and cover the curve; empty when no part is known.
+        Contiguous regions that cover the curve; empty if no part is known.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
     parts = fit.selected.parts(curve.tau, tau0) if len(curve.m) else {}
@@ -172,7 +176,7 @@ def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
 
 
 def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:
-    """Return the stretches of the curve, narrow ones joined."""
+    """Return the stretches of the curve; narrow ones are joined."""
     simple = []
     for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
         run = list(same)
@@ -196,7 +200,8 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
 
 
 def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
-    """Return the slope of log adev on log tau over the points (over more if they are too few)."""
+    """Return the slope of log adev over log tau of the points (of more points if there are too
+    few)."""
     if points.stop - points.start < 2:
         points = slice(max(points.start - 1, 0), points.stop + 1)
     adev, degrees = curve.adev[points, axis], curve.edf[points, axis]
@@ -209,46 +214,46 @@ def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
 
 
 ADVISED_TERMS = ('N', 'B', 'K')
-"""The terms that filters use; Q and R do not justify a longer record."""
+"""The terms that filters use; Q and R are no reason for a longer record."""
 
 HORIZON_S = 100.0
-"""Seconds over which a filter integrates without correction; noise that is small there is
+"""Time in s over which a filter integrates without correction; noise that is small at this time is
 negligible."""
 
 NEGLIGIBLE = 0.25
 """Share of the known Allan variance at `HORIZON_S` below which an unresolved term is negligible."""
 
 SECONDS_FOR_N = 60.0
-"""Record that resolves N at any rate of an IMU."""
+"""Length of a record in s that resolves N at any sample rate of an IMU."""
 
 B_RESOLVED = 8.5
-"""Least B over N/sqrt(T) that T seconds resolve where K is not resolved."""
+"""Smallest B, relative to N/sqrt(T), that is resolved in T seconds if K is not resolved."""
 
 B_RESOLVED_BESIDE_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
-"""K T/N, and least B over sqrt(N K) where that K is resolved."""
+"""K T/N, and the smallest B, relative to sqrt(N K), that is resolved if K is resolved."""
 
 K_RESOLVED = 51.0
-"""Least K over N/T."""
+"""Smallest K, relative to N/T, that is resolved."""
 
 K_RESOLVED_BESIDE_B = 6.2
-"""Least K over B/sqrt(T), where B dominates the curve."""
+"""Smallest K, relative to B/sqrt(T), that is resolved if B dominates the curve."""
 
 LENGTHS_S = (
     *(60.0 * n for n in (1, 2, 5, 10, 20, 30)),
     *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
 )
-"""Advice is rounded up to one of these; what takes longer than the last is not advised."""
+"""Recommended lengths are rounded up to one of these; longer times are not recommended."""
 
 
 def recommended_duration(
     fit: AxisFit, seconds: float, limits: Mapping[str, float] | None = None
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return how long to record one axis, or None where a longer record would not help.
+    """Return the recommended length of a record of one axis, or None if a longer one is useless.
 
-    A term is worth recording for if it is N, B or K, is not resolved, and its 95 % upper limit
-    still allows it to matter: above its datasheet limit, or else above a quarter of the known
-    Allan variance at 100 s. The time follows from N (and from B where it is resolved), not from
-    the uncertain estimate of the missing term, so it is stable during the recording.
+    A longer record is recommended if N, B or K is not resolved and its 95 % upper limit is
+    relevant: above the limit of the datasheet, or, without one, above a quarter of the known Allan
+    variance at 100 s. The time follows from N (and from B if it is resolved), not from the
+    uncertain estimate of the missing term, so it is stable during the recording.
 
     Parameters
     ----------
@@ -257,12 +262,12 @@ def recommended_duration(
     seconds : float
         Length of the longest segment at rest, in s.
     limits : mapping of term to float, optional
-        What a datasheet states of this axis, in SI.
+        Limits of a datasheet for this axis, in SI.
 
     Returns
     -------
     (seconds, terms) or None
-        The length one recording should have, and the terms it resolves or bounds.
+        Length of a single recording, and the terms that it resolves or limits.
     """
     n = fit.noise['N'].value
     if fit.noise['N'].status != 'estimated' or not n:

@@ -4,7 +4,8 @@
 
 With the covariance of the table fixed, the best variances for any set of correlation times and
 frequencies are a nonnegative least-squares problem, which is convex. The search adds the process
-that lowers chi^2 most, adjusts all shapes in turn, and stops where one more is not significant.
+that lowers chi^2 most, adjusts all shapes in turn, and stops when one more process is not
+significant.
 """
 
 from __future__ import annotations
@@ -21,56 +22,57 @@ from .solve import B, K, N, Q, Whitening, nonnegative_least_squares
 from .table import Table
 
 SHAPES_PER_OCTAVE = 6
-"""Shapes tried in the first search."""
+"""Number of shapes per octave in the first search."""
 
 SHORTEST_CORRELATION = 0.3
-"""Samples. White noise behind a first-order filter is such a process; fitting it reveals the
-filter."""
+"""In samples. White noise after a first-order filter is such a process, so that fitting it reveals
+the filter."""
 
 SHORTEST_BEYOND_CUT = 4.0
-"""The same in units of the smallest averaging factor, where shorter averages are left out."""
+"""The same in units of the smallest averaging factor, if shorter averages are left out."""
 
 LONGEST_CORRELATION = 8
-"""A correlation time over this part of the longest segment cannot be distinguished from a random
-walk and a ramp."""
+"""Longest correlation time, as a fraction of the longest segment. Longer ones cannot be
+distinguished from a random walk and a ramp."""
 
 FASTEST_LINE = 0.45
 """Highest frequency of a sinusoid, as a fraction of the sample rate."""
 
 LINE_CYCLES = 10
-"""Periods of a sinusoid in the longest segment, at least."""
+"""Smallest number of periods of a sinusoid in the longest segment."""
 
 MOST = {GaussMarkovTerm: 3, SinusoidTerm: 3}
-"""Processes of each kind that are fitted at most."""
+"""Largest number of processes of each kind."""
 
 NEEDED_GAIN = 12.0
-"""Fall of chi^2 for one more process while the model is rejected: it does not occur by chance among
-some hundred shapes (3.5 standard deviations)."""
+"""Smallest decrease of chi^2 for one more process while the model is rejected. By chance it does
+not occur among some hundred shapes (3.5 standard deviations)."""
 
 SURE_GAIN = 21.0
-"""The same for one more process in a model that passes: one in 2000 records."""
+"""The same for one more process in a model that is not rejected: one in 2000 records."""
 
 COMPARED_GAIN = 6.0
-"""The same in a model without a walk, which is compared with one that has a walk as a whole."""
+"""The same in a model without a walk, which is then compared as a whole with a model with a
+walk."""
 
 LITTLE_WHITE = 0.05
-"""Part of the Allan variance below which white noise is left out while a process is chosen."""
+"""Fraction of the Allan variance below which white noise is ignored while a process is selected."""
 
 SWEEPS = 4
-"""Bound on the rounds in which all shapes are adjusted in turn."""
+"""Largest number of rounds in which all shapes are adjusted in turn."""
 
 FINE = 8
-"""Shapes tried between two neighbours of the first search when a shape is refined."""
+"""Number of shapes tried between two neighbours of the first search when a shape is refined."""
 
 LINE_FINE = 32
-"""The same for a sinusoid: chi^2 has many minima near that of a strong one."""
+"""The same for a sinusoid: near a strong sinusoid, chi^2 has many minima."""
 
 ZOOM = 4.0
-"""Factor by which each round of a refinement is finer than the one before."""
+"""Factor by which the resolution increases in each round of a refinement."""
 
 LINE_ZOOMS = 9
-"""Bound on these rounds for a sinusoid. Far above the noise, the curve determines its frequency to
-a part in a million."""
+"""Largest number of these rounds for a sinusoid. If it is far above the noise, the curve determines
+its frequency to one part in a million."""
 
 LITTLE_GAIN = 0.05
 """Change of chi^2 below which shapes are no longer adjusted."""
@@ -78,7 +80,7 @@ LITTLE_GAIN = 0.05
 
 @dataclass(frozen=True)
 class Found:
-    """The best fit of some processes under a given covariance.
+    """The best fit of given processes with a given covariance.
 
     Attributes
     ----------
@@ -94,7 +96,7 @@ class Found:
 
 
 class ProcessSearch:
-    """Searches the processes that describe a table, with its covariance fixed.
+    """Searches the processes that describe a table with a fixed covariance.
 
     Parameters
     ----------
@@ -138,13 +140,13 @@ class ProcessSearch:
         }
 
     def _white(self, extras: Sequence[Extra]) -> Floats:
-        """Return the whitened columns of some processes, (rows, processes)."""
+        """Return the whitened columns of given processes, (rows, processes)."""
         if not extras:
             return np.zeros((len(self._target), 0))
         return self._to_white @ self.table.columns(extras)
 
     def fitted(self, extras: Sequence[Extra]) -> Found:
-        """Return the fit of some processes together with the four terms."""
+        """Return the fit of given processes together with the four terms."""
         design = np.column_stack([self._terms, self._white(extras)])
         power = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
         rest = self._target - design @ power
@@ -156,7 +158,7 @@ class ProcessSearch:
         Parameters
         ----------
         start : sequence of Extra
-            Processes to begin with; those that are not significant any more are removed.
+            Processes to begin with; those that are no longer significant are removed.
         """
         found = self._pruned(self.adjusted(self.fitted(start)))
         while True:
@@ -177,7 +179,8 @@ class ProcessSearch:
         return found
 
     def _without(self, found: Found, out: int) -> Found:
-        """Return the fit without a process; of two sinusoids side by side one takes the middle."""
+        """Return the fit without a process; if it has an adjacent sinusoid, this moves to their
+        mean."""
         kept = [e for k, e in enumerate(found.extras) if k != out]
         less = self.fitted(kept)
         gone = found.extras[out]
@@ -188,7 +191,9 @@ class ProcessSearch:
         return less
 
     def _with_a_drift(self, found: Found) -> Found:
-        """Return the fit with a Gauss-Markov process in place of the walk, where there is none."""
+        """Return the fit with a Gauss-Markov process in place of the walk, if there is no such
+        process.
+        """
         if self._walk:
             return found
         more = self.with_one_more(found, (GaussMarkovTerm,))
@@ -206,7 +211,7 @@ class ProcessSearch:
     def with_one_more(
         self, found: Found, kinds: Sequence[type[Extra]] = (GaussMarkovTerm, SinusoidTerm)
     ) -> Found | None:
-        """Return the best fit with one more process, all shapes adjusted, if any lowers chi^2."""
+        """Return the best fit with one more process and all shapes adjusted, if chi^2 decreases."""
         allowed = np.zeros(len(self._grid), bool)
         for kind in kinds:
             if sum(isinstance(e, kind) for e in found.extras) < MOST[kind]:
@@ -231,13 +236,13 @@ class ProcessSearch:
         return found
 
     def _with_best_shape(self, found: Found, k: int, everywhere: bool) -> Found:
-        """Return the fit with the best shape of one process: on the grid, then between."""
+        """Return the fit with the best shape of one process: first on the grid, then refined."""
         best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
         power = np.delete(found.power, len(RANDOM_TERMS) + k)
         kind = self._of_kind[type(best)]
         grid = [e for e, here in zip(self._grid, kind) if here]
-        if not grid:  # the averages that are left are too few to adjust it
+        if not grid:  # too few averages remain to adjust the shape
             return found
         if everywhere:
             coarse = self._tried(others, power, self._columns[:, kind])
@@ -270,14 +275,15 @@ class ProcessSearch:
         candidates: Floats,
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
     ) -> Floats:
-        """Return chi^2 of the fit with each candidate column added; infinite where it is negative.
+        """Return chi^2 of the fit with each candidate column added; infinite if its coefficient is
+        negative.
 
         Flicker and walk are present in each combination of ``actives``, so that no other
-        coefficient comes out negative.
+        coefficient becomes negative.
         """
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
-        # White noise that hardly contributes could become negative beside any other process.
+        # White noise with a small contribution could become negative next to any other process.
         white = float(np.max(self.table.terms[:, N] * power[N] / self.table.avar))
         optional = (Q, N, B, K) if white < LITTLE_WHITE else (Q, B, K)
         certain = [c for c in range(known.shape[1]) if c not in optional]

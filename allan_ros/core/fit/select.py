@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Model selection of one axis: the five terms if they describe its table, else more."""
+"""Model selection of one axis: the five terms if they describe its table, else further
+processes."""
 
 from __future__ import annotations
 
@@ -40,63 +41,64 @@ from .solve import (
 from .table import PooledTable, Table
 
 M_MIN = (2, 4, 8, 16, 64)
-"""Smallest averaging factors that are tried where the shortest averages do not fit."""
+"""Smallest averaging factors that are tried if the shortest averages do not fit."""
 
 Z_LOW_PASS = -3.0
-"""A more negative q occurs by chance in one of 700 records: the samples are filtered."""
+"""A more negative q occurs by chance in one of 700 records, so the samples are filtered."""
 
 Z_LOOK = 1.0
-"""A fit no worse than one in six needs no shorter table."""
+"""A fit that is at most this bad (one in six) needs no shorter table."""
 
 LEAST_GAIN = 3.5
-"""Fall of chi^2 from which one more process is compared by likelihood, which is slower."""
+"""Decrease of chi^2 above which one more process is compared by likelihood, which is slower."""
 
 LIKELIER = 11.0
-"""Twice the log likelihood ratio from which a model that fits gets one more Gauss-Markov process.
-Records of five terms reach it in one of two hundred axes."""
+"""Twice the log likelihood ratio for which a model that fits gets one more Gauss-Markov process.
+Records of the five terms exceed it on one of two hundred axes."""
 
 LIKELIER_SLACK = 2.0
-"""The longest averages alone may bring this much of it."""
+"""Largest contribution of the longest averages to this ratio."""
 
 LEAST_FREEDOM = 6.0
-"""Degrees of freedom of the averages that must bring the rest: the likelihood is that of Gaussian
-averages, which favours a bounded drift where the last few happen to be small."""
+"""Smallest degrees of freedom of the averages that must contribute the rest. The likelihood assumes
+Gaussian averages, which favours a bounded drift if the last few averages happen to be small."""
 
 LIKELIER_LINE = 21.0
 """The same for one more sinusoid: one in 2000 records."""
 
 WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
-"""Random walks at which a likelihood is computed, in the largest that the curve allows."""
+"""Random walks for which a likelihood is computed, relative to the largest that the curve
+allows."""
 
 Z_CUT = 6.0
-"""The shortest averages, on which N rests, are left out only if the fit is worse than this or the
+"""The shortest averages, which determine N, are left out only if the fit is worse than this or the
 samples are filtered. Real disturbances give values of hundreds."""
 
 ROUNDS = 6
-"""Bound on the rounds of search and covariance; shapes usually settle in two."""
+"""Largest number of rounds of search and covariance; shapes usually converge in two."""
 
 SAME_SHAPE = 0.05
-"""Relative change of a shape that does not matter to the covariance."""
+"""Relative change of a shape that has no effect on the covariance."""
 
 FILTER_SHARE = 0.05
-"""Where white noise is a smaller part of the long-term white level than this, a short Gauss-Markov
-process has taken its place: the samples are filtered."""
+"""If white noise is a smaller fraction of the long-term white level than this, a short Gauss-Markov
+process has replaced it: the samples are filtered."""
 
 Z_SLACK = 1.0
-"""A model of processes may be worse than one that passes by this much."""
+"""A model with processes may exceed the goodness of fit of an accepted model by this much."""
 
 BOUNDED_MARGIN = 10.0
-"""Fall of the criterion for which a random walk is replaced by a bounded drift."""
+"""Decrease of the criterion for which a random walk is replaced by a bounded drift."""
 
 HOPELESS = 30.0
-"""A search that fails by so much is not repeated with its own covariance."""
+"""A search whose goodness of fit is worse than this is not repeated with its own covariance."""
 
 CLEAR_OF_CUT = 2.0
-"""Processes that stand out at factors above this many times the smallest are kept when the
-shortest averages are left out."""
+"""If the shortest averages are left out, processes that peak above this many times the smallest
+factor are kept."""
 
 FILTER_LONGEST = 32.0
-"""Correlation time in samples of such a filter at most."""
+"""Longest correlation time, in samples, of such a filter."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +111,13 @@ class Selection:
     first : Goodness
         Goodness of fit of the five terms on the complete table.
     z_quantization : float
-        q of the five terms in its standard deviations; far below 0 behind a low-pass filter.
+        q of the five terms divided by its standard deviation; far below 0 with a low-pass filter.
     filtered : bool
         Whether a low-pass filter hides the shortest averaging times.
     hint : float or None
-        Frequency, in cycles per sample, of a sinusoid that the averages below ``m_min`` look like.
+        Frequency, in cycles per sample, of a sinusoid that resembles the averages below ``m_min``.
     levels_off : bool
-        Whether the long averages lie below what the precise part of the curve implies.
+        Whether the long averages lie below the extrapolation of the precise part of the curve.
     """
 
     fit: PointFit
@@ -141,9 +143,9 @@ def _fits(fit: PointFit) -> bool:
 def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None) -> Selection:
     """Return the fit of an axis with the simplest model that describes its table.
 
-    In turn: the five terms; with Gauss-Markov processes and sinusoids; with a negative q, as
-    behind a low-pass filter; without the shortest averaging times; with a fractional model error.
-    ``known`` fit options are used instead.
+    The models are tried in this order: the five terms; with Gauss-Markov processes and sinusoids;
+    with a negative q, as with a low-pass filter; without the shortest averaging times; with a
+    fractional model error. If fit options are ``known``, only these are used.
     """
     free = point_fit(pooled, axis, FitOptions(signed=True))
     first = best_case_goodness(free.table, free.power)
@@ -164,10 +166,10 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
 
 
 def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with one more process while that is much likelier.
+    """Add processes as long as each makes the model much more likely, and return the fit.
 
     chi^2 of the complete table is a weak test of one process: flicker and a random walk imitate it
-    in all but a few directions, and the test sums over all.
+    in all but a few directions, but the test sums over all directions.
     """
     for _ in range(sum(MOST.values())):
         more = _one_more(pooled, axis, fit, GaussMarkovTerm)
@@ -179,7 +181,7 @@ def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> Poi
 
 
 def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) -> PointFit | None:
-    """Return the fit with one more process of a kind if that is likelier, else None."""
+    """Return the fit with one more process of a kind if this is more likely, else None."""
     is_line = kind is SinusoidTerm
     search = _search_with(pooled, axis, fit)
     found = search.fitted(fit.options.extras)
@@ -205,16 +207,16 @@ def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) 
 
 
 def _precise(fit: PointFit) -> NDArray[np.bool_]:
-    """Return which averages have `LEAST_FREEDOM` degrees of freedom at least."""
+    """Return which averages have at least `LEAST_FREEDOM` degrees of freedom."""
     variance = np.diag(weights_at(fit.table, fit.power, NO_MISFIT))
     return np.asarray(2.0 * (fit.table.terms @ fit.power) ** 2 >= LEAST_FREEDOM * variance)
 
 
 def _surprise(table: Table, fit: PointFit) -> float:
-    """Return -2 log likelihood of the table at the likeliest random walk.
+    """Return -2 log likelihood of the table with the most likely random walk.
 
-    Where a walk dominates the longest averages, its estimate rests on few of them, and one that is
-    low by chance makes the others unlikely (`best_case_goodness`).
+    If a random walk dominates the longest averages, its estimate depends on few of them. If it is
+    low by chance, the other averages become unlikely (`best_case_goodness`).
     """
     signed = fit.options.signed
     fits = [solve(table, fit.power, columns=fit.options.columns, signed=signed)]
@@ -241,7 +243,8 @@ def _search(
 
 
 def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the fit with the processes that make it pass, else the best ones and a model error."""
+    """Return the fit with the processes with which it passes, else the best ones and a model
+    error."""
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
     best = _searched(pooled, axis, plain)
     if _fits(best) and not _replaces_white(best):
@@ -272,7 +275,7 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
 
 
 def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with a long Gauss-Markov process for its random walk, if that is likelier.
+    """Return the fit with a long Gauss-Markov process in place of the random walk, if more likely.
 
     Both describe the precise part of the curve equally well. The few long averages decide whether
     the drift is bounded.
@@ -282,20 +285,20 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     without = replace(fit, options=replace(fit.options, walk=False))
     other = _searched(pooled, axis, without)
     z = _z(fit)
-    # A model that fails in any case gets a model error, so z matters less.
+    # A model that fails in any case gets a model error, so z is less important.
     if _z(other) > (max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z):
         return fit
     return other if _criterion(other) + BOUNDED_MARGIN < _criterion(fit) else fit
 
 
 def _criterion(fit: PointFit) -> float:
-    """Return -2 log likelihood of the table if it were Gaussian, plus twice the parameters."""
+    """Return -2 log likelihood of the table (as Gaussian) plus twice the number of parameters."""
     parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
     return minus_log_likelihood(fit.table, fit.power) + 2.0 * parameters
 
 
 def minus_log_likelihood(table: Table, power: Floats) -> float:
-    """Return -2 log likelihood of the table if it were Gaussian, less a constant."""
+    """Return -2 log likelihood of the table (as Gaussian), less a constant."""
     whitening = Whitening.of(weights_at(table, power, NO_MISFIT))
     rest = whitening.apply((table.avar - table.terms @ power)[:, None])
     size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
@@ -303,7 +306,8 @@ def minus_log_likelihood(table: Table, power: Floats) -> float:
 
 
 def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the fit with the model error that makes it pass, on the averages that need one."""
+    """Return the fit with the model error with which it passes, only on the averages that need
+    it."""
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
     if _z(fit) >= Z_FAIL:
@@ -319,8 +323,9 @@ def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selecti
 def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = np.inf) -> PointFit:
     """Return the fit with the processes that its table needs, if any.
 
-    The first covariance is that of the five terms scaled to the measured curve: that of a fit that
-    fails would be wrong where it fails. A search that fails by more than ``hopeless`` ends there.
+    The first covariance is computed from the five terms and scaled to the measured curve, because
+    the covariance of a fit is wrong where the fit fails. A search that fails by more than
+    ``hopeless`` ends after the first round.
     """
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.power))
@@ -380,10 +385,10 @@ def _z(fit: PointFit) -> float:
 def _without_the_shortest(
     pooled: PooledTable, axis: int, start: PointFit, tried: list[PointFit]
 ) -> list[PointFit]:
-    """Return fits from larger and larger smallest factors on, until one passes well.
+    """Return fits with an increasing smallest factor, until one passes well.
 
-    A table that just passes may still deviate at its short end. None if ``tried`` has one that
-    passes.
+    A table that barely passes may still deviate at its short end. The result is None if a fit in
+    ``tried`` passes.
     """
     out: list[PointFit] = []
     if any(_fits(fit) and not _replaces_white(fit) for fit in tried):

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Iterated generalised least squares on an Allan table: the best variance coefficients.
 
-The covariance of the table depends on the coefficients, so the fit alternates: weights from the
-coefficients, coefficients from the weights (Davidian & Carroll, JASA 82 (1987)). Minimising over
-the coefficients inside the covariance as well would be biased.
+The covariance of the table depends on the coefficients, so the fit alternates: it computes weights
+from coefficients and coefficients from weights (Davidian & Carroll, JASA 82 (1987)). Minimising
+over the coefficients inside the covariance as well would be biased.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from .ramp import Noise
 from .table import EMPTY_ROW, PooledTable, Table
 
 RIDGE = 1e-12
-"""Added to the normal equations of unit columns, so that too few points give a wide interval
-instead of none."""
+"""Added to the normal equations of unit columns, so that too few points give a wide interval and no
+failure."""
 
 
 def nonnegative_least_squares(
@@ -33,14 +33,14 @@ def nonnegative_least_squares(
 ) -> Floats:
     """Return x >= 0 that minimises |columns x - target|.
 
-    The active set is guessed from the signs of the unconstrained solution, which usually is right;
-    otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23) finds it.
-    Importing a general solver takes longer than all fits of an IMU.
+    The active set is guessed from the signs of the unconstrained solution, which is usually
+    correct. Otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23)
+    finds it. Importing a general solver takes longer than all fits of an IMU.
 
     Parameters
     ----------
     columns : (points, terms) float64 array
-        Of any scale.
+        Columns of any scale.
     target : (points,) float64 array
     signed : sequence of int
         Columns whose coefficient may be negative.
@@ -86,7 +86,7 @@ def nonnegative_least_squares(
             below = active & bound & (wanted <= 0.0)
             if not below.any():
                 break
-            # Go from x towards it until the first coefficient becomes 0.
+            # Go from x towards the solution until the first coefficient becomes 0.
             step = np.min(x[below] / (x[below] - wanted[below]))
             x = x + step * (wanted - x)
             active &= ~(bound & (x <= NNLS_TOLERANCE * np.max(np.abs(x))))
@@ -98,37 +98,37 @@ def nonnegative_least_squares(
 
 
 NNLS_GUESSES = 5
-"""Attempts to guess the active set at once."""
+"""Number of attempts to guess the active set."""
 
 
 NNLS_ROUNDS = 3
-"""Bound on the changes of the active set, per column."""
+"""Largest number of changes of the active set, per column."""
 
 
 NNLS_TOLERANCE = 1e-10
-"""Relative size below which a slope or a coefficient is rounding."""
+"""Relative size below which a slope or a coefficient is a rounding error."""
 
 
 JITTER = 1e-4
 """Added to the correlation matrix of the table before it is factored: neighbouring factors are
-almost one and the same number, and the covariance is only known to about this."""
+nearly identical, and the covariance is only accurate to about this."""
 
 
 TOLERANCE = 1e-3
-"""Relative change of the modelled Allan variance at which the iteration stops: the weights follow
-it, and an error of the weights changes the coefficients in second order only."""
+"""Relative change of the modelled Allan variance at which the iteration stops. The weights depend
+on it, and their error changes the coefficients only in second order."""
 
 
 ROUNDS = 12
-"""Bound on the rounds of a fit, which settles in two to five."""
+"""Largest number of rounds of a fit, which converges in two to five."""
 
 
 LONGEST_STEP = 9.0
-"""Bound on the extrapolation of a round, in the change since the round before."""
+"""Largest extrapolation of a round, in units of the change since the previous round."""
 
 
 NOISE_FLOOR = 1e-6
-"""White noise assumed at least, relative to the least that the table could hide."""
+"""Smallest white noise that is assumed, relative to the smallest that the table could hide."""
 
 
 Q, N, B, K = range(len(RANDOM_TERMS))
@@ -158,17 +158,17 @@ def first_guess(table: Table) -> Floats:
 
 @dataclass(frozen=True)
 class Whitening:
-    """The factor L of a covariance D L L' D, D its deviations: 1/D and 1/L make unit covariance."""
+    """The factor L of a covariance D L L' D with deviations D: 1/D and 1/L give unit covariance."""
 
     lower: Floats
     deviation: Floats
 
     @classmethod
     def of(cls, covariance: Floats) -> Whitening:
-        """Return the whitening of a covariance, its correlation with `JITTER` on the diagonal.
+        """Return the whitening of a covariance, with `JITTER` on the diagonal of its correlation.
 
-        A slightly indefinite matrix is replaced by the nearest one without an eigenvalue below 0
-        (Higham, LAA 103, 1988).
+        A slightly indefinite matrix is replaced by the nearest positive semidefinite one (Higham,
+        LAA 103, 1988).
 
         Raises
         ------
@@ -177,7 +177,7 @@ class Whitening:
         """
         deviation = np.sqrt(np.diag(covariance))
         correlation = covariance / deviation / deviation[:, None]
-        # LAPACK returns NaN from some matrices of NaN, and an error code from others.
+        # For matrices with NaN, LAPACK returns NaN or an error code.
         if np.isfinite(correlation).all():
             lower = _cholesky(correlation)
             if lower is None:
@@ -204,7 +204,7 @@ class Whitening:
 
 
 def _cholesky(correlation: Floats) -> Floats | None:
-    """Return the factor of a matrix with `JITTER` on its diagonal, or None if it has none."""
+    """Return the factor of a matrix with `JITTER` on its diagonal, or None if there is none."""
     jittered = correlation.copy()
     jittered.flat[:: len(correlation) + 1] += JITTER
     lower, info = dpotrf(jittered, lower=1)
@@ -226,13 +226,13 @@ def solve(
     ----------
     table : Table
     power : (terms,) float64 array
-        Where to begin.
+        Initial coefficients.
     fixed : mapping of term index to power, optional
         Terms that are fixed.
     columns : tuple of int, optional
         Terms that may be other than 0; all by default.
     signed : bool
-        Whether q may be negative (a low-pass filter looks like that).
+        Whether q may be negative (the effect of a low-pass filter).
     misfit : Misfit
         Fractional error of the model, added to the covariance as (misfit V_model)^2.
     """
@@ -240,7 +240,7 @@ def solve(
 
 
 class Iterated(NamedTuple):
-    """Coefficients, and the whitening of the table, and its columns and target, of the last round.
+    """Coefficients of the last round, with the whitening, the columns and the target of the table.
 
     `white` has the whitened columns of the table and, last, its whitened Allan variances.
     """
@@ -258,7 +258,7 @@ def iterate(
     signed: bool = False,
     misfit: Misfit = NO_MISFIT,
 ) -> Iterated:
-    """Return the solution with the weights it was found with; parameters as of `solve`."""
+    """Return the solution with the weights of its last round; parameters as of `solve`."""
     held = dict(fixed or {})
     size = table.terms.shape[1]
     columns = range(size) if columns is None else columns
@@ -282,13 +282,14 @@ def iterate(
             target = target - value * white[:, c]
         new = new.copy()
         new[free] = nonnegative_least_squares(white[:, free], target, negative)
-        # What changes between two similar terms and leaves the model as it is changes no weight.
+        # A change between two similar terms that does not change the model does not change the
+        # weights.
         change = table.terms @ with_floor(table, new, floor) / before - 1.0
         if np.all(np.abs(change) <= TOLERANCE):
             break
         now = new
         if last is not None:
-            # Rounds that creep towards the solution or swing about it: Anderson (JACM 12, 1965).
+            # For rounds that converge slowly or oscillate: Anderson (JACM 12, 1965).
             turn = change - last[1]
             share = float(change @ turn) / max(float(turn @ turn), np.finfo(float).tiny)
             now = new - np.clip(share, -LONGEST_STEP, 1.0) * (new - last[0])
@@ -304,7 +305,7 @@ def white_floor(table: Table) -> float:
 
 
 def with_floor(table: Table, power: Floats, floor: float | None = None) -> Floats:
-    """Return the coefficients, none negative, with `white_floor` at least: each factor has
+    """Return nonnegative coefficients with at least `white_floor`, so that each factor has
     noise."""
     p = np.maximum(power, 0.0)
     p[table.noises + table.lines :] = 0.0
@@ -327,7 +328,7 @@ def weights_at(
 
 
 RAMP_ROUNDS = 4
-"""Rounds of ramp and table; the coefficients converge in two or three."""
+"""Largest number of rounds of ramp and table; the coefficients converge in two or three."""
 
 
 RAMP_TOLERANCE = 1e-2
@@ -343,7 +344,7 @@ class FitOptions:
     m_min : int
         Smallest averaging factor that is used.
     signed : bool
-        Whether q may be negative, as it looks behind a low-pass filter.
+        Whether q may be negative, the effect of a low-pass filter.
     misfit : Misfit
         Fractional error of the model.
     extras : tuple of Extra
@@ -376,15 +377,16 @@ class FitOptions:
         return tuple(c for c in every if self.walk or c != K)
 
     def noise(self, power: Floats) -> Noise:
-        """Return the noise of the model, without negative coefficients and sinusoids."""
+        """Return the noise of the model, without negative coefficients and without sinusoids."""
         times = correlation_times(self.extras)
         return Noise(np.maximum(power[: len(RANDOM_TERMS) + len(times)], 0.0), times)
 
 
 @dataclass(frozen=True)
 class PointFit:
-    """Variance coefficients, the table (with its ramps) they were fitted to, and the fit
-    options."""
+    """Variance coefficients, the table (with its ramps) to which they were fitted, and the fit
+    options.
+    """
 
     power: Floats
     table: Table
@@ -392,7 +394,7 @@ class PointFit:
 
     @property
     def ramp_variance(self) -> Floats:
-        """Variance of the ramp of each kept segment, (segments,); 0 where it has none."""
+        """Variance of the ramp of each kept segment, (segments,); 0 if no ramp was estimated."""
         return np.asarray(self.table.ramp_variance @ self.options.noise(self.power).power)
 
 
@@ -408,7 +410,7 @@ def point_fit(
         Position among the axes of the sums.
     options : FitOptions
     power : (4,) float64 array, optional
-        Where to begin.
+        Initial coefficients.
     """
     if power is None:
         power = first_guess(pooled.table(axis))

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Allan table of pooled segments without their ramps, with its expectation and covariance.
 
-Segments are independent, so their sums add, and so do the sums over pairs that make up the
-covariance: V = sum M_s V_s / sum M_s, C = sum (M_s/M)^2 C_s. Every segment has a ramp of its own;
-it is taken out of every difference with weights that are fixed before the table is fitted, which
-leaves both moments exact (module `ramp`).
+Segments are independent, so their sums can be added, and also the sums over pairs of the
+covariance: V = sum M_s V_s / sum M_s, C = sum (M_s/M)^2 C_s. Every segment has its own ramp. It is
+removed from every difference with weights that are fixed before the table is fitted, so both
+moments remain exact (module `ramp`).
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ from .ramp import (
 N = RANDOM_TERMS.index('N')
 
 ROUNDING = 1e-12
-"""Fraction of the variance below which the rest, without the ramp, is rounding."""
+"""Fraction of the variance below which the remainder without the ramp is a rounding error."""
 
 EMPTY_ROW = 1e-6
-"""A factor whose differences keep less than this part of their variance without the ramp is left
-out: a record of two differences is mostly its own ramp."""
+"""A factor is left out if its differences keep less than this fraction of their variance without
+the ramp: a record of two differences is mostly its own ramp."""
 
 KEPT_PROCESS_SQUARES = 16
-"""Sets of correlation times whose covariance is kept."""
+"""Number of sets of correlation times whose covariance is kept."""
 
 SHARED = 24
-"""Correlation times per octave at which covariances are computed: 1.5 % off at most."""
+"""Correlation times per octave at which covariances are computed: at most 1.5 % away."""
 
 SHAPE_STEP = 1.02
-"""Ratio of the two shapes whose difference is the derivative of a column."""
+"""Ratio of the two shapes whose difference gives the derivative of a column."""
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ class Table:
     avar : (factors,) float64 array
         Allan variance of the samples less the ramps.
     terms : (factors, 4) float64 array
-        Its expectation for unit q, w, b, k; further columns where processes were added.
+        Its expectation for unit q, w, b, k; further columns for added processes.
     squares : (products, pairs) float64 array
         Its covariance for the products of coefficients `TERM_PAIRS` and `process_pairs`, at pairs
         i <= j.
     ramps : (segments,) float64 array
-        The ramp taken out of each kept segment, per sample; 0 where none could be estimated.
+        The ramp removed from each kept segment, per sample; 0 if none could be estimated.
     ramp_variance : (segments, noises) float64 array
         Its variance per unit coefficient.
     noises : int
@@ -86,11 +86,11 @@ class Table:
         squared amplitude, per unit variance of each noise. Further columns only shift the
         expectation.
     line_rest : (2, lines, factors) float64 array
-        The other variance of ``avar`` that a sinusoid causes, independent at each factor: over its
-        squared amplitude and w, and over its squared amplitude squared.
+        The remaining variance of ``avar`` due to a sinusoid, independent at each factor: relative
+        to its squared amplitude times w, and relative to the square of its squared amplitude.
     drift_shift : callable or None
-        Returns what removing the ramps adds to the columns of Gauss-Markov processes at some
-        factors and correlation times, (factors, processes); None for nothing.
+        Returns the change of the columns of Gauss-Markov processes due to the removal of ramps, at
+        given factors and correlation times, (factors, processes); None for no change.
     """
 
     m: Ints
@@ -124,10 +124,7 @@ class Table:
         return out
 
     def tangents(self, extras: Sequence[Extra]) -> Floats:
-        """Return the derivatives of `columns` by the logarithms of the shapes.
-
-        Free multiples of them make intervals of the other columns account for uncertain shapes.
-        """
+        """Return the derivatives of `columns` by the logarithms of the shapes."""
         half = SHAPE_STEP**0.5
         above, below = (
             self.columns([replace(e, shape=e.shape * factor) for e in extras])
@@ -138,8 +135,8 @@ class Table:
     def covariance(self, power: Floats) -> Floats:
         """Return the covariance of ``avar`` under these coefficients, (factors, factors).
 
-        A sinusoid multiplies with the noise at its frequency, which changes its amplitude alone,
-        and with that at its aliases where not every start is used (``line_rest``).
+        A sinusoid multiplies with the noise at its frequency, which only changes its amplitude. If
+        not every start is used, it also multiplies with the noise at its aliases (``line_rest``).
         """
         p = np.maximum(power, 0.0)
         a, b = _products(self.noises - len(RANDOM_TERMS))
@@ -154,7 +151,7 @@ class Table:
         return np.asarray(covariance)
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
-        """Return the table of some of its factors."""
+        """Return the table with only some of its factors."""
         i, j = np.triu_indices(len(self.m))
         return replace(
             self,
@@ -191,7 +188,7 @@ class _Part:
     Attributes
     ----------
     number : int
-        How many segments of this length.
+        Number of segments of this length.
     pairs : PairSums
     geometry : RampGeometry
     at : (pairs,) int64 array
@@ -211,10 +208,11 @@ class _Part:
         return cls(number, pairs, ramp_geometry(samples, step), at)
 
     def ramp_squares(self, effect: RampEffect, times: Sequence[float]) -> Floats:
-        """Return what removing its ramps adds to the pooled sums over pairs, (products, pairs).
+        """Return the change of the pooled sums over pairs when its ramps are removed, (products,
+        pairs).
 
-        d' = d - r m^2 has at every lag the covariance C - D; in units of 1/(2 m_i m_j) D is the
-        same for all starts when r is the best estimate, and near it for any good one.
+        At every lag, d' = d - r m^2 has the covariance C - D. In units of 1/(2 m_i m_j), D is the
+        same for all starts if r is the best estimate, and nearly the same for any good estimate.
         """
         i, j = np.triu_indices(len(self.pairs.m))
         m = self.pairs.m.astype(float)
@@ -229,7 +227,7 @@ class _Part:
 
 
 class PooledTable:
-    """The sums of all segments and the covariances of their record lengths, for all axes."""
+    """The sums of all segments and the covariances for their lengths, of all axes."""
 
     def __init__(self, sums: AllanSums) -> None:
         self.sums = sums
@@ -254,14 +252,14 @@ class PooledTable:
         self._pooled_count = sums.count.copy()
         for part in self._kept:
             self._pooled_count[: len(part.pairs.m)] -= part.pairs.count
-        # without self: a reference cycle would keep the tables until Python collects garbage
+        # without self: a reference cycle would keep the tables in memory until a garbage collection
         shift = partial(pooled_shift, sums.classes, self.m, sums.stride, self._pooled_count)
         self._pooled_terms = shift(())
         longest = max((s.samples for s in self.segments), default=1)
         self._pooled_drifts = DriftShift(longest, lambda t: shift(t)[:, 4:])
 
     def _with_pooled_ramps(self, squares: Floats, times: tuple[float, ...]) -> Floats:
-        """Add, in place, what removing the ramps of pooled segments does to the last products."""
+        """Add, in place, the effect of the removal of pooled ramps to the last products."""
         for part in self._pooled:
             effect = fixed_effect(part.pairs.samples, times)
             if effect is not None:
@@ -290,7 +288,7 @@ class PooledTable:
         ----------
         axis : int
         noise : Noise
-            That the weights are made for.
+            Noise for which the weights are computed.
         known : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
         """
@@ -307,8 +305,10 @@ class PooledTable:
     def ramp_variance(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the variance of each ramp per unit coefficient, (segments, noises); 0 where it
-        is known or cannot be estimated."""
+        """Return the variance of each ramp per unit coefficient, (segments, noises).
+
+        It is 0 if the ramp is known or cannot be estimated.
+        """
         out = np.zeros((len(weights), len(RANDOM_TERMS) + len(times)))
         for s, (part, w) in enumerate(zip(self._kept, weights)):
             if w is not None:
@@ -318,7 +318,9 @@ class PooledTable:
     def _effects(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> list[tuple[_Part, RampEffect]]:
-        """Return the kept segments with estimated ramps and the effects of removing these."""
+        """Return the kept segments with estimated ramps, and the effects of the removal of these
+        ramps.
+        """
         return [
             (part, part.geometry.effect(w, times))
             for part, w in zip(self._kept, weights)
@@ -334,15 +336,15 @@ class PooledTable:
         m_min: int = 1,
         tangents: bool = False,
     ) -> Table:
-        """Return the table of one axis, with the best ramps under some noise.
+        """Return the table of one axis, with the best ramps for given noise.
 
         Parameters
         ----------
         axis : int
             Position among the axes of the sums.
         noise : Noise
-            That the weights of the ramps are made for; white noise if it is 0, as where a sinusoid
-            describes the complete curve.
+            Noise for which the weights of the ramps are computed. Noise of 0, as when a sinusoid
+            describes the complete curve, is replaced by white noise.
         ramps : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
         extras : sequence of Extra
@@ -355,7 +357,7 @@ class PooledTable:
         noise = noise if np.any(noise.power > 0.0) else Noise()
         found, weights = self.ramps(axis, noise, ramps)
         times = correlation_times(extras)
-        # Rounded, so that nearby correlation times share their sums.
+        # Rounded, so that similar correlation times share their sums.
         near = tuple(2.0 ** (round(np.log2(t) * SHARED) / SHARED) for t in times)
         squares = self._process_squares(near).copy()
         for part, effect in self._effects(weights, near):
@@ -405,8 +407,9 @@ class PooledTable:
     def _kept_shift(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return what removing the ramps of the kept segments adds to the sums of d^2/(2 m^2),
-        (factors, noises)."""
+        """Return the change of the sums of d^2/(2 m^2) when kept segments lose their ramps,
+        (factors, noises).
+        """
         out = np.zeros((len(self.m), len(RANDOM_TERMS) + len(times)))
         for part, effect in self._effects(weights, times):
             m, count = part.pairs.m, part.pairs.count
@@ -416,8 +419,8 @@ class PooledTable:
     def _process_squares(self, times: tuple[float, ...]) -> Floats:
         """Return the sums over pairs for the products of terms and processes, (products, pairs).
 
-        The ramps of the kept segments are left in. The sums for the last few sets of correlation
-        times, in samples, are kept.
+        The ramps of the kept segments are not removed. The sums for the last few sets of
+        correlation times, in samples, are cached.
         """
         if times not in self._squares:
             while len(self._squares) > KEPT_PROCESS_SQUARES:
@@ -430,14 +433,14 @@ class PooledTable:
 
 
 def clear_cache() -> None:
-    """Clear the tables kept by record length: some 20 MB, computed again in 0.2 s."""
+    """Clear the tables kept by record length: about 20 MB, which take 0.2 s to compute again."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
     mean_covariances.cache_clear()
 
 
 def _informative(table: Table, complete: Floats, power: Floats) -> NDArray[np.bool_]:
-    """Return which factors keep enough variance after the ramps are removed."""
+    """Return which factors keep enough variance when the ramps are removed."""
     p = np.zeros(table.noises)
     p[: len(power)] = np.maximum(power, 0.0)
     keep = (table.count > 0) & (table.terms @ p[: len(power)] > EMPTY_ROW * (complete @ power))
