@@ -1,20 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which differences between two runs are significant, and which coefficients exceed a limit.
+"""Significant differences between two recordings, and coefficients that exceed a limit.
 
-`differences` is the only test of whether two runs differ: recordings, a recording and an earlier
-one, or the last hour of a stream and the time before it.
+`differences` is the only test of whether two recordings differ: two files, a recording and an
+earlier one, or the last hour of a stream and the time before it.
 
-Coefficients are compared by the logarithm of their ratio, whose limits come from the two intervals
-each with its own width above and below (the method of variance estimates recovery:
-Zou & Donner, Statistics in Medicine 27, 2008, eq. 9, on logarithms). A coefficient that only one
-run resolves is compared with the upper limit of the other: the confidence level of both limits is
+Coefficients are compared by the logarithm of their ratio. Its limits follow from the two intervals,
+each with its own width above and below (method of variance estimates recovery: Zou & Donner,
+Statistics in Medicine 27, 2008, eq. 9, on logarithms). A coefficient that only one recording
+resolves is compared with the upper limit of the other one: the confidence level of both limits is
 raised until they meet. Deviations at equal averaging times are compared by the F distribution of
 two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
-keeps the probability of any false detection below `FAMILY_ERROR`, however they depend on each
-other.
+keeps the probability of any false detection below `FAMILY_ERROR`, even if the comparisons are
+dependent.
 """
 
 from __future__ import annotations
@@ -32,32 +32,35 @@ from .allan.curve import CI_LEVEL, AxisCurve
 from .fit.model import TERMS, Z_95, Coefficient
 
 MARGIN = 0.2
-"""Tolerance above a limit: typical figures of a datasheet are those of the median unit, and noise
-rises some percent with temperature."""
+"""Tolerance above a limit: typical figures of a datasheet describe the median unit, and noise
+increases by some percent with temperature."""
 
 FAMILY_ERROR = 0.05
-"""Probability that runs of equal noise differ in any one of all comparisons made at once."""
+"""Probability of at least one significant difference between recordings of equal noise, among all
+comparisons made at once."""
 
 TAU_RATIO = 4.0
-"""Ratio of neighboring averaging times: closer ones share most of their samples."""
+"""Ratio of the averaging times that are compared: closer ones share most of their samples."""
 
 MIN_EDF = 3.0
-"""Fewest degrees of freedom on either side: with fewer, no ratio below 10 is significant."""
+"""Smallest number of degrees of freedom on either side: with fewer, no ratio below 10 is
+significant."""
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
 """Grid of degrees of freedom for the interpolation from the width of a curve's limits."""
 
 SMALLEST_SCALE = 1e-12
-"""Relative width below which an interval counts as having no width."""
+"""Relative width below which an interval has no width."""
 
 LARGEST_EXPONENT = 709.0
-"""exp of more is beyond the largest float."""
+"""Largest exponent whose exp is a finite float."""
 
 Verdict = Literal['within', 'beyond', 'open']
-"""Not above a limit; significantly above it and its margin; not decided."""
+"""Not above a limit; significantly above the limit and its margin; not decided."""
 
 Change = Literal['higher', 'lower', 'alike', 'open']
-"""The second run is significantly higher, lower, not significantly different, or undecided."""
+"""The second recording is significantly higher, lower, not significantly different, or
+undecided."""
 
 Floats = NDArray[np.float64]
 
@@ -73,9 +76,9 @@ class Comparison:
     term : str
         A term, or 'adev' for the deviation at ``tau``.
     limit : float
-        Limit of the datasheet, or what the earlier run had: its value, or its upper limit.
+        Limit of the datasheet, or the value or upper limit of the earlier run.
     at_least : float
-        Lower end of the 95 % interval of measured / limit; 0 where it is not known.
+        Lower end of the 95 % interval of measured / limit; 0 if unknown.
     tau : float or None
         Averaging time in s, of a deviation.
     """
@@ -115,7 +118,7 @@ def compare_with_limits(
 
 
 def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
-    """Return whether a coefficient is within an upper limit, beyond it, or neither."""
+    """Return whether a coefficient is within an upper limit, beyond it, or undecided."""
     highest = limit * (1.0 + margin)
     low, high = coefficient.ci95 or (None, coefficient.upper95)
     if coefficient.status == 'estimated' and low is not None and low > highest:
@@ -127,7 +130,7 @@ def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
 
 @dataclass(frozen=True)
 class Difference:
-    """One quantity of one axis in two runs.
+    """The difference of one quantity of one axis between two recordings.
 
     Attributes
     ----------
@@ -136,15 +139,15 @@ class Difference:
     tau : float or None
         Averaging time in s, of a deviation.
     first : float or None
-        In the first run, SI: the value, or its upper limit; None where neither is known.
+        Value or upper limit in the first recording, in SI; None if both are unknown.
     ratio : float or None
-        The second run's over the first's; None where one of them has only a limit.
+        Ratio of the second recording to the first; None if one of them has only a limit.
     ci95 : (low, high) or None
         95 % interval of the ratio; a limit makes it open, with 0 or infinity at one end.
     p : float or None
-        Probability of such a difference between runs of equal noise; None where it is not known.
+        Probability of such a difference between recordings of equal noise; None if unknown.
     verdict : Change
-        After correction for the number of comparisons.
+        Verdict after correction for the number of comparisons.
     """
 
     axis: str
@@ -158,18 +161,20 @@ class Difference:
 
     @property
     def significant(self) -> bool:
-        """Whether the two runs differ."""
+        """Whether the difference is significant."""
         return self.verdict in ('higher', 'lower')
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the difference and its complete interval exceed a fraction."""
+        """Return whether the difference is significant and its complete interval exceeds a
+        fraction."""
         low, high = self.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 
     def against(self, reference: str, margin: float) -> Comparison | None:
-        """Return the second run compared with the first; None where nothing can be compared.
+        """Return the comparison of the second recording with the first; None if impossible.
 
-        An estimate that is not significantly above the first run by the margin is within it.
+        An estimate that does not exceed the first recording significantly by the margin is within
+        it.
         """
         if self.p is None or self.ci95 is None or self.first is None:
             return None
@@ -183,24 +188,25 @@ class Difference:
 
 
 class Measured(NamedTuple):
-    """Results of one axis of a run: its coefficients by term, its curve, or both."""
+    """Results of one axis of a recording: its coefficients by term, its curve, or both."""
 
     noise: Mapping[str, Coefficient] | None
     curve: AxisCurve | None
 
 
 Run = Mapping[str, Measured]
-"""Axis -> what is measured."""
+"""Axis -> its results."""
 
 
 def differences(
     pairs: Iterable[tuple[Run, Run]], repeats: float = 1.0
 ) -> list[tuple[Difference, ...]]:
-    """Return how the second run of each pair differs from the first, in all that both have.
+    """Return the differences of the second recording of each pair from the first.
 
-    By axis: the five terms, then the deviations at common averaging times. ``repeats`` is how often
-    such a comparison is made: 1 for one that stands alone; the k-th of an endless series takes
-    k (k + 1), so that the false detections of all of them stay below `FAMILY_ERROR`.
+    For each common axis, the five terms and then the deviations at common averaging times are
+    compared. ``repeats`` accounts for repeated comparisons: it is 1 for a single comparison, and k
+    (k + 1) for the k-th of an endless series, so that the probability of any false detection in the
+    series stays below `FAMILY_ERROR`.
     """
     found = [
         [d for axis in first if axis in second for d in _of_axis(axis, first[axis], second[axis])]
@@ -219,7 +225,7 @@ def _of_axis(axis: str, first: Measured, second: Measured) -> Iterator[Differenc
 
 
 def _of_curves(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
-    """Yield the difference of the deviations at common averaging times, verdicts still open.
+    """Yield the differences of the deviations at common averaging times, without verdicts.
 
     The times are a factor `TAU_RATIO` apart, from the shortest that both have to the longest at
     which both have `MIN_EDF` degrees of freedom; deviations between two points of a curve are
@@ -258,7 +264,7 @@ def _change(difference: Difference, beyond: bool) -> Change:
 
 
 def _of_coefficients(axis: str, term: str, first: Coefficient, second: Coefficient) -> Difference:
-    """Return the difference of one term, its verdict still open; None where unknown."""
+    """Return the difference of one term, without a verdict; None if unknown."""
     a, b = _estimate(first), _estimate(second)
     before = _limit(first) if a is None else a[0]
     unknown = Difference(axis, term, None, before, None, None, None)
@@ -273,7 +279,9 @@ def _of_coefficients(axis: str, term: str, first: Coefficient, second: Coefficie
 
 
 def _estimate(c: Coefficient) -> tuple[float, float, float] | None:
-    """Return (value, low, high) where a coefficient is estimated with an interval above 0."""
+    """Return (value, low, high) of a coefficient that is estimated with an interval above 0, else
+    None.
+    """
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
     low, high = c.ci95
@@ -291,7 +299,8 @@ def _limit(c: Coefficient) -> float | None:
 def _of_estimates(
     a: tuple[float, float, float], b: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float], float]:
-    """Return ratio b/a, interval and probability from the widths on the sides that face."""
+    """Return ratio b/a, interval and probability from the widths of the sides that face each
+    other."""
     log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
     up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
@@ -302,7 +311,7 @@ def _of_estimates(
 
 
 def _exp(x: float) -> float:
-    """Return exp(x), infinite where a float has no larger number."""
+    """Return exp(x), or infinity on overflow."""
     return math.exp(x) if x < LARGEST_EXPONENT else math.inf
 
 
@@ -310,25 +319,25 @@ def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
     """Return ln(upper / lower), but at least half the logarithmic width of the interval ``of``.
 
     The interval inverts a test in which the other terms are refitted, so the estimate may coincide
-    with one end. Its distance of 0 from that end would understate the standard error.
+    with one end. Its distance of 0 to that end would be too small for a standard error.
     """
     return max(math.log(upper) - math.log(lower), (math.log(of[2]) - math.log(of[1])) / 2.0)
 
 
 def _of_limit(a: tuple[float, float, float], limit: float) -> float:
-    """Return the p value where one run has an estimate and the other only a limit.
+    """Return the p value if one recording has an estimate and the other only a limit.
 
-    z is where the lower limit of the estimate, exp(-z s) times it, meets the upper limit of the
-    other, sqrt(z/1.96) times its 95 % one: variances, not deviations, have normal errors, and an
-    estimate of 0 has the largest limit. If neither limit fails at z the two differ; each fails with
-    probability Phi(-z), and either run could have been the one with the estimate: 4 Phi(-z).
+    At the quantile z, the lower limit of the estimate, exp(-z s) times the estimate, meets the
+    upper limit of the other recording, sqrt(z/1.96) times its 95 % limit. (Variances, not
+    deviations, have normal errors, and an estimate of 0 has the largest limit.) Each limit is wrong
+    with probability Phi(-z), and either recording could have the estimate: p = 4 Phi(-z).
     """
     value, low, _ = a
     scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
-    # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, by the function of Lambert in logarithms
+    # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, solved by the Lambert W function in logarithms
     right = math.log(2.0 * scale * Z_95) + 2.0 * (math.log(value) - math.log(limit))
     z = float(wrightomega(right)) / (2.0 * scale)
-    # Below the quantile of the limit itself it is not known how the limit moves.
+    # Below the quantile of the limit itself, the change of the limit is unknown.
     return min(4.0 * float(ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 
 

@@ -3,14 +3,15 @@
 """The one base error of the package: its message states what is wrong, where, and what to do."""
 
 SHOWN_START, SHOWN_END = 1500, 500
-"""Characters kept at the start and at the end of a longer line: the place and the remedy."""
+"""Number of characters that are kept at the start and the end of a longer line: the place and the
+remedy."""
 
 
 def one_line(text: str) -> str:
     """Return the text as one line of limited length that is safe to print.
 
-    Names in it come from files and messages that are not trusted. A character that is not printable
-    is written as its escape, such as ``\\x1b``.
+    It may contain names from files and messages that are not trusted. A character that is not
+    printable is written as its escape, such as ``\\x1b``.
     """
     if not text.isprintable():
         text = ''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of an IMU, the names of its axes, and units: SI inside, those of datasheets for users."""
+"""Samples of an IMU, the names of its axes, and units: SI internally, datasheet units for users."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
 """The axes of each sensor among `AXES`."""
 
 LARGEST = 1e30
-"""No IMU measures larger values, of either sign; their squares, summed over years, stay finite."""
+"""Largest magnitude of a sample: no IMU measures larger values, and their squares, summed over
+years, stay finite."""
 
 MAX_NAME = 1000
 """Longest frame_id or hardware id, in characters; longer names indicate corruption or an attack."""
@@ -42,7 +43,7 @@ class ImuBatch:
         When each sample was recorded or received, in nanoseconds; used if the header stamps are
         unusable. None if the source has no such time.
     frame_id : str
-        ``header.frame_id`` of all samples of this batch; '' when the source has none.
+        ``header.frame_id`` of all samples of this batch; '' if the source has none.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -102,13 +103,13 @@ def joined(batches: Sequence[ImuBatch]) -> ImuBatch:
 DEGREE = math.pi / 180.0
 
 HOUR = 3600.0
-"""In s."""
+"""Seconds in an hour."""
 
 NANOSECONDS = 10**9
-"""In a second."""
+"""Nanoseconds in a second."""
 
 STANDARD_GRAVITY = 9.80665
-"""m/s^2 (BIPM, The International System of Units, 9th ed., 2019)."""
+"""In m/s^2 (BIPM, The International System of Units, 9th ed., 2019)."""
 
 MICRO_G = STANDARD_GRAVITY * 1e-6
 
@@ -136,13 +137,13 @@ SI_UNITS = {
         'R': 'm/s^3',
     },
 }
-"""sensor -> term -> SI unit. The deviation itself is in the unit of B."""
+"""Sensor -> term -> SI unit. The deviation has the unit of B."""
 
 DATASHEET_UNITS = {
     'gyro': {'Q': 'urad', 'N': 'deg/sqrt(h)', 'B': 'deg/h', 'K': 'deg/h^1.5', 'R': 'deg/h^2'},
     'accel': {'Q': 'um/s', 'N': 'm/s/sqrt(h)', 'B': 'ug', 'K': 'ug/sqrt(h)', 'R': 'ug/h'},
 }
-"""sensor -> term -> unit of the datasheets (and of the paper, for gyros)."""
+"""Sensor -> term -> unit of datasheets (and of the paper, for gyros)."""
 
 UNITS = {
     'rad': Unit('rad', 1.0),
@@ -212,20 +213,21 @@ def sensor_of(axis: str) -> str:
 
 
 def to_datasheet(term: str, sensor: str, value: float) -> tuple[float, str]:
-    """Return an SI coefficient in the datasheets' unit, and that unit."""
+    """Return an SI coefficient in the unit of datasheets, and this unit."""
     unit = DATASHEET_UNITS[sensor][term]
     return value / UNITS[unit].factor, unit
 
 
 def from_datasheet(term: str, sensor: str, value: float) -> float:
-    """Return the SI value of a coefficient given in the datasheets' unit."""
+    """Return the SI value of a coefficient in the unit of datasheets."""
     return value * UNITS[DATASHEET_UNITS[sensor][term]].factor
 
 
 def to_si(value: float, unit: str, si: str) -> float:
     """Return a value in the SI unit ``si``.
 
-    Raises AllanError that lists the units that fit when the unit is unknown or of another quantity.
+    Raises AllanError, which lists the possible units, if the unit is unknown or of another
+    quantity.
     """
     known = UNITS.get(unit)
     if known is None or known.si != si:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import AllanError
 
 FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
-"""Allan variance of bias instability over B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
+"""Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class NoiseTerms:
     Raises
     ------
     AllanError
-        When one is not finite, or one of Q, N, B, K is negative.
+        When a value is not finite, or one of Q, N, B, K is negative.
     """
 
     Q: float = 0.0
@@ -51,7 +51,7 @@ class NoiseTerms:
                 raise AllanError(f'{name} is {value}: give a finite number, not below 0')
 
     def in_sample_units(self, tau0: float) -> tuple[float, float, float, float, float]:
-        """Return (q, w, b, k, r): the levels when the sample period ``tau0`` (s) is one.
+        """Return the levels (q, w, b, k, r) in units in which the sample period ``tau0`` (s) is 1.
 
         q = Q^2/tau0^2, w = N^2/tau0, b = B^2, k = K^2 tau0 are variances in the squared unit of
         the samples; r = R tau0 is the ramp per sample.
@@ -69,8 +69,8 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
     """Return the expected Allan variance of each term at the averaging factors m.
 
     V(m) = 3 q/m^2 + w/m + (2 ln2/pi) b + k (m/3 + 1/(6 m)) + r^2 m^2/2, the five summands of
-    IEEE Std 952-1997 eq. C.14 for samples of period tau0. The 1/(6 m) belongs to a random walk
-    that steps once a sample; it vanishes against m/3 at large m.
+    IEEE Std 952-1997 eq. C.14 for samples of period tau0. The term 1/(6 m) arises because the
+    random walk steps once per sample; it is negligible at large m.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[n
 
 
 def _gauss_markov_growth(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 2x - 3 + 4 exp(-x) - exp(-2x) without the loss of digits at small x."""
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x) without loss of digits at small x."""
     return np.asarray(2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x))
 
 
@@ -157,8 +157,8 @@ def gauss_markov_sums(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return A and B of D(n) = A n - B (1 - exp(-n/T)), the variance of the sum of n samples.
 
-    Of a sampled first-order Gauss-Markov process of unit variance, whose autocovariance is
-    exp(-k/T) at lag k: A = coth(1/(2T)) and B = 1 / (2 sinh(1/(2T))^2).
+    The samples are those of a first-order Gauss-Markov process of unit variance with the
+    autocovariance exp(-k/T) at lag k: A = coth(1/(2T)) and B = 1 / (2 sinh(1/(2T))^2).
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def gauss_markov_sums(
     A, B : (processes,) float64 arrays
     """
     half = np.atleast_1d(0.5 / np.asarray(correlation, float))
-    # The difference of A and B/T is of the size of half: series where it would be rounding.
+    # A and B/T are much larger than their difference of about 1/2: a series avoids the rounding.
     small = half < 1e-4
     slope = np.where(small, 1.0 / half + half / 3.0, 1.0 / np.tanh(half))
     step = np.where(small, 0.5 / half**2 - 1.0 / 6.0, 0.5 / np.sinh(np.minimum(half, 300.0)) ** 2)
@@ -200,10 +200,11 @@ def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class ProcessModel:
-    """The selected model of one axis: what is drawn, predicted from and exported.
+    """The selected model of one axis, for drawing, prediction and export.
 
-    Terms outside the model are 0. Where the five terms describe the curve, ``terms`` holds
-    them and the tuples are empty; else ``terms`` holds N, K (and a signed R) next to them.
+    Terms outside the model are 0. If the five terms describe the curve, ``terms`` contains them and
+    the tuples are empty. Otherwise ``terms`` contains N, K (and a signed R) in addition to the
+    processes.
 
     Attributes
     ----------
@@ -228,8 +229,8 @@ class ProcessModel:
         tau : (times,) array
             Averaging times in s.
         tau0 : float
-            Sample period in s. 0 gives the continuous-time curve; a positive period that of
-            the samples (the discrete walk and aliased sinusoids).
+            Sample period in s. With 0 the curve is in continuous time, with a positive period it is
+            that of samples (discrete walk, aliased sinusoids).
 
         Returns
         -------
@@ -255,7 +256,7 @@ class ProcessModel:
         Returns
         -------
         dict of name to (times,) float64 array
-            Terms by their letter, then processes by kind and time or frequency.
+            Names are the letters of the terms, then kind and time or frequency of the processes.
 
         Examples
         --------
@@ -263,7 +264,7 @@ class ProcessModel:
         ['N', 'K', 'GM 300 s']
         """
         tau = np.asarray(tau, float)
-        # an averaging factor counts samples; far below every tau, the period does not matter
+        # an averaging factor counts samples; a period far below every tau has no effect
         step = tau0 or 1e-6 * float(tau.min(initial=1.0))
         m = tau / step
         columns = term_avar(m, step, self.terms)

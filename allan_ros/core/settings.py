@@ -34,7 +34,7 @@ class ParameterInfo:
 
 
 AUTO = -1.0
-"""The number that stands for 'auto'."""
+"""The number that represents 'auto'."""
 
 
 def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
@@ -80,11 +80,11 @@ EXPECTED: dict[Any, str] = {
     LIST: 'a list',
     Integral: 'a whole number',
 }
-"""Type of a value, and what it is called; that of a setting is the first that its default has."""
+"""Type -> its name in messages; the first type that matches the default of a setting applies."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
-    """Raise AllanError naming the first value that is not of the kind."""
+    """Raise AllanError for the first value that is not of the given kind."""
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             shown = one_line(repr(value))
@@ -92,7 +92,7 @@ def expect(kind: Any, called: str = '', /, **values: object) -> None:
 
 
 def choose(choices: Collection[str], **values: object) -> None:
-    """Raise AllanError naming the first value that is none of the choices."""
+    """Raise AllanError for the first value that is not one of the choices."""
     for name, value in values.items():
         if not isinstance(value, str) or value not in choices:
             known = ', '.join(choice for choice in choices if choice)
@@ -101,7 +101,8 @@ def choose(choices: Collection[str], **values: object) -> None:
 
 
 def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Return settings from keyword arguments; an unknown one is an error with the nearest name."""
+    """Return settings from keyword arguments; for an unknown one, the error names the nearest
+    name."""
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     for name in given:
         if name not in known:

@@ -20,18 +20,18 @@ from .settings import check, parameter
 Floats = NDArray[np.float64]
 
 BATCH_SAMPLES = 32768
-"""Samples in one batch: the cost per batch is negligible."""
+"""Number of samples in one batch, so large that the cost per batch is negligible."""
 
 ASYMPTOTIC_LAG = 20
-"""From this lag on the series of `_flicker_autocovariance` is better than the difference."""
+"""Lag from which the series of `_flicker_autocovariance` is more precise than the difference."""
 
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
-"""Mean of the six axes of an IMU at rest and level, z up; rad/s and m/s^2."""
+"""Mean of the six axes of an IMU at rest and level, with z up, in rad/s and m/s^2."""
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
-    # Gyro: Cong, Wang, Yan 2019, table 1, the ADIS16475-3 they measured. Accelerometer: B such that
-    # the curve's minimum, 0.664 B, is the 3.6 ug of the ADIS16475 data sheet (Rev. D, features);
-    # its N, which no source states, is typical of its class.
+    # Gyro: the ADIS16475-3 that Cong, Wang, Yan 2019 measured (table 1). Accelerometer: B such that
+    # the minimum of the curve, 0.664 B, equals the 3.6 ug of the ADIS16475 data sheet (Rev. D,
+    # features); N, which no source states, is typical of its class.
     'paper': {
         'gyro_x': {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242},
         'gyro_y': {'Q': 0.124, 'N': 0.168, 'B': 4.972, 'K': 8.169, 'R': 11.068},
@@ -41,10 +41,10 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         'accel_z': {'N': 0.012, 'B': 5.42},
     },
 }
-"""name -> axis -> term -> coefficient in the unit of `imu.DATASHEET_UNITS`."""
+"""Name -> axis -> term -> coefficient in the unit of `imu.DATASHEET_UNITS`."""
 
 Periods = tuple[tuple[float, float], ...]
-"""Start and length of each, in s."""
+"""Periods as (start, length) in s."""
 
 _offset = partial(parameter, 0.0, 'offset at the start that decays as the sensor warms up')
 _gyro = partial(parameter, unit='rad/s', low=0.0)
@@ -122,8 +122,7 @@ class Faults:
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
     """Return n samples, ``tau0`` s apart, whose expected Allan variance is `term_avar`, (n,).
 
-    They are in the unit of the samples and begin at 0. Raises AllanError when n or tau0 is not
-    positive.
+    The samples begin at 0. Raises AllanError when n or tau0 is not positive.
     """
     if n < 1 or not tau0 > 0.0:
         raise AllanError(f'cannot simulate {n} samples of {tau0} s: give positive numbers')
@@ -131,10 +130,11 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
 
     q, w, b, k, r = terms.in_sample_units(tau0)
     half = fft.next_fast_len(max(n - 1, ASYMPTOTIC_LAG), real=True)
-    # (2 sin(pi f))^2 at the frequencies of the circulant of 2*half lags: |transfer|^2 of a step.
+    # (2 sin(pi f))^2 at the frequencies of the circulant with 2*half lags: |transfer|^2 of a
+    # difference.
     step = 4.0 * np.sin(np.pi * np.arange(half + 1) / (2 * half)) ** 2
-    # Of the steps dy, white theta (Q) is a second difference, white y (N) a first one, and a
-    # random walk (K) white.
+    # In the steps dy, white theta (Q) is a second difference, white y (N) a first difference, and a
+    # random walk (K) white noise.
     eigenvalues = (q * step + w) * step + k
     if b > 0.0:
         eigenvalues += b * _flicker_eigenvalues(half)
@@ -149,14 +149,14 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
     """Return one draw of the stationary sequence with these circulant eigenvalues, (2 half,).
 
-    The (half + 1,) eigenvalues are those of an even circulant at its frequencies 0 .. 1/2. The
-    first half + 1 values of the result have the wanted autocovariance.
+    The (half + 1,) eigenvalues belong to an even circulant at its frequencies 0 .. 1/2. The first
+    half + 1 values of the result have the wanted autocovariance.
     """
     from scipy import fft
 
     size = 2 * (len(eigenvalues) - 1)
     spectrum = rng.standard_normal(2 * len(eigenvalues)).view(complex)
-    # A real sequence has a real value at the frequencies 0 and 1/2, of the full variance.
+    # A real sequence has real values, with the full variance, at the frequencies 0 and 1/2.
     spectrum[[0, -1]] = spectrum.real[[0, -1]] * math.sqrt(2.0)
     spectrum *= np.sqrt(eigenvalues * (size / 2.0))
     return np.asarray(fft.irfft(spectrum, size, overwrite_x=True))
@@ -166,11 +166,11 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
 def _flicker_eigenvalues(half: int) -> Floats:
     """Return the eigenvalues of the steps of flicker noise with B = 1, (half + 1,).
 
-    Kept for one length, since all axes of an IMU ask for the same.
+    Cached for one length, because all axes of an IMU use the same.
     """
     from scipy import fft
 
-    # The transform of an even sequence is the cosine transform of its half.
+    # The transform of an even sequence is the cosine transform of half of it.
     eigenvalues = fft.dct(_flicker_autocovariance(half), type=1, overwrite_x=True)
     eigenvalues.flags.writeable = False
     return np.asarray(eigenvalues)
@@ -180,10 +180,11 @@ def _flicker_autocovariance(lags: int) -> Floats:
     """Return the autocovariance at lags 0 .. ``lags`` of the steps of flicker noise with B = 1.
 
     The phase has the generalised autocovariance G(t) = t^2 ln|t| / (2 pi) (Greenhall, 34th PTTI,
-    2002: flicker FM; scaled so that its Allan variance is 2 ln2/pi), the steps of the samples
-    are its second differences, so theirs is the fourth central difference of G. At long lags that
-    difference cancels, and its expansion in derivatives, f'''' + f''''''/6 + f^(8)/80
-    + 17 f^(10)/30240 with f = t^2 ln t, is used instead (relative error 1e-9 at the seam).
+    2002: flicker FM; scaled so that its Allan variance is 2 ln2/pi), and the steps of the samples
+    are second differences of the phase. So their autocovariance is the fourth central difference of
+    G. At long lags this difference loses its digits, and its expansion in derivatives, f'''' +
+    f''''''/6 + f^(8)/80 + 17 f^(10)/30240 with f = t^2 ln t, is used instead (relative error 1e-9
+    at the first such lag).
     """
     t = np.arange(-2.0, ASYMPTOTIC_LAG + 3.0)
     square_log = t**2 * np.log(np.maximum(np.abs(t), 1.0))
@@ -207,23 +208,23 @@ def simulate_imu(
 ) -> Iterator[ImuBatch]:
     """Yield the batches of a simulated recording with known noise.
 
-    Every axis and every fault has its own random numbers, so a fault changes nothing else.
+    Every axis and every fault has its own random numbers, so a fault does not change the other
+    effects.
 
     Parameters
     ----------
     seconds, rate : float
         Length in s and samples per second.
     gyro, accel : three NoiseTerms each
-        Of x, y and z.
+        Noise of x, y and z.
     mean : (6,) array
-        Means that the noise is added to, rad/s and m/s^2; at rest and level by default.
+        Means to which the noise is added, in rad/s and m/s^2; at rest and level by default.
     seed : int
-        Not negative; the same seed gives the same recording.
+        At least 0; the same seed gives the same recording.
     start_ns : int
         Stamp of the first sample.
 
-    Raises AllanError when the length or rate is not positive, or there are not three axes to a
-    sensor.
+    Raises AllanError when the length or rate is not positive, or a sensor does not have three axes.
     """
     if not (seconds > 0.0 and rate > 0.0 and round(seconds * rate) >= 1):
         raise AllanError(f'cannot simulate {seconds} s at {rate} Hz: give positive numbers')
@@ -253,16 +254,16 @@ def simulate_imu(
 
 
 BUMP_TAIL = 40.0
-"""Decay times after which a knock is below rounding (e^-40)."""
+"""Number of decay times after which a knock is negligible (e^-40)."""
 
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
-"""Frequencies in Hz of a motion, with random phases; their sum does not repeat soon."""
+"""Frequencies in Hz of a motion, with random phases; their sum has a long period."""
 
 BURST_SPACING = 0.002
-"""Seconds between the stamps of samples that a host reads at once (an MPU6050 at 100 Hz)."""
+"""Time in s between the stamps of samples that a host reads at once (an MPU6050 at 100 Hz)."""
 
 BURST_SHORTEST = 0.02
-"""The shortest silence between bursts, as a share of the longest."""
+"""Shortest pause between bursts, as a fraction of the longest."""
 
 
 def disturb_samples(
@@ -270,8 +271,8 @@ def disturb_samples(
 ) -> None:
     """Apply the faults to the samples of one sensor, (n, 3), in place.
 
-    Motion and bias come first, then the effects of the electronics. Both sensors need the same
-    seed, so that a knock hits both at the same time.
+    Motion and bias are applied first, then the effects of the electronics. With the same seed, a
+    knock affects both sensors at the same time.
     """
     n, axes = samples.shape
     times: Floats = np.arange(n, dtype=np.float64) * tau0
@@ -319,7 +320,7 @@ def disturb_samples(
 
 
 def _recursion(pole: float, inputs: Floats) -> Floats:
-    """Return y_k = pole y_(k-1) + x_k down the first axis, y_0 = x_0."""
+    """Return y_k = pole y_(k-1) + x_k along the first axis, with y_0 = x_0."""
     from scipy.signal import lfilter  # slow to import, and rarely needed
 
     return np.asarray(lfilter([1.0], [1.0, -pole], inputs, axis=0))
@@ -328,7 +329,7 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
 def _add_knocks(
     samples: Floats, tau0: float, faults: Faults, amplitude: float, rng: np.random.Generator
 ) -> None:
-    """Add decaying oscillations at random times, in random directions, in place."""
+    """Add decaying oscillations at random times and in random directions, in place."""
     n, axes = samples.shape
     length = int(np.ceil(BUMP_TAIL * faults.bump_decay / tau0))
     t = np.arange(length) * tau0
@@ -341,8 +342,8 @@ def _add_knocks(
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return for each sample the one it repeats: the first at or after its reading's time."""
-    # A tick of the slower clock that falls on a sample must not be missed by rounding.
+    """Return for each sample the index of the sample that it repeats."""
+    # Rounding must not hide a tick of the slower clock that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     held = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
     return np.asarray(held, np.int64)
@@ -359,7 +360,7 @@ def in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
 def lost_samples(
     n: int, tau0: float, faults: Faults, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Return which samples never arrive: those in gaps, and the drops; never the first."""
+    """Return which samples are lost: those in gaps and random drops, but never the first sample."""
     lost = in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
     if faults.drop > 0.0:
         lost |= rng.random(n) < faults.drop
@@ -372,7 +373,7 @@ def disturb_stamps(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the header stamps and the record times of samples taken at the given times, in ns.
 
-    Jitter moves both. With bursts, the host reads the sensor at intervals and stamps all samples
+    Jitter changes both. With bursts, the host reads the sensor at intervals and stamps all samples
     that have arrived since the last read in quick succession.
     """
     jitter_seed, burst_seed = seed.spawn(2)
@@ -386,7 +387,7 @@ def disturb_stamps(
         shortest = BURST_SHORTEST * faults.burst
         reads = np.cumsum(rng.uniform(shortest, faults.burst, int(elapsed[-1] / shortest) + 2))
         read = reads[np.searchsorted(reads, elapsed)]
-        # A sample is stamped when it is read, but not before the one ahead of it is done with.
+        # A sample is stamped when it is read, but not before the previous sample is processed.
         queue = BURST_SPACING * np.arange(len(out))
         out = out[0] + np.round((queue + np.maximum.accumulate(read - queue)) * 1e9).astype(
             np.int64

@@ -120,9 +120,10 @@ class VarianceModel:
         return np.asarray(self.contrasts @ covariance @ self.contrasts.T)
 
     def _covariances(self) -> list[Floats]:
-        """Return the covariances of the means, without the part of a constant and a ramp. The
-        covariances are second differences of the generalised covariances of the phase: -|t|/2, and
-        t^2 ln|t| / (2 pi), and |t|^3 / 12.
+        """Return the covariances of the means, without the part of a constant and a ramp.
+
+        The covariances are second differences of the generalised covariances of the phase: -|t|/2,
+        and t^2 ln|t| / (2 pi), and |t|^3 / 12.
         """
         ends = (self.begin, self.end)
         lags = [np.abs(x[:, None] - y) for x in ends for y in ends]

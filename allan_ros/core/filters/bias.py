@@ -27,16 +27,16 @@ from .reductions import state_space
 Floats = NDArray[np.float64]
 
 MEAN_S = 1.0
-"""Length of the means that are the input of the filter."""
+"""Length in s of the means that are the input of the filter."""
 
 AHEAD_S = 10.0
-"""Time over which the bias is averaged."""
+"""Time in s over which the bias is averaged."""
 
 LONGEST_S = 1e6
-"""Longest time over which a bias is predicted."""
+"""Longest time in s over which a bias is predicted."""
 
 KEPT_MEANS = 600
-"""Means of an axis that a changed model starts from."""
+"""Number of means of an axis that are kept to initialize a changed model."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class BiasEstimate:
 
     @property
     def ci95(self) -> tuple[float, float]:
-        """95 % interval."""
+        """95 % interval of the bias."""
         half = Z_95 * self.std
         return self.value - half, self.value + half
 
@@ -91,10 +91,12 @@ class BiasModel(NamedTuple):
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
-        """Return `expected_model`, with the root mean square of the ramps that the fit allows.
+        """Return the `expected_model` of a fit with the root mean square of the ramps that the fit
+        allows.
 
-        A ramp below what a record can resolve still moves the bias in the next minutes. Without it
-        the 95 % interval of the bias 10 min ahead covers 89 to 93 % on the sensors of table 1.
+        A ramp that a record cannot resolve still moves the bias in the next minutes. Without this
+        ramp, the 95 % interval of the bias 10 min ahead has a coverage of 89 to 93 % for the
+        sensors of table 1.
         """
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
@@ -130,7 +132,7 @@ class BiasFilter:
     def __init__(self, model: BiasModel, period: float = MEAN_S) -> None:
         space = state_space(drift_model(model.processes))
         if not space.white and not space.walk:
-            # without any noise the variance of the walk would become 0
+            # without any noise, the variance of the walk would become 0
             space = replace(space, white=1e-12)
         self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
@@ -145,8 +147,8 @@ class BiasFilter:
         self._covariance = np.zeros((self._space.size, self._space.size))
 
     def update(self, mean: float) -> None:
-        """Take the mean of the samples over the next ``period``."""
-        if self.count == 0:  # the constant part of the bias, with a vague prior around it
+        """Add the mean of the samples over the next ``period``."""
+        if self.count == 0:  # the constant part of the bias, with a vague prior
             spread = [sigma for sigma, _ in self._space.gauss_markov]
             vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
             self._state[1] = mean
@@ -159,7 +161,7 @@ class BiasFilter:
         self.count += 1
 
     def pause(self, seconds: float) -> None:
-        """Let time pass without samples, or with samples in motion."""
+        """Advance the time without samples, or with samples in motion."""
         if self.count and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
@@ -169,7 +171,7 @@ class BiasFilter:
         Raises
         ------
         AllanError
-            When no mean was taken yet.
+            When there is no mean yet.
         """
         if not self.count:
             raise AllanError('the bias is not known: keep the sensor at rest for a second')
@@ -192,18 +194,18 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class AxisBias:
-    """The present bias of one axis."""
+    """The current bias of one axis."""
 
-    estimate: BiasEstimate  # of the 10 s after the latest mean
+    estimate: BiasEstimate  # mean over the 10 s after the latest mean
     end_ns: int  # time of the latest mean
-    # as of `optimal_window` and `time_within`
+    # results of `optimal_window` and `time_within`
     optimal_s: float
     within_s: float
     tolerance: float  # in the unit of the samples
 
 
 class BiasTracker:
-    """Keeps the bias of all axes of an IMU from its means at rest.
+    """Estimates the bias of all axes of an IMU from its means at rest.
 
     A changed model starts from the stored means. If time goes back, as after a reset, all means are
     dropped.
@@ -211,7 +213,7 @@ class BiasTracker:
     Parameters
     ----------
     tolerance : mapping of 'gyro' and 'accel' to float
-        Of `AxisBias`; 0: twice the half width of the interval that a long rest gives.
+        Tolerance of `AxisBias`; 0: twice the half-width of the interval after a long rest.
     """
 
     def __init__(self, tolerance: Mapping[str, float]) -> None:
@@ -222,7 +224,7 @@ class BiasTracker:
         self._kept: dict[str, deque[tuple[int, float]]] = {}
 
     def take(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
-        """Take the latest means of an axis with their ends; known ones are skipped."""
+        """Add the latest means of an axis with their end times; known ones are skipped."""
         kept = self._kept.setdefault(axis, deque(maxlen=KEPT_MEANS))
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
             kept.clear()
@@ -237,7 +239,7 @@ class BiasTracker:
             self._rebuild(axis)
 
     def use(self, models: Mapping[str, BiasModel]) -> None:
-        """Use these models from now on."""
+        """Replace the models of the axes."""
         if models == self._models:
             return
         self._models, self._filters, self._facts = dict(models), {}, {}
@@ -245,7 +247,7 @@ class BiasTracker:
             self._rebuild(axis)
 
     def bias(self, axis: str) -> AxisBias | None:
-        """Return the bias of an axis; None before there is a model and a mean."""
+        """Return the bias of an axis; None without a model or a mean."""
         bias, kept = self._filters.get(axis), self._kept.get(axis)
         if bias is None or not kept:
             return None
@@ -259,7 +261,7 @@ class BiasTracker:
         return AxisBias(bias.estimate(), kept[-1][0], *self._facts[axis])
 
     def _rebuild(self, axis: str) -> None:
-        """Start the filter of an axis from the stored means."""
+        """Initialize the filter of an axis from the stored means."""
         kept = self._kept.get(axis)
         if axis not in self._models or not kept:
             return
@@ -271,7 +273,7 @@ class BiasTracker:
 
 
 def _advance(bias: BiasFilter, last: int | None, end: int, value: float) -> None:
-    """Take the mean that ends at a time, after the time that passed without one."""
+    """Add the mean that ends at a time, after the time without means before it."""
     pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
     if pause > 0.1 * MEAN_S:
         bias.pause(pause)
@@ -289,9 +291,10 @@ def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
 
 
 def time_within(model: BiasModel, tolerance: float) -> float:
-    """Return how long the bias stays within +-``tolerance`` (95 %) of a long-run estimate of it.
+    """Return the time in s for which the bias stays within +-``tolerance`` (95 %) of an estimate.
 
-    In s; 0 where the estimate itself is not that good, `LONGEST_S` at the most.
+    The estimate comes from a long rest. The time is 0 if the estimate is less accurate than the
+    tolerance, and at most `LONGEST_S`.
 
     Raises
     ------
@@ -307,7 +310,7 @@ def time_within(model: BiasModel, tolerance: float) -> float:
 
 
 def steady_filter(model: BiasModel, seconds: float = 3600.0) -> BiasFilter:
-    """Return a filter after ``seconds`` of zero means, which gives the expected intervals."""
+    """Return a filter after ``seconds`` of zero means, from which the expected intervals follow."""
     bias = BiasFilter(model, period=10.0 * MEAN_S)
     for _ in range(round(seconds / bias.period)):
         bias.update(0.0)

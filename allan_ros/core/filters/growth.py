@@ -3,7 +3,7 @@
 """Predicted growth of the angle, velocity or position error of a dead-reckoned sensor.
 
 The bias is averaged over the W seconds before 0 and subtracted. After h more seconds the integral
-theta of the samples (angle of a gyro, velocity of an accelerometer) is off by
+theta of the samples (angle of a gyro, velocity of an accelerometer) has the error
 
     e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)),
 
@@ -34,26 +34,26 @@ from ..noise import NoiseTerms, ProcessModel
 
 Floats = NDArray[np.float64]
 Kernels = tuple[Floats, Floats, Floats]
-"""G, C and H at some lags: theta with theta, integral with theta, integral with integral."""
+"""G, C and H at given lags: theta with theta, integral with theta, integral with integral."""
 
 SLOW_SINUSOID_HZ = 0.1
-"""Slower sinusoids are a drift of the sensor (temperature cycles); faster ones are motion."""
+"""Slower sinusoids are drift of the sensor (temperature cycles); faster sinusoids are motion."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
-"""Horizons of `growth_table`, and the time over which the bias was averaged before, in s."""
+"""Horizons of `growth_table`, and the preceding time over which the bias was averaged, in s."""
 
 _SERIES_BELOW = 1.0
-"""Arguments below which `_remainder` sums a series, because differences would lose digits."""
+"""Arguments below which `_remainder` uses a series, because differences would lose digits."""
 
 _SERIES_TERMS = 20
-"""Terms of that series; the first one left out is below 1/20!, less than rounding."""
+"""Number of terms of this series; the next term is below 1/20!, less than rounding."""
 
 
 def predicted_growth(
     model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
 ) -> Floats:
-    """Return the standard deviation of the error that the samples integrate to.
+    """Return the standard deviation of the error of the integrated samples.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def growth_interval(
 
     The variances of the terms add, so their intervals combine in quadrature around the estimate
     (method of variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008).
-    Estimates of neighbouring terms are negatively correlated, which makes the interval wide rather
-    than narrow.
+    Estimates of neighbouring terms are negatively correlated, so the interval is too wide rather
+    than too narrow.
 
     Parameters
     ----------
@@ -128,22 +128,22 @@ def drift_model(model: ProcessModel) -> ProcessModel:
 
 
 def has_drift(model: ProcessModel) -> bool:
-    """Return whether the model has any process beyond quantization and white noise."""
+    """Return whether the model has any process except quantization and white noise."""
     one = drift_model(model)
     return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
 
 
 UNRESOLVED_SHARE = 0.15
-"""Share of its expected variance with which an unresolved K counts: the probability that there is
-one. Of 0, 15, 30, 50 and 100 % it has the smallest worst error of predictions for 300 s (table in
-docs/engineering/accuracy.md)."""
+"""Fraction of its expected variance with which an unresolved K counts: the probability that K
+exists. Of 0, 15, 30, 50 and 100 %, it has the smallest worst-case error of predictions for 300 s
+(table in docs/engineering/accuracy.md)."""
 
 
 def expected_model(fit: AxisFit) -> ProcessModel:
     """Return the selected model with `UNRESOLVED_SHARE` of the expected K^2 if K is not resolved.
 
-    For predictions, and for filters with all processes as states, which have nothing else to cover
-    slow drift.
+    This model is for predictions, and for filters with all processes as states, in which nothing
+    else accounts for slow drift.
     """
     if fit.selected.terms.K:
         return fit.selected
@@ -155,7 +155,8 @@ def expected_model(fit: AxisFit) -> ProcessModel:
 def expected_variance(coefficient: Coefficient) -> float:
     """Return the mean of the squared coefficient of a term that exists but is not resolved.
 
-    Estimate and 95 % limit of the square give a normal distribution, which is truncated at 0.
+    The estimate and the 95 % limit of the square define a normal distribution, which is truncated
+    at 0.
     """
     mean, limit = (coefficient.value or 0.0) ** 2, coefficient.upper95 or 0.0
     error = (limit**2 - mean) / Z_95
@@ -168,17 +169,17 @@ def expected_variance(coefficient: Coefficient) -> float:
 
 @dataclass(frozen=True)
 class Growth:
-    """Error of an angle, velocity or position some time after the last correction.
+    """Predicted error of an angle, velocity or position at a time after the last correction.
 
     Attributes
     ----------
     horizon, window : float
         Time without correction, and time before over which the bias was averaged, in s.
     std : float
-        Standard deviation that the selected model predicts: the unit of the samples times s, or
+        Standard deviation predicted by the selected model, in the unit of the samples times s, or
         s^2 for a position.
     ci95 : (low, high) or None
-        95 % interval from those of the terms; None where a term has no interval.
+        95 % interval from the intervals of the terms; None if a term has no interval.
     """
 
     horizon: float
@@ -190,9 +191,9 @@ class Growth:
 def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
     """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
 
-    With two integrals it is the position error of an accelerometer. K that is not resolved counts
-    as in `expected_model` (unless N is not resolved either), B and R only where they are in the
-    selected model; at the upper end all are at their 95 % limits.
+    With two integrals, this is the position error of an accelerometer. An unresolved K counts as in
+    `expected_model` (unless N is not resolved either), B and R only if they are in the selected
+    model. At the upper end of the interval, all terms are at their 95 % limits.
     """
     h = np.array(GROWTH_S)
     model = drift_model(expected_model(fit) if fit.selected.terms.N else fit.selected)
@@ -211,7 +212,7 @@ def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
 
 
 def _limit(fit: AxisFit, term: str) -> float:
-    """Return the finite 95 % limit of a term; 0 for none."""
+    """Return the finite 95 % limit of a term, or 0."""
     value = fit.noise[term].upper95
     return value if value is not None and math.isfinite(value) else 0.0
 
@@ -222,9 +223,9 @@ def has_intervals(fit: AxisFit) -> bool:
 
 
 def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
-    """Return the interval of a term of the selected model, from 0 to its limit if it has only one.
+    """Return the interval of a term of the selected model; with only a limit, it begins at 0.
 
-    (0, 0) for a term that is not in the model.
+    The result is (0, 0) for a term that is not in the model.
     """
     if not getattr(fit.selected.terms, term):
         return 0.0, 0.0
@@ -235,7 +236,7 @@ def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
 
 
 def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
-    """Return the selected model with every level at the lower, and at the upper end."""
+    """Return the selected model with all levels at their lower ends, and at their upper ends."""
     terms = fit.selected.terms
     intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}
     low, high = (

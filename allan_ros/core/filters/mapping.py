@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a running filter computed from the noise of its sensor.
 
-A parameter is an expression of the noise terms. It is set when it is known well enough: its
-interval is that of the expression over the 95 % intervals of its terms, so a term that is not
-resolved yet delays a parameter only as far as it matters to it.
+A parameter is an expression of the noise terms. It is set when its interval is narrow enough. The
+interval contains the values of the expression over the 95 % intervals of its terms, so an
+unresolved term delays a parameter only if it has an effect on it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {'sqrt': math.sqrt, 'abs': abs, 'max
 
 
 class Expression:
-    """One formula; `AllanError` if it is more than arithmetic.
+    """An arithmetic formula; raises `AllanError` for anything else.
 
     >>> Expression('sqrt(3/4) * N / sqrt(h)').value({'N': 2.0, 'h': 3.0})
     1.0
@@ -63,7 +63,7 @@ class Expression:
         self.names = frozenset(names)
 
     def value(self, values: Mapping[str, float]) -> float:
-        """Return its value; `AllanError` if a name has none, or the result is not finite."""
+        """Return the value; `AllanError` if a name has no value, or the result is not finite."""
         missing = sorted(self.names - values.keys())
         if missing:
             raise AllanError(
@@ -113,11 +113,11 @@ class FilterParameter:
 
     name: str  # as the node declares it
     sensor: str  # 'gyro' or 'accel'
-    # in the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants. In an
-    # expression with K, N and K are those of the reduction of the selected model.
+    # formula of the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants.
+    # In an expression with K, N and K are those of the reduction of the selected model.
     expression: Expression
-    rule: str = 'worst'  # one of `RULES`; 'each' makes an array of three
-    # range that the filter accepts; a value outside is moved to the limit
+    rule: str = 'worst'  # one of `RULES`; with 'each' the parameter is an array of three
+    # range that the filter accepts; values outside are clamped
     limits: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -135,22 +135,23 @@ class FilterMapping:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A value for a parameter."""
+    """A proposed value of a parameter."""
 
     name: str
-    values: tuple[float, ...]  # one, or three with the rule 'each'
-    # 95 % interval; of the axis whose interval is widest, where there are three
+    values: tuple[float, ...]  # one value, or three with the rule 'each'
+    # 95 % interval; of three axes, the interval of the axis with the widest one
     low: float
     high: float
-    limited: bool = False  # whether a value was moved to a limit of the parameter
+    limited: bool = False  # whether a value was clamped to a limit of the parameter
 
     @property
     def ratio(self) -> float:
-        """Upper over lower end of the interval; infinite where the lower one is not above 0."""
+        """Ratio of the ends of the interval; infinite if the lower end is not above 0."""
         return self.high / self.low if self.low > 0.0 else math.inf
 
     def differs(self, current: Sequence[float], change: float) -> bool:
-        """Return whether a value differs from the current one by over the fraction ``change``."""
+        """Return whether a value differs from the current one by more than the fraction
+        ``change``."""
         if len(current) != len(self.values):
             return True
         return any(abs(v - c) > change * abs(c) for v, c in zip(self.values, current))
@@ -165,21 +166,22 @@ def propose(
 ) -> Proposal:
     """Return the value of a parameter.
 
-    A term that is not resolved counts with its 95 % upper limit, and from 0 in the interval.
+    The value of an unresolved term is its 95 % upper limit; its interval begins at 0.
 
     Parameters
     ----------
     parameter : FilterParameter
     axes : mapping of axis name to AxisFit
     rate, constants
-        f in Hz, and further names of the expression.
+        The rate f in Hz, and the values of other names in the expression.
     horizon : float
         Upper end of the horizons of the reduction, in s.
 
     Raises
     ------
     AllanError
-        When the sensor is absent, a term has neither value nor limit, or the expression no value.
+        When the sensor is absent, a term has neither value nor limit, or the expression has no
+        value.
     """
     names = AXES[SENSORS[parameter.sensor]]
     if any(name not in axes for name in names):
@@ -199,7 +201,8 @@ def propose(
 def narrow_enough(
     proposals: Sequence[Proposal], ratio: float
 ) -> tuple[list[Proposal], dict[str, str]]:
-    """Return the proposals with an interval within ``ratio``, and why the others are withheld."""
+    """Return the proposals whose interval is within ``ratio``, and the reasons to withhold the
+    others."""
     ready = [p for p in proposals if p.ratio <= ratio]
     waiting = {
         p.name: f'between {p.low:.3g} and {p.high:.3g}: set once this is within a factor of '
@@ -213,7 +216,7 @@ def narrow_enough(
 def _axis_ends(
     axis: str, fit: AxisFit, terms: Sequence[str], horizons: Horizons
 ) -> dict[str, Ends]:
-    """Return lower end, value and upper end of these terms on one axis."""
+    """Return lower end, value and upper end of the given terms on one axis."""
     reduced = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
     return {term: reduced.get(term) or axis_level(axis, fit, term).ends for term in terms}
 
@@ -239,8 +242,8 @@ def _evaluate(
 ) -> Ends:
     """Return lower end, value and upper end of the expression.
 
-    The ends are those over all corners of the intervals, which is exact where the expression
-    rises or falls in each term.
+    The ends are the extremes over all corners of the intervals, which is exact if the expression is
+    monotonic in each term.
     """
     evaluate = parameter.expression.value
     value = evaluate({**known, **{term: v for term, (_, v, _) in terms.items()}})
@@ -249,7 +252,7 @@ def _evaluate(
             evaluate({**known, **dict(zip(terms, corner))})
             for corner in product(*((low, high) for low, _, high in terms.values()))
         ]
-    except AllanError:  # infinite at an end: nothing is known yet
+    except AllanError:  # infinite at an end: the term is unknown
         return 0.0, value, math.inf
     return min(corners), value, max(corners)
 
@@ -260,7 +263,7 @@ def check_mapping(mapping: FilterMapping) -> None:
     Raises
     ------
     AllanError
-        When one is invalid; it names the parameter.
+        When one of them is invalid; the message names the parameter.
     """
     Horizons.up_to(mapping.horizon)
     for p in mapping.parameters:
