@@ -23,16 +23,16 @@ from .imu import to_si
 T = TypeVar('T')
 
 MAX_INTEGER = 2**62
-"""Bound of the magnitude of counts and stamps: the sum of two fits 64 bits."""
+"""Largest magnitude of counts and stamps: the sum of two fits into 64 bits."""
 
 MAX_FLOAT = 1e150
-"""Bound of the magnitude of numbers: the square is a finite float64."""
+"""Largest magnitude of numbers: the square is a finite float64."""
 
 MAX_TEXT = 100_000
-"""Longest text; the reader of a name sets a lower bound."""
+"""Longest text in characters; the reader of a name sets a smaller bound."""
 
 MAX_ITEMS = 1_000_000
-"""Longest list; the reader of a list of known length sets a lower bound."""
+"""Longest list; the reader of a list of known length sets a smaller bound."""
 
 _REQUIRED = object()
 
@@ -40,7 +40,7 @@ _REQUIRED = object()
 def plain(value: Any) -> Any:
     """Return dataclasses, named tuples, mappings, sequences and arrays as JSON values.
 
-    A number that is not finite is None.
+    Numbers that are not finite become None.
     """
     if dataclasses.is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
@@ -57,7 +57,7 @@ def plain(value: Any) -> Any:
 
 @contextmanager
 def located(where: str) -> Iterator[None]:
-    """Put the place in front of the message of an `AllanError`."""
+    """Prepend the place to the message of an `AllanError`."""
     try:
         yield
     except AllanError as error:
@@ -84,7 +84,7 @@ class Fields:
         return key in self._document
 
     def schema(self, expected: str) -> None:
-        """Reject a document of another kind or version."""
+        """Reject a document with another kind or version."""
         found = self._document.get('schema')
         if found != expected:
             raise AllanError(
@@ -123,7 +123,7 @@ class Fields:
         return value
 
     def quantity(self, unit: str) -> float:
-        """Return this ``{value, unit}`` in another unit."""
+        """Return a ``{value, unit}`` object converted to another unit."""
         value, stated = self.number('value'), self.text('unit')
         with located(self.where):
             return to_si(value, stated, unit)
@@ -135,13 +135,13 @@ class Fields:
         return self._number(key, values[0]), self._number(key, values[1])
 
     def numbers(self, key: str) -> NDArray[np.float64]:
-        """Return a list of numbers as an array, null as NaN."""
+        """Return a list of numbers as an array, with NaN for null."""
         return np.array(
             [math.nan if v is None else self._number(key, v) for v in self.sequence(key)], float
         )
 
     def integers(self, key: str, n: int) -> NDArray[np.int64]:
-        """Return a list of ``n`` whole numbers, 0 or above, as an array."""
+        """Return a list of ``n`` whole numbers of 0 or above as an array."""
         values = self.sequence(key, n)
         if len(values) != n or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in values):
             raise self._wrong(key, values, f'a list of {n} whole numbers, 0 or above,')
@@ -173,7 +173,7 @@ class Fields:
         return found
 
     def value(self, key: str) -> object:
-        """Return a value of any kind, which the caller checks."""
+        """Return a value of any type, which the caller checks."""
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:

@@ -18,7 +18,7 @@ from .errors import one_line
 Severity = Literal['info', 'warning', 'error']
 
 SEVERITIES: tuple[Severity, ...] = ('error', 'warning', 'info')
-"""The most severe first."""
+"""Severities, the most severe first."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def _parsed(text: str) -> Iterator[tuple[str, Wording]]:
 
 
 CATALOGUE = dict(_parsed((get_data(__package__, 'findings.txt') or b'').decode()))
-"""id -> its text."""
+"""id -> text."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +59,17 @@ class Finding:
 
 
 PLURAL = re.compile(r'\{(\w+):([^{}|]*)\|([^{}|]*)\}')
-"""A field of a template with the texts for one and for any other number."""
+"""A field of a template with the texts for one, and for any other number."""
 
 
 def _filled(template: str, values: Mapping[str, object]) -> str:
-    """Return a template in one line with its numbers, and its words in singular or plural."""
+    """Return a template as one line, with its numbers and with words in singular or plural."""
     text = PLURAL.sub(lambda field: field[2 if values[field[1]] == 1 else 3], template)
     return one_line(text.format(**values))
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding ``id``, its numbers filled in; ``when`` may be left out.
+    """Return the finding ``id`` with its numbers filled in; ``when`` is optional.
 
     No axes means all of them.
     """

@@ -95,8 +95,12 @@ def test_a_data_frame_by_name_and_date(noise: np.ndarray) -> None:
     ('source', 'options', 'said'),
     [
         (np.zeros((100, 4)), {'rate': 10}, 'name them'),
-        (np.zeros((100, 2)), {'rate': 10, 'axes': ['gyro_x', 'gyro_x']}, 'name each column once'),
-        (np.zeros(100), {'rate': 10, 'axes': 'gyro'}, '1 columns and 3 axes'),
+        (
+            np.zeros((100, 2)),
+            {'rate': 10, 'axes': ['gyro_x', 'gyro_x']},
+            'name one axis per column',
+        ),
+        (np.zeros(100), {'rate': 10, 'axes': 'gyro'}, '1 columns, but 3 axes'),
         (np.zeros(100), {'rate': 10, 'axes': 'yaw'}, "axis 'yaw' is unknown"),
         (np.zeros((10, 3, 2)), {'rate': 10}, 'shape'),
         (np.zeros(100), {}, 'rate=200'),
@@ -261,8 +265,8 @@ def test_simulated_noise_is_stated() -> None:
         ({'preset': 'nope'}, 'preset'),
         ({'low_pas': 3.0}, 'use low_pass'),
         ({'hours': -1}, 'positive'),
-        ({'gyro': [{'N': 1.0}]}, 'terms once or three times'),
-        ({'gyro': 'N'}, 'terms once or three times'),
+        ({'gyro': [{'N': 1.0}]}, 'one mapping of terms, or three'),
+        ({'gyro': 'N'}, 'one mapping of terms, or three'),
         ({'gyro': {'z': 1.0}}, 'noise.gyro_z is 1.0: an object'),
     ):
         with pytest.raises(ar.AllanError, match=said):

@@ -28,7 +28,7 @@ CALLS = [
     (lambda r: ar.compare(r, r, margin='x'), "margin is 'x': a number is expected"),
     (lambda r: ar.compare(r, r, margin=float('nan')), 'margin is nan: give 0 or more'),
     (lambda r: ar.compare(r, r, method='x'), "method is 'x': choose one of gls"),
-    (lambda r: ar.compare(r), 'there is nothing to compare'),
+    (lambda r: ar.compare(r), 'nothing to compare'),
     (lambda r: ar.fit(3), 'the curve is not a pair of lists tau and adev'),
     (lambda r: ar.fit((1, 2, 3)), 'the curve is not a pair of lists tau and adev'),
     (lambda r: ar.fit('abc'), 'give these, or an AxisCurve'),

@@ -107,7 +107,7 @@ def test_a_malformed_option_is_explained(tmp_path, capsys, arguments):
     with pytest.raises(SystemExit) as stop:
         main(['simulate', str(tmp_path / 'a.npz'), *arguments])
     assert stop.value.code == 2
-    assert 'given as' in capsys.readouterr().err
+    assert 'write ' in capsys.readouterr().err
 
 
 def test_an_existing_recording_is_kept_unless_told(tmp_path, capsys):

@@ -128,7 +128,7 @@ def test_a_file_of_another_imu_is_left_alone_until_its_own_is_back(
     content = path.read_bytes()
     checkpoint = opened(path)
     assert checkpoint.total(stranger, Provenance())[0] == stranger
-    assert 'do not add' in str(checkpoint.refused)
+    assert 'cannot be added' in str(checkpoint.refused)
     assert not save(checkpoint, stranger) and path.read_bytes() == content
     assert save(checkpoint, sums) and checkpoint.refused is None
     assert opened(path).earlier[0][0].samples == 2 * sums[0].samples

@@ -60,7 +60,7 @@ def test_a_file_is_read_as_it_is_written(tmp_path: Path):
     [
         ('filter/1', 'filter/2', 'schema'),
         ('accel', 'mag', 'sensor'),
-        ('N * h', 'N * g', 'names g'),
+        ('N * h', 'N * g', 'contains g'),
         ('N * h', 'open(N)', 'numbers, names'),
         ('unit', 'units', "'units' is unknown"),
         ('[0.0, 1.0]', '[1.0]', 'pair of numbers'),

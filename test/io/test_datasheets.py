@@ -186,7 +186,7 @@ def test_a_product_has_the_figures_of_the_sensor_it_carries(load):
 @pytest.mark.parametrize(
     'change, said',
     [
-        ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is not a sensor but carries"),
+        ({'carries': 'realsense-d435i'}, r"carries: 'realsense-d435i' is a product, not a sensor"),
         ({'carries': 'bmi05'}, r"x.yaml.carries: no datasheet 'bmi05': did you mean .*bmi055"),
         ({'gyro': {}}, r"'gyro' is unknown, use schema, name, .*carries"),
         (

@@ -50,7 +50,7 @@ def test_truth_comes_back_to_the_last_bit(tmp_path):
         ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number, not below 0'),
         ('gyro: {N: .inf}', r'gyro.N is a number beyond 1.8e308: a number within'),
         ('gyro: {N: {value: 1}}', r'gyro.N: unit is missing'),
-        ('gyro: {N: {value: 1, unit: ug}}', r"gyro.N: unit 'ug' does not fit"),
+        ('gyro: {N: {value: 1, unit: ug}}', r"gyro.N: unit 'ug' cannot be used here"),
         ('gyro: 3', r'gyro is 3: an object is expected'),
         ('schema: other/1\nnoise: {}', "schema is 'other/1'"),
     ],

@@ -1,15 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of the axes of a sensor as the numbers that a filter takes.
+"""Noise parameters of a filter from the noise of the axes of a sensor.
 
 N and K are continuous-time densities: the roots of two-sided power spectral densities. A filter
-that steps at f Hz sees them as discrete noise. Over one step of 1/f seconds white noise must add
-N^2/f to the variance of its integral, and a random walk K^2/f to the variance of the bias
-(N. Trawny, S. I. Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of
-Minnesota, 2005, eqs. 129, 130). Which number does that depends on how the filter scales it:
+that steps at f Hz uses discrete noise. Over one step of 1/f seconds, white noise must add N^2/f to
+the variance of its integral, and a random walk K^2/f to the variance of the bias (N. Trawny, S. I.
+Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of Minnesota, 2005, eqs.
+129, 130). The number to write depends on the scaling in the filter:
 
 =====================  ==============  =======================================================
-the filter multiplies  write           by
+the filter multiplies  write           computed by
 =====================  ==============  =======================================================
 N by sqrt(f) itself    N, K            nothing: it takes continuous densities
 a std by 1/f           N sqrt(f)       `white_std`
@@ -41,8 +41,8 @@ RULES = ('worst', 'mean', 'each')
 """Value of a sensor with three axes: the largest, the root mean square, or three values."""
 
 MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
-"""Gain over gyro error (S. O. H. Madgwick, An efficient orientation filter for inertial and
-inertial/magnetic sensor arrays, 2010, on the filter gains)."""
+"""Ratio of the gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter for
+inertial and inertial/magnetic sensor arrays, 2010, on the filter gains)."""
 
 Ends = tuple[float, float, float]
 """Lower end, value and upper end."""
@@ -52,11 +52,11 @@ Ends = tuple[float, float, float]
 class Level:
     """Level of one noise term on one axis, in SI."""
 
-    # the term is N, B, K or R, or 'sigma' of a Gauss-Markov process
+    # N, B, K or R, or 'sigma' of a Gauss-Markov process
     axis: str
     term: str
-    value: float  # finite and above 0: the estimate, or the 95 % upper limit where there is none
-    ci95: tuple[float, float] | None = None  # interval of an estimate, where the method gives one
+    value: float  # finite and above 0: the estimate, or the 95 % upper limit without an estimate
+    ci95: tuple[float, float] | None = None  # interval of an estimate, if the method gives one
     is_limit: bool = False  # whether the value is only an upper limit
     # the coefficient (0 outside the selected model), if the value was raised to bound the growth of
     # the error
@@ -69,14 +69,14 @@ class Level:
 
     @property
     def ends(self) -> Ends:
-        """The value with its interval: from 0 to a limit, to infinity without an interval."""
+        """The value with its interval, which ranges from 0 to a limit, or to infinity if unknown."""
         low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
         return max(low, 0.0), self.value, high
 
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """One noise term of a sensor: inflated values of x, y, z, and the levels they come from."""
+    """One noise term of a sensor: inflated values of x, y, z, and the levels from which they come."""
 
     values: tuple[float, float, float]
     levels: tuple[Level, ...]
@@ -84,7 +84,7 @@ class SensorLevel:
 
 @dataclass(frozen=True)
 class AxisReduction:
-    """The reduction of one axis, with the levels of N and (unless there is no walk) of K."""
+    """The reduction of one axis, with the levels of N and, if there is a walk, of K."""
 
     reduction: Reduction
     levels: dict[str, Level]
@@ -171,7 +171,7 @@ def reduce_axis(
     if expect_walk and not resolved_walk:
         model = _with_walk(model, expected_model(fit).terms.K)
     reduction = reduce_model(model, states, horizons)
-    if states == 'walk' and not reduction.walk:  # all that drifts is quick, and counts as white
+    if states == 'walk' and not reduction.walk:  # all drift is fast, and counts as white noise
         walk = axis_level(axis, fit, 'K', strict)
         reduction = reduce_model(_with_walk(model, walk.value), states, horizons)
     if strict and reduction.poor:
@@ -224,9 +224,8 @@ def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]
 
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
-    """Return the level of a sensor from those of x, y, z by one of `RULES`, times the inflation.
-
-    The mean is that of the variances.
+    """Return the level of a sensor from the levels of x, y, z by one of `RULES`, times the
+    inflation. The rule 'mean' averages the variances.
     """
     x, y, z = (level.value * inflation for level in levels)
     if rule == 'each':
@@ -242,8 +241,8 @@ def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> 
 def white_std(density: float, rate: float) -> float:
     """Return N sqrt(f), the standard deviation of one sample of white noise of density N.
 
-    A step of 1/f with it adds (N sqrt(f) / f)^2 = N^2/f to the variance of the integral. The same
-    holds for K and the rate of the bias.
+    A step of 1/f with this value adds (N sqrt(f) / f)^2 = N^2/f to the variance of the integral.
+    The same holds for K and the rate of the bias.
     """
     return density * math.sqrt(rate)
 
@@ -251,7 +250,7 @@ def white_std(density: float, rate: float) -> float:
 def midpoint_white_std(density: float, rate: float) -> float:
     """Return N sqrt(2 f), for a step that averages two samples and treats them as independent.
 
-    Such a step adds 2 (s/2)^2 / f^2 for samples of standard deviation s, and N^2/f is needed.
+    For samples of standard deviation s, such a step adds 2 (s/2)^2 / f^2; it should add N^2/f.
     """
     return white_std(density, 2.0 * rate)
 
@@ -266,33 +265,33 @@ def madgwick_gain(model: ProcessModel, horizon: float) -> float:
 
 
 SAMPLE_WINDOW_S = 1.0
-"""Longest window of `sample_variance`: slower noise counts as bias."""
+"""Longest window in s of `sample_variance`: slower noise counts as bias."""
 
 Variances = tuple[float, float, float]
-"""Of x, y and z, in the squared unit of the samples."""
+"""Variances of x, y and z, in the squared unit of the samples."""
 
 
 def sample_variance(
     m: NDArray[np.int64], adev: NDArray[np.float64], tau0: float, window: float = SAMPLE_WINDOW_S
 ) -> float | None:
-    """Return the variance of samples about the mean of 2^k of them, 2^k tau0 <= window.
+    """Return the variance of samples about the mean of 2^k samples, with 2^k tau0 <= window.
 
-    The mean square deviation within 2^k samples is the sum of avar(2^j)/2 over j < k, whatever the
-    noise (Percival & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the
-    Haar wavelet divides the variance among the scales); n/(n - 1) removes the bias of a mean of n
+    The mean square deviation within 2^k samples is the sum of avar(2^j)/2 over j < k for any noise
+    (Percival & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the Haar
+    wavelet divides the variance among the scales); n/(n - 1) removes the bias of a mean of n
     independent samples.
 
     Parameters
     ----------
     m, adev : (factors,) arrays
-        Allan deviations at averaging factors, among them every power of two of the window.
+        Averaging factors, including every power of two of the window, and their Allan deviations.
     tau0, window : float
         Sample period and longest window in s.
 
     Returns
     -------
     float or None
-        None where two samples do not fit the window, or a deviation is not known.
+        None if the window is shorter than two samples, or a deviation is unknown.
     """
     levels = math.floor(math.log2(window / tau0 * (1.0 + 1e-9))) if tau0 <= window else 0
     known = {int(factor): float(deviation) for factor, deviation in zip(m, adev)}
@@ -306,8 +305,8 @@ def white_variances(
 ) -> dict[str, Variances]:
     """Return (inflation N)^2 f of each sensor that has three axes with a value or a limit of N.
 
-    With a horizon in s, N is raised until white noise bounds the growth of the error up to it: for
-    a filter without a state for the bias.
+    With a horizon in s, N is raised until white noise bounds the growth of the error up to this
+    time. This is for filters without a state for the bias.
     """
     densities: dict[str, float | None] = {}
     for name, fit in axes.items():
@@ -325,7 +324,7 @@ def white_variances(
 def measured_variances(
     stds: Mapping[str, float | None], inflation: float = 1.0
 ) -> dict[str, Variances]:
-    """Return the squares of the sample standard deviations of each sensor that has all three."""
+    """Return the squared sample standard deviations of each sensor for which all three are known."""
     variances = {}
     for sensor, rows in SENSORS.items():
         known = [std for name in AXES[rows] if (std := stds.get(name))]
@@ -337,19 +336,19 @@ def measured_variances(
 
 @dataclass(frozen=True)
 class TermInflation:
-    """N or K of a reduction, at rest and at rest with motors on, in SI."""
+    """N or K of a reduction, at rest with motors off and with motors on, in SI."""
 
     rest: float
     running: float
 
     @property
     def use(self) -> float:
-        """The value for a filter: the larger of the two."""
+        """Value for a filter: the larger of the two."""
         return max(self.rest, self.running)
 
     @property
     def factor(self) -> float:
-        """The value for a filter over the one at rest, at least 1."""
+        """Ratio of this value to the value with motors off, at least 1."""
         return self.use / self.rest
 
 
@@ -366,12 +365,12 @@ def measure_inflation(
     running: Mapping[str, AxisFit],
     horizons: Horizons = Horizons(1.0, 30.0),
 ) -> dict[str, AxisInflation]:
-    """Return what running motors add to N and K of each common axis of a robot at rest.
+    """Return the increase of N and K of each common axis of a robot at rest due to running motors.
 
     Parameters
     ----------
     rest, running : mapping of axis name to AxisFit
-        Motors off, motors on.
+        Fits with motors off and with motors on.
     horizons : Horizons
         Range over which the reductions bound the growth of the error.
 

@@ -138,7 +138,7 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
         places = places or [at for at, name in enumerate(bare) if name == _base_and_unit(wanted)[0]]
         if len(places) != 1:
             raise AllanError(
-                f'{where}: {len(places)} of its columns ({listed(names)}) are named {wanted!r}: '
+                f'{where}: {len(places)} columns ({listed(names)}) are named {wanted!r}: '
                 f'correct --columns {pair}'
             )
         unit = _BRACKET.match(names[places[0]])

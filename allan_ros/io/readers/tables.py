@@ -146,12 +146,12 @@ def _check_complete(
             )
     if not columns.axes:
         raise AllanError(
-            f'{path}: none of its columns ({listed(names)}) is a gyro or accel axis: name them, '
+            f'{path}: no column ({listed(names)}) is a gyro or accel axis: name them, '
             f'such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out) or gx=NAME,...'
         )
     if not columns.stamp and not options.rate_hz:
         raise AllanError(
-            f'{path}: none of its columns ({listed(names)}) is a time: state the sample rate '
+            f'{path}: no column ({listed(names)}) contains the time: state the sample rate '
             'with --rate, or name the column with --columns'
         )
 

@@ -101,7 +101,7 @@ def test_a_value_differs_by_a_fraction():
         (FilterParameter('p', 'mag', Expression('N')), 'sensor'),
         (parameter('N', rule='best'), 'axis'),
         (parameter('N', limits=(1.0, 0.0)), 'lower one first'),
-        (parameter('N * g'), 'names g'),
+        (parameter('N * g'), 'contains g'),
     ],
 )
 def test_an_invalid_mapping_is_refused(wrong, reason):

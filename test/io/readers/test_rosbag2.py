@@ -380,7 +380,7 @@ def test_a_changed_frame_begins_a_batch(tmp_path: Path, imu_batches: Any, read: 
         ('run.db3', lambda path: path.write_bytes(b'SQLite format 3\0'), 'cannot be read'),
         ('run.mcap', lambda path: path.write_bytes(b'\x89MCAP0\r\n'), 'without a complete message'),
         ('run.mcap.zstd', lambda path: path.write_bytes(b'\x28\xb5\x2f\xfd.'), 'cannot be read'),
-        ('notes.pdf', lambda path: path.write_bytes(b'%PDF'), 'not a known form of recording'),
+        ('notes.pdf', lambda path: path.write_bytes(b'%PDF'), 'not a known type of recording'),
         (
             'v1.bag',
             lambda path: path.write_bytes(b'#ROSBAG V1.2\n'),
