@@ -69,14 +69,16 @@ class Level:
 
     @property
     def ends(self) -> Ends:
-        """The value with its interval, which ranges from 0 to a limit, or to infinity if unknown."""
+        """The value with its interval, which ranges from 0 to a limit, or to infinity if
+        unknown."""
         low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
         return max(low, 0.0), self.value, high
 
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """One noise term of a sensor: inflated values of x, y, z, and the levels from which they come."""
+    """One noise term of a sensor: inflated values of x, y, z, and the levels from which they
+    come."""
 
     values: tuple[float, float, float]
     levels: tuple[Level, ...]
@@ -324,7 +326,8 @@ def white_variances(
 def measured_variances(
     stds: Mapping[str, float | None], inflation: float = 1.0
 ) -> dict[str, Variances]:
-    """Return the squared sample standard deviations of each sensor for which all three are known."""
+    """Return the squared sample standard deviations of each sensor for which all three are
+    known."""
     variances = {}
     for sensor, rows in SENSORS.items():
         known = [std for name in AXES[rows] if (std := stds.get(name))]
