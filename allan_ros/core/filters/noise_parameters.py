@@ -227,7 +227,9 @@ def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
     """Return the level of a sensor from the levels of x, y, z by one of `RULES`, times the
-    inflation. The rule 'mean' averages the variances.
+    inflation.
+
+    The rule 'mean' averages the variances.
     """
     x, y, z = (level.value * inflation for level in levels)
     if rule == 'each':

@@ -1,22 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of one axis in the states that a given filter has.
+"""Noise models of one axis for the states of a filter: exact, or reduced to fewer states.
 
 `StateSpace` holds all processes as states, with the exact discrete matrices. The states are the
 integral of the samples (angle or velocity) and the parts of the bias:
 
     angle' = walk + sum gauss_markov_i + white noise of density N
-    walk' = slope + white noise of density K        (slope: a constant, only where it is asked for)
+    walk' = slope + white noise of density K        (slope: a constant, only on request)
     gauss_markov_i' = -gauss_markov_i / tau_i + white noise of density sigma_i sqrt(2/tau_i)
 
-Bias instability has no finite number of states. Four Gauss-Markov processes whose correlation
-times are a constant factor apart follow its Allan variance from about 3 s to 3000 s within 5 %.
+Bias instability cannot be represented by a finite number of states. Four Gauss-Markov processes
+whose correlation times are a constant factor apart follow its Allan variance from about 3 s to 3000
+s within 5 %.
 
-A filter with N and K only models white noise and a random walk. Given the bare coefficients of a
+A filter with N and K models only white noise and a random walk. With the bare coefficients of a
 sensor that also has bias instability, it underestimates its error. A `Reduction` chooses the
-parameters of the filter's states so that the growth of the error that the filter predicts is
-nowhere below that of the complete model, over a stated range of horizons. The bias counts as known
-from the longest of these horizons (see `growth`).
+parameters of the filter's states so that the predicted growth of the error is at least that of the
+complete model, over a stated range of horizons. The bias is assumed to be averaged over the longest
+of these horizons (see `growth`).
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ Processes = tuple[tuple[float, float], ...]
 correlation time in s."""
 
 FLICKER_PROCESSES = 4
-"""Gauss-Markov processes that represent bias instability."""
+"""Number of Gauss-Markov processes that represent bias instability."""
 
 LONGEST_FLICKER_S = 1500.0
 SHORTEST_FLICKER_S = 1.5
-"""Correlation times of the first and last process that represent bias instability. The first is
-shorter where bias instability exceeds white noise already at short times."""
+"""Shortest correlation time in s of these processes. It is smaller if bias instability exceeds
+white noise already at short times."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class StateSpace:
     white : float
         N, per sqrt(Hz).
     walk : float
-        K. The walk is a state even where K is 0: it then holds a constant bias.
+        K. The walk is a state even if K is 0: it is then a constant bias.
     gauss_markov : tuple of (sigma, tau)
     slope : bool
         Whether a constant slope of the walk is a state, the last one.
@@ -79,7 +80,9 @@ class StateSpace:
         return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
 
     def transition(self, dt: float) -> Floats:
-        """Return Phi, (size, size), over a step of ``dt`` s; states in the order of the module."""
+        """Return Phi, (size, size), for a step of ``dt`` s; for the order of the states see the
+        module.
+        """
         _check_step(dt)
         phi = np.eye(self.size)
         phi[0, 1] = dt
@@ -106,7 +109,7 @@ class StateSpace:
         return q
 
     def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
-        """Return the covariance before any sample, from the std of walk and slope."""
+        """Return the covariance before the first sample, from the std of walk and slope."""
         variances = [0.0, walk**2, *(sigma**2 for sigma, _ in self.gauss_markov)]
         return np.diag(variances + [slope**2] * self.slope)
 
@@ -118,11 +121,11 @@ class StateSpace:
 def state_space(model: ProcessModel) -> StateSpace:
     """Return the states of a process model.
 
-    Bias instability becomes `flicker_processes`. Its part slower than three times their longest
-    correlation time T adds the random walk of these processes, K^2 = B^2/(3 pi T).
+    Bias instability becomes `flicker_processes`. The part that is slower than three times their
+    longest correlation time T becomes a random walk with K^2 = B^2/(3 pi T).
 
-    Sinusoids are not noise states, quantization is not a process and a ramp is not random: they
-    are left out. `reduce_model` covers the ramp and slow sinusoids by the walk.
+    Sinusoids, quantization and the ramp are left out, because they are not random processes of a
+    filter. `reduce_model` represents the ramp and slow sinusoids by the walk.
     """
     terms = model.terms
     flicker = flicker_processes(terms.B, terms.N) if terms.B else ()
@@ -134,7 +137,7 @@ def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
     """Return Gauss-Markov processes whose sum has the Allan variance of flicker noise of level B.
 
     White noise hides flicker at averaging times below N^2 / (0.441 B^2); the shortest correlation
-    time is a fifth of that, within 0.15 s and `SHORTEST_FLICKER_S`.
+    time is a fifth of this, limited to the range from 0.15 s to `SHORTEST_FLICKER_S`.
     """
     hidden_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
     shortest = min(max(hidden_s / 5.0, 0.15), SHORTEST_FLICKER_S)
@@ -164,13 +167,13 @@ def _check_step(dt: float) -> None:
 States = Literal['none', 'walk', 'gauss_markov', 'processes']
 
 STATES: tuple[States, ...] = ('none', 'walk', 'gauss_markov', 'processes')
-"""Model of the bias: nothing, a random walk, one Gauss-Markov process, or walk and processes."""
+"""Models of the bias: none, a random walk, one Gauss-Markov process, or a walk and processes."""
 
 SHORTEST_HORIZON_S = 1.0
-"""Lower end of a range of horizons that is given by its upper end only."""
+"""Lower end of a range of horizons of which only the upper end is given."""
 
 HORIZONS_PER_RANGE = 30
-"""Horizons, spaced evenly in their logarithm, at which two models are compared."""
+"""Number of horizons, spaced evenly in their logarithm, at which two models are compared."""
 
 POOR_RATIO = 2.0
 """A reduction whose growth is off by more than this factor does not describe the sensor."""
@@ -208,13 +211,13 @@ class Reduction:
     """A noise model with the states of a filter."""
 
     states: States  # one of `STATES`
-    # N and K; K is 0 where the states have no walk, or nothing drifts
+    # N and K; K is 0 if the states have no walk, or the model no drift
     white: float
     walk: float
     gauss_markov: Processes  # tuple of (sigma, tau)
-    # where the growth that the filter predicts bounds that of the complete model
+    # range in which the growth predicted by the filter bounds that of the complete model
     horizons: Horizons
-    # least and largest ratio of predicted growth to that of the complete model over the horizons
+    # smallest and largest ratio of predicted growth to that of the complete model over the horizons
     ratio: tuple[float, float]
 
     @property
@@ -230,18 +233,18 @@ class Reduction:
 def reduce_model(
     model: ProcessModel, states: States = 'walk', horizons: Horizons = Horizons(1.0, 30.0)
 ) -> Reduction:
-    """Return the noise model that a filter with the given states should be given.
+    """Return the noise model for a filter with the given states.
 
     ============  ================================================================================
     none          N is raised until white noise alone bounds the growth.
     walk          N is kept and K raised until the growth is bounded.
-    gauss_markov  N is kept; of the processes that bound the growth, the closest one is taken.
+    gauss_markov  N is kept; of the processes that bound the growth, the closest one is used.
     processes     Everything is kept: B becomes four Gauss-Markov processes. Only a ramp and slow
                   sinusoids, for which there is no state, raise K.
     ============  ================================================================================
 
-    Where the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count
-    as white noise and raise N.
+    If the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count as
+    white noise and raise N.
 
     Quantization and sinusoids faster than `SLOW_SINUSOID_HZ` have bounded integrals and are left
     out.
@@ -286,7 +289,7 @@ def _reduced(complete: ProcessModel, quick: int, states: States, horizons: Horiz
         closest = closest_process(with_white, horizons)
         processes = (closest,) if closest else ()
     else:
-        if states == 'processes':  # only ramp and sinusoids have no states of their own
+        if states == 'processes':  # only ramp and sinusoids have no states
             space = state_space(with_white)
             processes = space.gauss_markov
             terms = NoiseTerms(K=space.walk, R=terms.R)
@@ -309,7 +312,8 @@ def _variance(model: ProcessModel, horizons: Horizons) -> Floats:
 
 @lru_cache(maxsize=512)
 def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
-    """Return the variance of the error for N = 1, K = 1, or a Gauss-Markov process of sigma 1."""
+    """Return the variance of the error for N = 1, K = 1, or a Gauss-Markov process with sigma =
+    1."""
     terms = NoiseTerms(**{term: 1.0}) if term else NoiseTerms()
     variance = _variance(ProcessModel(terms, () if term else ((1.0, tau),)), horizons)
     variance.setflags(write=False)
@@ -319,24 +323,25 @@ def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
 def closest_process(
     model: ProcessModel, horizons: Horizons, tau: float | None = None, bound: bool = True
 ) -> tuple[float, float] | None:
-    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model; None for none.
+    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model; None without
+    drift.
 
     Parameters
     ----------
     model : ProcessModel
-        Its white noise hides drift at short horizons.
+        The model. Its white noise hides drift at short horizons.
     horizons : Horizons
     tau : float or None
         Correlation time in s; None to choose it.
     bound : bool
-        Whether the growth is nowhere below that of the model, as a filter needs it; else it is as
-        far above as below, as a simulation needs it.
+        Whether the growth is never below that of the model, as a filter needs it. Otherwise
+        deviations above and below are equal, as a simulation needs it.
     """
     complete = drift_model(model)
     if not has_drift(complete):
         return None
     white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
-    # above 0 where white noise leaves nothing but rounding
+    # above 0 unless only rounding remains after white noise
     needed = np.maximum(_variance(complete, horizons) - white, np.finfo(float).tiny)
     grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
     own = [pair[1] for pair in complete.gauss_markov]
@@ -354,6 +359,6 @@ def closest_process(
 
 
 def common_correlation_time(models: Sequence[ProcessModel], horizons: Horizons) -> float:
-    """Return the correlation time in s that suits several axes, all of which drift."""
+    """Return the correlation time in s for several axes, all of which drift."""
     taus = [one[1] for model in models if (one := closest_process(model, horizons))]
     return math.exp(sum(math.log(tau) for tau in taus) / len(taus))

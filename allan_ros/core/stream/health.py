@@ -23,34 +23,34 @@ from ..settings import SegmenterSettings
 Floats = NDArray[np.float64]
 
 State = Literal['waiting', 'learning', 'still', 'moving', 'louder']
-"""No sample yet; the rate and the noise floor are learned; data at rest accumulate; the IMU moves;
-it is at rest, but its noise became louder."""
+"""No sample yet; rate and noise floor are being learned; data at rest are accumulated; the IMU
+moves; the IMU is at rest, but its noise became louder."""
 
 RATE_CHANGE = 0.02
-"""Relative change of the sample period that means another rate."""
+"""Relative change of the sample period that counts as another rate."""
 
 REPORTED_BRIDGED_SHARE = 1e-3
-"""Least share of interpolated samples that is reported."""
+"""Smallest share of interpolated samples that is reported."""
 
 LOUDER_SHARE = 0.5
-"""Axes with this share of the largest increase of noise are named."""
+"""Axes with at least this share of the largest increase of noise are named."""
 
 SHORT_S = 60.0
-"""Less than a minute of data does not even give N within a few percent."""
+"""Data shorter than this are reported: less than a minute does not give N within a few percent."""
 
 LEAST_SPIKES, LEAST_SPIKE_SHARE = 3, 1e-6
-"""Fewest isolated spikes, and their least share of the samples, that are reported: white noise has
-less than 1e-7."""
+"""Smallest number of isolated spikes, and smallest share of the samples, that are reported: in
+white noise the share is below 1e-7."""
 
 LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
-that gyros do not reach."""
+that no gyro reaches."""
 
 G_BAND = 0.15
-"""Relative tolerance within which a mean acceleration is gravity."""
+"""Relative tolerance within which a mean acceleration counts as gravity."""
 
 WEIGHTLESS = 0.05
-"""Mean acceleration, as a fraction of that of gravity in any unit, below which it was removed."""
+"""Mean acceleration, as a fraction of gravity in any unit, below which gravity was removed."""
 
 
 @dataclass
@@ -90,7 +90,7 @@ class Counts:
 
 
 class SampleCounter(RunningAllan):
-    """Counts samples in place of an engine, in a copy of a stream whose sums are not needed."""
+    """Counts samples in place of an engine, for a copy of a stream that needs no sums."""
 
     def __init__(self, engine: RunningAllan) -> None:
         super().__init__()
@@ -107,7 +107,7 @@ class SampleCounter(RunningAllan):
         return self._open_samples
 
     def update(self, samples: ArrayLike, first_ns: int, last_ns: int) -> None:
-        """Count samples."""
+        """Add the samples to the count."""
         self._open_samples += len(np.asarray(samples))
 
     def end_segment(self) -> None:
@@ -116,14 +116,14 @@ class SampleCounter(RunningAllan):
 
 
 class FilledGaps:
-    """Counts the runs of interpolated samples in the sums, ``count``, (lengths, axes)."""
+    """Counts gaps that were interpolated, by length: ``count``, (lengths, axes)."""
 
     def __init__(self, axes: int) -> None:
         self.count = np.zeros((0, axes), np.int64)
-        self._open = [0] * axes  # lengths of the runs that may go on
+        self._open = [0] * axes  # lengths of the gaps that may continue
 
     def add(self, filled: NDArray[np.bool_] | None) -> None:
-        """Take the flags of the next samples, (axes, n); None if none of them is filled."""
+        """Add the flags of the next samples, (axes, n); None if no sample is interpolated."""
         if filled is None:
             self.end()
             return
@@ -137,7 +137,7 @@ class FilledGaps:
                     self._close(axis)
 
     def end(self) -> None:
-        """End all runs: the next sample is not filled, or belongs to another segment."""
+        """End all gaps: the next sample is not interpolated, or belongs to another segment."""
         if any(self._open):
             for axis in range(len(self._open)):
                 self._close(axis)
@@ -153,9 +153,9 @@ class FilledGaps:
 
 
 class Segment(NamedTuple):
-    """A stretch of samples without a gap, from the stamp ``start_ns`` on.
+    """A part of a stream without a gap, from the stamp ``start_ns`` on.
 
-    ``cut`` is why it does not follow the previous one, as in ``Counts.cuts``; '' for the first.
+    ``cut`` is the reason for the gap before it, as in ``Counts.cuts``; '' for the first segment.
     """
 
     start_ns: int
@@ -184,7 +184,7 @@ class StreamHealth:
 
     @property
     def still_share(self) -> float | None:
-        """Share of the samples that were at rest; None before any was classified."""
+        """Share of the samples that were at rest; None before any sample was classified."""
         c = self.counts
         judged = c.used + c.moving + c.stuck + c.louder
         return c.used / judged if judged else None
@@ -195,14 +195,14 @@ LISTED_SEGMENTS = 1000
 
 
 class StreamSums(NamedTuple):
-    """Sums, spectrum if requested, and the listed segments of the samples at one rate."""
+    """Sums, spectrum (if requested) and listed segments of the samples at one rate."""
 
     sums: AllanSums
     spectrum: SpectrumSums | None
     segments: tuple[Segment, ...]
 
     def joined(self, other: StreamSums) -> StreamSums:
-        """Return both together; raise AllanError when they are of different rates."""
+        """Return the sum of both; raise AllanError if the rates differ."""
         spectra = (self.spectrum, other.spectrum)
         both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
         segments = sorted(
@@ -212,7 +212,7 @@ class StreamSums(NamedTuple):
 
 
 def joined_by_rate(former: list[StreamSums], present: StreamSums) -> list[StreamSums]:
-    """Return the sums at each rate; those of a rate that returned are continued."""
+    """Return the sums at each rate. When an earlier rate returns, its sums are continued."""
     if not present.sums.samples:
         return former
     for i, each in enumerate(former):
@@ -229,9 +229,9 @@ class Accumulation:
     """The results of a stream so far.
 
     ``sums`` has one entry for all axes, or one per sensor if their rates differ; a sensor without
-    samples has none. After a change of rate or frame_id, ``sums`` belongs to the rate and frame_id
-    with the most data and ``current`` to the present ones. ``spectra`` (if requested) has the order
-    of ``sums``; ``segments`` lists the segments of the first entry of ``sums``.
+    samples has no entry. After a change of rate or frame_id, ``sums`` has the rate and frame_id
+    with the most data, ``current`` the present rate and frame_id. ``spectra`` (if requested) has
+    the order of ``sums``; ``segments`` lists the segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
@@ -243,13 +243,13 @@ class Accumulation:
 
 
 KEPT_MEANS = 120
-"""Latest means that are kept, for a reader that asks once in a while."""
+"""Number of latest means that are kept for a reader that polls rarely."""
 
 
 class Means(NamedTuple):
     """Means of static samples of the axes of one sensor stream: the input of the bias filter.
 
-    Times at which they end in ns, (n,), and values in the unit of the samples, (n, axes).
+    Arrays of the end times in ns, (n,), and of the values in the unit of the samples, (n, axes).
     """
 
     axes: tuple[str, ...]
@@ -266,13 +266,13 @@ class RunningMeans:
         self.cut()
 
     def cut(self) -> None:
-        """Drop the mean in progress: the samples that follow are not contiguous."""
+        """Drop the mean in progress, because the next samples do not follow directly."""
         self._start_ns: int | None = None
         self._second, self._count = 0, 0
         self._sum = np.zeros(len(self._axes))
 
     def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
-        """Take contiguous samples: stamps (n,) in ns, rows (axes, n)."""
+        """Add contiguous samples: stamps (n,) in ns, rows (axes, n)."""
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
         seconds = (stamps - self._start_ns) // NANOSECONDS
@@ -360,7 +360,7 @@ def stream_findings(
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:
-    """Return the findings on the sums of all recordings."""
+    """Return the findings about the sums of all recordings."""
     seconds = sums.elapsed_ns * 1e-9
     return [finding('short', seconds=seconds)] if seconds < SHORT_S else []
 
@@ -395,9 +395,9 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
 
 
 def gravity_unit(norm: float) -> str | None:
-    """Return the unit in which a mean acceleration is that of gravity; None for no usual unit.
+    """Return the unit in which a mean acceleration equals gravity; None for no usual unit.
 
-    Where gravity was removed it is 'm/s^2'.
+    The result is 'm/s^2' if gravity was removed.
     """
     for unit in SAMPLE_UNITS['accel']:
         if abs(norm * UNITS[unit].factor / STANDARD_GRAVITY - 1.0) < G_BAND:

@@ -2,20 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion gate: passes on the samples of an IMU at rest.
 
-The stream is judged in windows of about half a second. A window is moving when it differs from the
-noise floor of the sensor by its variance, its farthest sample, a step of its mean, or a mean rate
-away from that at rest. The thresholds are so high that stationary noise is not trimmed (the
-chance that a window of white noise is moving is below 1e-12, so N has no bias), and a sensor whose
-noise grew by half still passes. A motion ends at a lower threshold than it begins, and a margin
-before and after it is left out too.
+The stream is judged in windows of about half a second. A window is moving if its variance, its most
+distant sample, a step of its mean or its mean rate differs from that of the sensor at rest. The
+thresholds are so high that stationary noise is not trimmed (the probability that a window of white
+noise is moving is below 1e-12, so N has no bias), and that a sensor passes whose noise grew by
+half. A motion ends at a lower threshold than it begins. Margins before and after it are excluded,
+too.
 
-Isolated spikes are replaced by the mean of their neighbors before, unless the noise has heavy
-tails: then they stay, and are no motion either. Noise that becomes louder while the IMU stays at
-rest is distinguished from motion and counted separately.
+Before, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
+they stay and do not count as motion. Noise that becomes louder while the IMU stays at rest is
+distinguished from motion and counted separately.
 
-The floor is learned from the first windows that can be those of an IMU at rest, and follows the
-quiet quarter of each later block. All is counted in windows from the start of a stretch without
-gaps, never in chunks.
+The floor is learned from the first windows in which the IMU can be at rest. It follows the quiet
+quarter of each later block. All decisions count windows from the start of a stretch without gaps,
+independent of the chunks.
 """
 
 from __future__ import annotations
@@ -40,19 +40,20 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 WINDOW_S = 0.5
-"""Length of a window in s: long enough for a variance, short against a motion."""
+"""Length of a window in s: long enough for a variance, short compared with a motion."""
 
 MOST_WINDOW = 1024
 """Longest window in samples."""
 
 BLOCK_WINDOWS = 32
-"""Windows that the floor is learned from, and after which it is updated."""
+"""Number of windows from which the floor is learned, and after which it is updated."""
 
 MARGIN_BEFORE, MARGIN_AFTER = 1, 4
-"""Windows left out before a motion and after it: 0.5 s and 2 s."""
+"""Windows excluded before and after a motion: 0.5 s and 2 s."""
 
 RELEARNED = 'relearned'
-"""The cut of a block before which all data of this stream are void: they were taken in motion."""
+"""Reason for a split after which all earlier data of this stream are invalid, because they were
+taken in motion."""
 
 LEAVE_RATIO = 0.8
 """Motion ends below this fraction of the standard deviation at which it begins."""
@@ -61,21 +62,22 @@ KNOCK_SIGMAS = 20.0
 """A sample this many floor deviations from the mean of its window is a knock."""
 
 STEP_SIGMAS = 8.0
-"""Means of neighboring windows this many of their own deviations apart are a motion."""
+"""Means of neighboring windows that differ by this many of their standard deviations indicate
+motion."""
 
 LOUDER_BLOCKS = 2
-"""Blocks of noise in a row, about 30 s, before it counts as louder noise instead of motion."""
+"""Number of consecutive noisy blocks, about 30 s, that count as louder noise instead of motion."""
 
 LEAST_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
-"""Equal samples at the end of the range, and the least step to them in resolutions, that count as
-saturated: at a coarse resolution the top of a slow motion has equal samples too."""
+"""Number of equal samples at the end of the range, and smallest step to them in resolutions, that
+count as saturated. At a coarse resolution, the peak of a slow motion has equal samples, too."""
 
 
 class WindowClass(NamedTuple):
     """Classification of k windows, (k,) bool arrays.
 
     ``moving``: motion, or an axis ``stuck`` at one value. ``quiet``: may end a motion.
-    ``turning_only``: nothing differs from the floor but the mean rate.
+    ``turning_only``: only the mean rate differs from the floor.
     """
 
     moving: Flags
@@ -98,8 +100,8 @@ class MotionGate:
 
     ``counts`` is changed in place. A window is moving above ``motion_ratio`` times the standard
     deviation of the floor, or ``rate_limit`` rad/s away from the mean rate at rest. ``louder`` is
-    how many times louder than the floor the sensor is at rest now, (axes,), or None if it is not;
-    ``loudest`` has the largest values so far, 0 where there are none.
+    the present ratio of the noise at rest to the floor, (axes,), or None if the noise is not
+    louder; ``loudest`` contains the largest values so far, or 0.
     """
 
     def __init__(
@@ -119,8 +121,9 @@ class MotionGate:
         self._ratio = motion_ratio
         self._limits = RestLimits.of(axes, rate_limit)
         self._floor: NoiseFloor | None = None
-        self._learning: list[Block] = []  # stretches that wait for the floor
-        # samples that do not fill a window yet
+        # stretches that are buffered until the floor is known; samples that do not fill a window
+        # yet
+        self._learning: list[Block] = []
         self._waiting = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
         self._before = np.empty((len(axes), 0))  # the last samples before them
         self._extreme = np.zeros(len(axes))  # largest value of each axis, either way
@@ -143,7 +146,7 @@ class MotionGate:
         return 'moving' if self.moving else 'still'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
-        """Add consecutive blocks, and return the data that are certainly at rest."""
+        """Add consecutive blocks, and return the data that are definitely at rest."""
         out: list[Block] = []
         for stretch in _stretches(blocks):
             if self._floor is None:
@@ -165,8 +168,8 @@ class MotionGate:
     # --- learning ---------------------------------------------------------------------------------
 
     def _learn(self) -> list[Block]:
-        """Learn the floor from the first windows, or drop them if they cannot be those of an IMU at
-        rest."""
+        """Learn the floor from the first windows, or drop them if the IMU cannot be at rest in
+        them."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
         stretches = [np.concatenate([b.rows for b in s], axis=1) for s in _stretches(first)]
         floor = NoiseFloor.learned(stretches, self.size, self._limits)
@@ -186,7 +189,7 @@ class MotionGate:
     # --- windows ----------------------------------------------------------------------------------
 
     def _take(self, stretch: list[Block]) -> list[Block]:
-        """Take blocks that follow each other; the first may have a cut."""
+        """Add blocks that follow each other; only the first may follow a gap."""
         out: list[Block] = []
         if stretch[0].cut:
             out += self._end_stretch()
@@ -202,7 +205,8 @@ class MotionGate:
         return out
 
     def _fill(self, more: Block) -> list[Block]:
-        """Judge the windows that are complete and can look ahead; other samples stay buffered."""
+        """Classify the complete windows whose look-ahead is available; other samples stay
+        buffered."""
         have = Block.joined([self._waiting, more]) if len(self._waiting) else more
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
         out = self._windows(have, ready, self.size) if ready else []
@@ -210,7 +214,7 @@ class MotionGate:
         return out
 
     def _end_stretch(self) -> list[Block]:
-        """Judge the windows that cannot look ahead or will not fill, and release the margin."""
+        """Classify the last windows of a stretch without look-ahead, and release the margin."""
         out: list[Block] = []
         rest, self._waiting = self._waiting, self._waiting.part(slice(0))
         while len(rest) and self._floor is not None:
@@ -223,7 +227,7 @@ class MotionGate:
         return out
 
     def _windows(self, have: Block, samples: int, size: int) -> list[Block]:
-        """Judge the first ``samples`` in windows of ``size``; the others are used to look ahead."""
+        """Classify the first ``samples`` in windows of ``size``; the others are the look-ahead."""
         assert self._floor is not None
         block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
         before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
@@ -246,7 +250,8 @@ class MotionGate:
     # --- still or moving --------------------------------------------------------------------------
 
     def _judge(self, block: Block, size: int, windows: Windows) -> list[Block]:
-        """Judge the windows of a block; ``block.cut`` is set if it does not follow the last."""
+        """Classify the windows of a block; ``block.cut`` is set if it does not follow the last
+        block."""
         out: list[Block] = []
         if block.cut:
             out, self._margin = self._margin, []
@@ -268,7 +273,7 @@ class MotionGate:
         return out
 
     def _step(self, window: Block, moving: bool, quiet: bool, stuck: bool) -> list[Block]:
-        """Take one window through the state machine."""
+        """Update the state of the gate by one window."""
         if not self.moving and not moving:
             return self._pass_on(window)
         if not self.moving:
@@ -290,7 +295,8 @@ class MotionGate:
         return []
 
     def _pass_on(self, block: Block) -> list[Block]:
-        """Release a still block, but for the last window: a motion may begin in the next."""
+        """Release a still block except its last window, since a motion may begin in the next
+        one."""
         out = self._margin
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
@@ -323,7 +329,7 @@ class MotionGate:
     # --- the floor --------------------------------------------------------------------------------
 
     def _end_block(self) -> list[Block]:
-        """Update the floor after a block of windows; start again if it was learned in motion."""
+        """Update the floor after a block of windows; restart if the floor was learned in motion."""
         floor = self._floor
         assert floor is not None
         block, self._block, self._in_block = self._block, [], 0
@@ -358,8 +364,8 @@ class MotionGate:
         self.loudest = np.maximum(self.loudest, self.louder)
 
     def _judge_again(self, block: list[_Judged]) -> list[Block]:
-        """Judge a block again with the floor learned from it; all data before it are void."""
-        # released samples are counted as moving where they are discarded
+        """Classify a block again with the floor learned from it; all earlier data are invalid."""
+        # released samples are counted as moving when they are discarded
         self._counts.moving += sum(map(len, self._margin))
         samples = sum(len(j.block) for j in block)
         stuck = self.size * sum(int(np.count_nonzero(j.windows_class.stuck)) for j in block)
@@ -411,12 +417,13 @@ def classify_windows(
 
     The mean of the window before the first, (axes,), is None when it does not follow any.
     """
-    # (axes, 1) each; infinite where the floor is unknown
+    # (axes, 1) each; infinite if the floor is unknown
     scale, lsb = floor.scale[:, None], floor.lsb[:, None]
     unknown = np.where(scale > 0.0, 0.0, np.inf)
     sigma = np.sqrt(scale)
     step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
-    # the variance of few samples scatters: a short window is judged by its farthest sample
+    # the variance of few samples scatters: short windows are classified by their most distant
+    # sample
     unsure = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
     most_variance = motion_ratio**2 * scale + unsure
     most_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of a sensor at rest, the windows of samples compared with it, and isolated spikes."""
+"""The noise floor of a sensor at rest, statistics of windows of samples, and isolated spikes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from .timing import Block
 Floats = NDArray[np.float64]
 
 LEAST_WINDOW = 16
-"""Shortest window in samples; fewer samples give no useful variance."""
+"""Shortest window in samples; the variance of fewer samples is not useful."""
 
 QUANTILE = 0.25
-"""The floor is this quantile of the windows' variances: three quarters of them may be motion."""
+"""The floor is this quantile of the windows' variances: up to three quarters of the windows may be
+motion."""
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal variable over its median absolute value."""
@@ -27,42 +28,47 @@ FLOOR_GAIN = 0.25
 """Weight of a new block of still windows when the floor is updated."""
 
 RELEARN_RATIO = 5.0
-"""When a block is quieter than the floor by this factor (standard deviation), the floor was learned
-in motion, and so were the data taken with it."""
+"""If a block is quieter than the floor by this factor (standard deviation), the floor and the data
+so far were taken in motion."""
 
 ROUNDING = 1e-13
-"""A deviation below this fraction of the mean is rounding: no sensor resolves 43 bits."""
+"""A deviation below this fraction of the mean is rounding: no sensor has a resolution of 43
+bits."""
 
 COLOURED_STEP = 3.0
-"""Steps of the window means this many times those of white noise are not white noise."""
+"""If the steps between window means exceed those of white noise by this factor, the noise is not
+white."""
 
 SLOW = 0.2
-"""A ratio (see `smoothness`) below this is noise at low frequencies."""
+"""If the ratio (see `smoothness`) is smaller than this, the noise has low frequencies."""
 
 HEAVY_BAND, HEAVY_SHARE, LEAST_HEAVY = (4.5, 7.0), 1.5e-3, 3
-"""Deviations, and share and number of samples between them, of noise with heavy tails: white noise
-has 2e-5 there, a t distribution with three degrees of freedom 7e-3."""
+"""Noise has heavy tails if this share, and this number, of samples lies in this band of deviations:
+the share is 2e-5 in white noise and 7e-3 in a t distribution with three degrees of freedom."""
 
 LOUDER_RATIO = 1.5
-"""Least standard deviation, over that of the floor, of an axis that became louder."""
+"""Smallest ratio of the standard deviation to that of the floor at which an axis counts as
+louder."""
 
 LOUDER_SPREAD = 4.0
-"""Variances of the windows of stationary noise lie within this factor of their median."""
+"""The variances of the windows of stationary noise lie within this factor of their median."""
 
 LOUDER_SPECTRUM = 0.5
-"""Least ratio (see `smoothness`) of louder noise to that of the floor, or to white noise: the
-energy of a motion lies at low frequencies."""
+"""Smallest ratio of the smoothness (see `smoothness`) of louder noise to that of the floor, or of
+white noise. The energy of a motion lies at low frequencies."""
 
 SAME_DIRECTION = 0.035
-"""Largest change of gravity, relative to its size, of an IMU that did not tilt (2 degrees)."""
+"""Largest change of gravity, relative to its size, if an IMU did not tilt (2 degrees)."""
 
 SPIKE_SIGMAS = 7.0
-"""A sample this many floor deviations from the mean of its window is a spike if it is isolated:
-1e-10 of the samples of white noise, whose variance changes by less than 1e-8."""
+"""A sample with this many floor deviations from the mean of its window is a spike if it is
+isolated. In white noise these are 1e-10 of the samples, and the variance changes by less than
+1e-8."""
 
 SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""The samples next to a spike, and all but one of this number before and after it, must be closer
-to the mean than this fraction of its least height: a knock rings, a spike does not."""
+"""A spike is isolated if its direct neighbors, and all but one of this number of samples before and
+after it, are closer to the mean than this fraction of the smallest spike. After a knock the sensor
+rings, after a spike it does not."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +85,7 @@ class RestLimits:
 
     @classmethod
     def of(cls, axes: tuple[str, ...], rate_limit: float) -> RestLimits:
-        """Return the limits in rad/s and m/s^2: above what any IMU shows at rest."""
+        """Return the limits in rad/s and m/s^2, above the values of any IMU at rest."""
         gyro = np.array([axis.startswith('gyro') for axis in axes])
         turn = np.where(gyro, rate_limit, np.inf)
         return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), turn, ~gyro)
@@ -100,11 +106,11 @@ class Windows:
         """Measure windows of ``size`` samples; rows is (axes, k * size)."""
         cube = rows.reshape(len(rows), -1, size)
         mean = np.add.reduce(cube, axis=2) / size
-        # rounding keeps the order, so the farthest sample is the largest or the smallest one
+        # rounding keeps the order, so the most distant sample is the largest or the smallest one
         peak = np.maximum(cube.max(axis=2) - mean, mean - cube.min(axis=2))
         from_mean = cube - mean[:, :, None]
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
-        # constant samples have no variance, whatever the rounding of their mean leaves
+        # the variance of constant samples is 0, whatever the rounding of their mean leaves
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
 
@@ -121,8 +127,8 @@ class Windows:
 def smoothness(stretches: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis: 1 for white noise, near 0 for slow motion.
 
-    It is half the mean square of the differences between neighboring samples over the variance,
-    both about the mean of each stretch, (axes, n); NaN where the samples are constant.
+    The ratio is half the mean square of the differences between neighboring samples, divided by the
+    variance about the mean of each stretch, (axes, n). It is NaN if the samples are constant.
     """
     stretches = list(stretches)
     differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in stretches)
@@ -184,10 +190,7 @@ class NoiseFloor:
 
     @property
     def scale(self) -> Floats:
-        """Variance that thresholds are multiples of, (axes,): never below that of rounding.
-
-        Where noise is below the resolution, single steps of it are normal (LSB^2/4 at most).
-        """
+        """Variance whose multiples are the thresholds, (axes,), at least that of rounding."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
     def can_be_rest(self) -> bool:
@@ -198,12 +201,12 @@ class NoiseFloor:
         return not bool((steps | swings).any())
 
     def if_learned_in_motion(self, block: Windows) -> NoiseFloor | None:
-        """Return the floor of a block that is far quieter than this floor; None if it is not."""
-        # an axis that is stuck has no noise to compare
+        """Return the floor of a block if it is far quieter than this floor; else None."""
+        # an axis that repeats one value has no noise to compare
         quiet = _quantile(block.variance, QUANTILE)
         quiet = np.where(quiet > 0.0, quiet, self.variance)
         if (quiet > self.variance / RELEARN_RATIO**2).all():
-            return None  # the common case: no scale is below, either
+            return None  # the common case: the scale of no axis is lower, either
         new = replace(self, variance=quiet)
         if not (RELEARN_RATIO**2 * new.scale < self.scale).any():
             return None
@@ -217,7 +220,7 @@ class NoiseFloor:
     def following(self, block: Windows, still: NDArray[np.bool_], turning: bool) -> NoiseFloor:
         """Return the floor after a block of windows, some of which, (k,), were ``still``.
 
-        ``turning`` is whether only the mean rate differed from the floor, in all of them.
+        ``turning`` is whether only the mean rate differed from the floor, in all windows.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else block[still]
@@ -225,7 +228,8 @@ class NoiseFloor:
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
             return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
         if turning:
-            # a steady rate for a whole block is a bias that jumped, or was learned in a turn
+            # a steady rate during a whole block is a bias that changed suddenly, or was learned in
+            # a turn
             return replace(self, mean=_quantile(block.mean, 0.5))
         return self
 
@@ -265,7 +269,7 @@ class NoiseFloor:
 
 
 def _have_heavy_tails(stretches: list[Floats], size: int, sigma: Floats) -> NDArray[np.bool_]:
-    """Return which axes have many values just below the height of a spike, (axes,)."""
+    """Return which axes have many values just below the threshold of spikes, (axes,)."""
     low, high = (factor * sigma[:, None, None] for factor in HEAVY_BAND)
     inside, samples = np.zeros(len(sigma), np.int64), 0
     for rows in stretches:
@@ -302,11 +306,11 @@ def without_spikes(
     cube = rows.reshape(len(rows), -1, size)[axes, at]
     level = np.median(cube, axis=1)
     sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-    # where the noise itself became louder, by more than the estimate scatters
+    # where the noise itself became louder, by more than the scatter of the estimate
     louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * least[axes]
     height = np.where(louder, SPIKE_SIGMAS * sigma, least[axes])
     far = np.abs(cube - level[:, None]) > height[:, None]
-    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more are a motion
+    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
     around = np.concatenate([before, rows, after], axis=1)
     judged = rows.copy()
     found = np.zeros(rows.shape, bool)
@@ -330,6 +334,7 @@ def without_spikes(
 
 
 def _is_isolated(far: NDArray[np.bool_], at: int) -> bool:
-    """Return whether at most one other sample is far from the level, and none next to an index."""
+    """Return whether at most one other sample is far from the level, and none is next to an
+    index."""
     inside = 0 < at < len(far) - 1
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sample clock: finds gaps in the stamps and interpolates short ones.
 
-An IMU samples evenly, but its stamps are not even. The question is whether the number of samples
-keeps up with the clock: a silence followed by a burst of late samples has lost nothing, any other
-is a gap. So a silence is judged by the earliest arrivals (the lower envelope of stamp minus index
-times period) before and after it, with a fixed look-ahead in samples.
+An IMU samples evenly, but its stamps scatter. A silence that is followed by a burst of late samples
+has lost nothing; any other silence is a gap. The two are distinguished by the earliest arrivals
+(the lower envelope of stamp minus index times period) before and after the silence, with a fixed
+look-ahead in samples.
 
 Decisions are taken on blocks counted from the first sample, so they do not depend on the chunking.
 """
@@ -25,27 +25,27 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 LEARN = 1024
-"""Samples from which the period of a stream is learned."""
+"""Number of samples from which the period of a stream is learned."""
 
 CLOCK_BLOCK = 256
-"""Samples that are judged together."""
+"""Number of samples that are processed together."""
 
 LOOK_AHEAD = 64
-"""Samples before and after a silence that decide on it when stamps are regular."""
+"""Samples before and after a silence that are considered if stamps are regular."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
-"""The same when they are bursty, in s and at most in samples: a burst follows later."""
+"""The same for bursty stamps, in s and at most in samples, because a burst follows later."""
 
 BURST_SILENCE_S = 0.25
-"""Least silence and least shift, in s, that can be a loss when stamps are bursty: the envelope
-itself varies by several samples."""
+"""Shortest silence and smallest shift, in s, that can be a loss if stamps are bursty, because the
+envelope itself varies by several samples."""
 
 LATE = 1.5
-"""When stamps are regular, a step above this many periods is a silence."""
+"""If stamps are regular, a step above this many periods is a silence."""
 
 REGULAR_SHARE = 0.6
-"""Stamps are regular when this share of the steps lies within 50 % of the median step, and their
-mean is at least this share of the mean of all steps."""
+"""Stamps are regular if this share of the steps lies within 50 % of the median step, and if the
+mean of these steps is at least this share of the mean of all steps."""
 
 JITTER_SHARE = 0.01
 """Stamps jitter when more steps than this share are below half the period."""
@@ -66,7 +66,7 @@ class Clock:
 
     @property
     def look_ahead(self) -> int:
-        """Samples before and after a silence that decide on it."""
+        """Number of samples before and after a silence that are considered."""
         if not self.bursty:
             return LOOK_AHEAD
         wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
@@ -74,20 +74,20 @@ class Clock:
 
     @property
     def silence_ns(self) -> float:
-        """A longer step between two stamps is a silence."""
+        """Smallest step between two stamps that is a silence, in ns."""
         late = LATE * self.period_ns
         return max(late, BURST_SILENCE_S * 1e9) if self.bursty else late
 
     @property
     def least_loss(self) -> float:
-        """Least shift of the envelope, in samples, that is a loss."""
+        """Smallest shift of the envelope, in samples, that is a loss."""
         return max(0.5, BURST_SILENCE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 
 
 def learn_clock(stamps: Stamps) -> Clock | None:
     """Return the clock of stamps in ns, (n,), or None if no two of them differ.
 
-    They are in the order received; backward ones are ignored.
+    The stamps are in the order received; backward stamps are ignored.
     """
     if not len(stamps):
         return None
@@ -103,7 +103,7 @@ def learn_clock(stamps: Stamps) -> Clock | None:
     if middle > 0.0 and len(near) >= REGULAR_SHARE * len(step):
         period = float(near.mean())
         if period >= REGULAR_SHARE * mean:
-            # jitter makes long steps and short ones, lost samples only long ones
+            # jitter makes steps longer and shorter, lost samples only longer
             long_steps = np.count_nonzero(step > LATE * period)
             short_steps = np.count_nonzero(step < period / 2)
             if short_steps > JITTER_SHARE * len(step):
@@ -141,8 +141,8 @@ LATTICE_STEP = 0.25
 class Block:
     """Evenly spaced samples: stamps in ns, (n,), and rows, (axes, n).
 
-    They follow those of the previous block, unless ``cut`` is the reason why no difference may
-    straddle their start. ``filled``, (axes, n), flags interpolated values; None if there are none.
+    They follow the previous block directly, unless ``cut`` states why not. ``filled``, (axes, n),
+    flags interpolated values; None if no value is interpolated.
     """
 
     stamps: Stamps
@@ -154,7 +154,7 @@ class Block:
         return len(self.stamps)
 
     def part(self, which: slice, cut: str = '') -> Block:
-        """Return some of the samples as a block of its own (views)."""
+        """Return some of the samples as a separate block (views)."""
         filled = None if self.filled is None else self.filled[:, which]
         return Block(self.stamps[which], self.rows[:, which], cut, filled)
 
@@ -185,10 +185,11 @@ TRACK_BLOCKS = 16
 """Blocks after which the working period is updated."""
 
 RATE_CHANGE_STEP = 1.45
-"""Median step, over the usual one, that means another rate, not a lost sample at every step."""
+"""Median step, relative to the previous one, that indicates another rate and not a loss at every
+step."""
 
 RATE_CHANGE_BURSTY = 0.10
-"""Change of the period over `TRACK_BLOCKS` that means another rate when stamps are bursty."""
+"""Change of the period over `TRACK_BLOCKS` that indicates another rate if stamps are bursty."""
 
 BRIDGED_SHARE = 0.5
 """Most interpolated samples per received one in a block; beyond, lost samples split the data."""
@@ -199,7 +200,7 @@ class SampleClock:
 
     The working period of its ``clock`` follows the stamps. Gaps of up to ``max_bridge`` samples
     are interpolated, and ``counts`` is changed in place. Once ``rate_changed`` is set, `waiting`
-    has the samples from the change on, and no more are taken.
+    contains the samples from the change on, and no more samples are accepted.
     """
 
     def __init__(self, clock: Clock, axes: int, max_bridge: int, counts: Counts) -> None:
@@ -208,7 +209,7 @@ class SampleClock:
         self._max_bridge = max_bridge
         self._counts = counts
         self._reach = clock.look_ahead
-        # samples that wait, behind up to `_reach` that were judged already (`_past` of them)
+        # buffered samples, after up to `_reach` that are already processed (`_past` of them)
         self._stamps: Stamps = np.empty(0, np.int64)
         self._rows: Floats = np.empty((axes, 0))
         self._jumped: Flags = np.empty(0, bool)
@@ -217,7 +218,7 @@ class SampleClock:
         self._since_cut = 0  # past samples since the last cut, at most `_reach`
         self._blocks = 0
         self._suspect = False  # whether the last block looked like another rate
-        self._track_start: tuple[int, int] | None = None  # stamp, index; None after a cut
+        self._track_start: tuple[int, int] | None = None  # stamp and index; None after a gap
 
     @property
     def waiting(self) -> tuple[Stamps, Floats]:
@@ -225,11 +226,11 @@ class SampleClock:
         return self._stamps[self._past :], self._rows[:, self._past :]
 
     def feed(self, stamps: Stamps, rows: Floats, jumped: Flags) -> list[Block]:
-        """Take more samples, return the blocks that are complete."""
+        """Add samples, and return the complete blocks."""
         if rows.strides[1] != rows.itemsize:
-            rows = np.ascontiguousarray(rows)  # axis by axis, however they lay in memory
-        # Only the seam between buffered and new samples is copied: up to the end of the block after
-        # which all samples that are looked back at are new.
+            # axis by axis, in any memory layout. Only the seam between buffered and new samples is
+            # copied: up to the end of the block after which all samples of the look-back are new.
+            rows = np.ascontiguousarray(rows)
         waiting = len(self._stamps) - self._past
         seam = -(-(waiting + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - waiting + self._reach
         self._append(stamps[:seam], rows[:, :seam], jumped[:seam])
@@ -241,7 +242,8 @@ class SampleClock:
             rest = slice(seam - len(self._stamps), None)
             self._stamps, self._rows, self._jumped = stamps[rest], rows[:, rest], jumped[rest]
             done += self._judge_ready()
-            self._append(stamps[:0], rows[:, :0], jumped[:0])  # a copy: lets go of the others
+            # a copy, which does not keep the others in memory
+            self._append(stamps[:0], rows[:, :0], jumped[:0])
         return done
 
     def _append(self, stamps: Stamps, rows: Floats, jumped: Flags) -> None:
@@ -252,7 +254,7 @@ class SampleClock:
     def _judge_ready(self) -> list[Block]:
         """Process the complete blocks whose look-ahead is available."""
         done: list[Block] = []
-        first = self._past  # of samples among which nothing is missing: they pass in one block
+        first = self._past  # of samples without a gap: they are passed on as one block
         while not self.rate_changed:
             ready = (len(self._stamps) - self._past - self._reach) // CLOCK_BLOCK
             count = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
@@ -285,9 +287,8 @@ class SampleClock:
         return done
 
     def _are_even(self, n: int) -> bool:
-        """Return whether the next n samples have no gap and the same rate, as nearly all have.
-
-        If not, `_judge` finds out what they have.
+        """Return whether the next n samples have no gap and the same rate, which is the common
+        case.
         """
         begin = self._past
         if begin == 0 or self._jumped[begin : begin + n].any():
@@ -361,7 +362,8 @@ class SampleClock:
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
         """Return how many samples are missing before a sample, by the lower envelope.
 
-        It is number ``at`` of the buffer and ``j`` of those being processed with steps ``advance``.
+        The sample has index ``at`` in the buffer and ``j`` among those being processed, with steps
+        ``advance``.
         """
         period, reach = self.clock.period_ns, self._reach
         judged = self._since_cut + j
@@ -416,7 +418,7 @@ class SampleClock:
         return blocks
 
     def _step_forward(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
-        """Mark n samples as processed and follow the period; None: no sample is missing."""
+        """Mark n samples as processed and follow the period; None if no sample is missing."""
         begin, end = self._past, self._past + n
         last = int(self._index[-1]) if len(self._index) else -1
         since_cut, cut = self._since_cut + n, False
@@ -458,7 +460,7 @@ class SampleClock:
         off = abs(period / self.clock.period_ns - 1.0)
         if self.clock.bursty:
             self.rate_changed = off > RATE_CHANGE_BURSTY
-            # one silence shifts the mean of an interval as much as a true change does
+            # one silence shifts the mean of an interval as much as a real change of the period
             period = self.clock.period_ns + 0.25 * (period - self.clock.period_ns)
         if not self.rate_changed:
             self.clock = replace(self.clock, period_ns=period)

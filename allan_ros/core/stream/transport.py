@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a live input: silence, loss and repairs within the last minute.
+"""Present faults of a live input: silence, loss and repairs within the last minute.
 
 The counts of a stream only grow, so a fault would be reported for ever. A node that runs for months
-reports present faults only.
+reports only present faults.
 """
 
 from __future__ import annotations
@@ -16,23 +16,24 @@ from .cleaning import BACKWARD_RUN
 from .health import StreamHealth, event_findings, events
 
 LATELY_S = 60.0
-"""Events of this time are reported; older ones only remain in the counts."""
+"""Time in s for which events are reported; older events only remain in the counts."""
 
 LATELY = ' in the last minute'
 """`LATELY_S` in the text of a finding."""
 
 REPORTED_LOST_SHARE = 1e-3
-"""Least share of messages lost in transport that is reported."""
+"""Smallest share of messages lost in transport that is reported."""
 
 LEAP_S = 2.0
-"""Stamps that advance by this much more than the time that passed were set forward: samples that
-wait in a queue arrive later, never earlier."""
+"""If stamps advance by this much more than the elapsed time, the clock was set forward: queued
+samples arrive later, never earlier."""
 
 STARTUP_S = 5.0
-"""Silence before the first message is no error for this long: discovery takes seconds."""
+"""Silence before the first message is not an error for this time in s, because discovery takes
+seconds."""
 
 NEVER_STILL_S = 10.0
-"""Motion from the start on is reported after this time."""
+"""Motion since the start is reported after this time in s."""
 
 LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
@@ -47,7 +48,7 @@ LIVE_FINDINGS = (
         'accel_scale',
     ),
 )
-"""Findings of a complete stream that remain true while it runs."""
+"""Findings of a complete stream that are also true while it runs."""
 
 
 @dataclass
@@ -63,12 +64,12 @@ class TransportStatistics:
 
     @property
     def lost(self) -> int:
-        """Messages that were sent and did not arrive; the larger of the two counts."""
+        """Messages that were sent and did not arrive: the larger of the two counts."""
         return max(self.skipped_numbers, self.reported_lost)
 
 
 class TransportMonitor:
-    """Reports the present faults of an input since ``time_s``, which is on a steady clock, in s."""
+    """Reports the present faults of an input since ``time_s``, a time of a steady clock in s."""
 
     def __init__(self, topic: str, time_s: float) -> None:
         self._topic = topic
@@ -90,7 +91,7 @@ class TransportMonitor:
             self._last_message, self._messages = time_s, messages
 
     def silence_s(self, time_s: float) -> float:
-        """Return how long ago the last message came (or listening began)."""
+        """Return the time since the last message (or since the start) in s."""
         return time_s - self._last_message
 
     def observe(
@@ -106,9 +107,9 @@ class TransportMonitor:
         """Return the present findings, the most severe first and causes before their effects.
 
         It is called about once a second, with the present time and the counts since the start. The
-        publishers are names of nodes; silence of ``stale_after`` s is an error. ``stream`` has the
-        findings of the complete stream, ``graph`` why the publishers and the subscription do not
-        match, which explains silence.
+        publishers are names of nodes; silence of ``stale_after`` s is an error. ``stream`` contains
+        the findings of the complete stream, ``graph`` the findings about publishers that do not
+        match the subscription, which explain silence.
         """
         self._follow(time_s, transport, health)
         found = [*graph] or self._silence(time_s, transport, publishers, stale_after)
@@ -119,7 +120,7 @@ class TransportMonitor:
         present = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
         if health.rate_hz and health.counts.moving < NEVER_STILL_S * health.rate_hz:
             present.discard('never_still')
-        # A robot that drives since it was started has no fault: a warning, no error.
+        # A robot that has been driving since it was started has no fault: a warning, not an error.
         found += [
             replace(f, severity='warning') if f.id == 'never_still' else f
             for f in stream
@@ -156,7 +157,7 @@ class TransportMonitor:
     ) -> None:
         """Separate missing samples by cause: clocks that were set, and samples never sent.
 
-        The time since the last usable samples is ``passed_s``.
+        ``passed_s`` is the time since the last usable samples.
         """
         c = health.counts
         missing, self._missing = c.lost - self._missing, c.lost
@@ -165,10 +166,10 @@ class TransportMonitor:
             self._frame_changes = health.frame_changes
         elif health.rate_hz and missing > (passed_s + LEAP_S) * health.rate_hz:
             self._leapt += missing
-        # Dropped samples and messages lost in transport are missing according to the stamps too;
+        # Dropped samples and messages lost in transport are missing according to the stamps, too;
         # the latter from both sensor streams, if there are two. They are dropped before they are
-        # found missing, so the maximum counts. The decision on the latest samples may still be
-        # revised, so only the number that two calls agree on counts.
+        # found missing, so the maximum is used. The decision on the latest samples may still
+        # change, so only the number on which two calls agree is used.
         explained = c.not_finite + c.backward + 2 * (transport.lost - self._lost_before)
         absent = c.lost - self._leapt - self._elsewhere - explained
         self._absent = max(self._absent, min(absent, self._absent_before))
@@ -197,7 +198,7 @@ class TransportMonitor:
         return []
 
     def _lately(self, health: StreamHealth) -> list[Finding]:
-        """Return what happened in the last minute, causes before their effects."""
+        """Return the findings of the last minute, causes before their effects."""
         more = self._tallies[-1][1].copy()
         more.subtract(self._tallies[0][1])
         # the first stamps after a backward clock step are dropped as backward ones
@@ -208,7 +209,7 @@ class TransportMonitor:
         received, lost, absent = more['received'], more['lost'], more['absent']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
-        # Until a lower rate is recognized, the samples between look as if they were missing.
+        # Until a lower rate is recognized, the samples in between seem to be missing.
         if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))

@@ -92,7 +92,7 @@ def _family(path: Path) -> str:
     family = _by_magic(first_bytes(path))[0] or _FAMILIES.get(path.suffix.lower())
     if family is None:
         raise AllanError(
-            f'{path}: not a known form of recording: give a rosbag2 folder, .db3, .mcap, '
+            f'{path}: not a known type of recording: give a rosbag2 folder, .db3, .mcap, '
             'ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg'
         )
     return family
