@@ -4,8 +4,8 @@
 
 The level of white noise is compared by Bartlett's test (Proceedings of the Royal Society A 160,
 1937), the size of the drift by its likelihood, with a normal distribution of its logarithm between
-the parts. Intervals of the coefficients include the scatter, because one recording of noise that
-varies determines the average, not the coefficient of another time.
+the parts. Intervals of the coefficients include the scatter: if the noise varies, a recording
+determines only the average, not the coefficient at another time.
 """
 
 from __future__ import annotations
@@ -29,40 +29,40 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PARTS = 6
-"""Parts of a single recording."""
+"""Number of parts of a single recording."""
 
 LEVEL_PROBABILITY = 1e-4
-"""Probability below which the levels of an axis differ."""
+"""Probability below which the levels of an axis are significantly different."""
 
 LEVEL_RATIO = 1.02
-"""Ratio of two levels that matters."""
+"""Smallest ratio of two levels that is reported."""
 
 WHITE_SLOPE = 0.25
-"""The variance falls as 1/m where white noise dominates, to this difference of the exponent."""
+"""Tolerance of the exponent within which the variance falls as 1/m, as for white noise."""
 
 LEAST_DIFFERENCES = 200
-"""A part with fewer differences is left out."""
+"""Smallest number of differences of a part that is used."""
 
 EXCESS_PROBABILITY = 1e-3
-"""Probability of the scatter between periods above which it is that of normal noise."""
+"""Probability above which the scatter between periods is explained by normal noise."""
 
 
 @dataclass(frozen=True)
 class Scatter:
     """Scatter of the white noise of one axis between parts."""
 
-    parts: int  # how many are compared
-    # smallest and largest deviation of a part, relative to that of all
+    parts: int  # number of parts
+    # smallest and largest deviation of a part, relative to the deviation of all parts
     low: float
     high: float
     scatter: float  # standard deviation of the logarithm of the true deviations of the parts
-    probability: float  # of such differences if there are none
+    probability: float  # the same if the true deviations do not differ
 
 
 def level_changes(recordings: Sequence[Recording], age: int = 0) -> dict[int, Scatter]:
-    """Return the axes whose white noise differs between sixths of a recording, or recordings.
+    """Return the axes whose white noise differs between sixths of a recording or recordings.
 
-    ``age`` samples are left out at the start of each.
+    The first ``age`` samples of each are left out.
     """
     scatters = _white_scatters(_white_levels(recordings, age, _parts_of_each(recordings)))
     return {
@@ -77,11 +77,11 @@ def _parts_of_each(recordings: Sequence[Recording]) -> int:
 
 
 def level_excess(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
-    """Return the standard deviation of ln N, (axes,), beyond that of normal noise.
+    """Return the standard deviation of ln N, (axes,), in excess of that of normal noise.
 
-    Heavy tails or bursts scatter the variances of single periods more than chi-squared; what they
-    add to the variance of the mean is their excess over the number of periods. 0 where the excess
-    is not significant.
+    With heavy tails or bursts, the variances of single periods scatter more than chi-squared. This
+    increases the variance of the mean by the excess scatter over the number of periods. 0 if the
+    excess is not significant.
     """
     out = np.zeros(axes)
     for axis, found in _white_scatters(_white_levels(recordings, age, 0)).items():
@@ -95,7 +95,8 @@ WhiteLevel = tuple[int, Floats, Ints]
 
 
 def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
-    """Return the white noise of ``parts`` parts of each recording (0: of its periods) by axis.
+    """Return the white noise of each part by axis; a recording has ``parts`` parts (0: its
+    periods).
 
     Axes without white noise are left out.
     """
@@ -133,7 +134,7 @@ def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floa
 
 
 def _white_level(variance: Floats, count: Floats) -> int | None:
-    """Return the first level at which the variance falls as of white noise."""
+    """Return the first level at which the variance falls as for white noise."""
     with np.errstate(divide='ignore', invalid='ignore'):
         slopes = np.diff(np.log(variance)) / math.log(4.0)
     for i, slope in enumerate(slopes):
@@ -148,7 +149,8 @@ def _white_scatters(levels: dict[int, WhiteLevel]) -> dict[int, Scatter]:
 
 
 def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
-    """Return the scatter of the levels of parts beyond that of normal noise; None if too few."""
+    """Return the scatter of the levels of parts in excess of normal noise; None if there are too
+    few."""
     some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
     variance, count = variance[some], count[some]
     if len(count) < 2:
@@ -172,16 +174,17 @@ def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
 # --- the size of the drift ------------------------------------------------------------------------
 
 LOG_SIZES = np.arange(-8.0, 8.01, 0.2)
-"""Logarithms of the variance of the drift of a part, relative to that of all, that are tried."""
+"""Logarithms of the drift variance of a part, relative to all parts, that are tried."""
 
 LOG_SCATTERS = np.arange(0.2, 4.01, 0.2)
 """Standard deviations of these logarithms that are tried."""
 
 DRIFT_RATIO = 12.0
-"""Twice the log likelihood ratio of a scatter, of the axes of one sensor together."""
+"""Smallest significant value of twice the log likelihood ratio of a scatter, summed over the axes
+of one sensor."""
 
 PART_CELLS = 128
-"""Most cells of a part."""
+"""Largest number of cells of a part."""
 
 
 def drift_scatter(
@@ -189,9 +192,9 @@ def drift_scatter(
 ) -> Floats:
     """Return the standard deviation of ln B and ln K between the parts, (axes,).
 
-    The drift of each part is that of all times a factor; the likelihood of the factor is that of
-    the means of the cells of the part, with the white noise of the part. 0 for the axes of a sensor
-    whose drift does not differ significantly.
+    The drift of each part is the drift of all parts times a factor. The likelihood of the factor is
+    computed from the means of the cells of the part, with the white noise of the part. The result
+    is 0 for the axes of a sensor whose drift does not differ significantly.
 
     Parameters
     ----------
@@ -241,7 +244,7 @@ def drift_scatter(
 
 
 def _parts(recording: Recording, age: int, parts: int) -> list[tuple[CellMeans, int]]:
-    """Return the means of each part, and the length of its cells in samples."""
+    """Return the means of each part, and the length of their cells in samples."""
     first = math.ceil(age / recording.step)
     edges = np.linspace(first, max(len(recording.cell_samples), first), parts + 1)
     edges = edges.round().astype(int)
@@ -257,8 +260,8 @@ def _size_likelihood(
 ) -> Floats:
     """Return twice the log likelihood of each size of the drift of a part from its means, (cells,).
 
-    ``variances`` are those of all for cells of unit length, ``white_ratio`` the white noise of the
-    part relative to all, ``width`` the length of its cells.
+    ``variances`` are the variances of all parts for cells of unit length, ``white_ratio`` is the
+    white noise of the part relative to all, and ``width`` is the length of its cells.
     """
     model = variance_model(part)
     values = model.contrasts @ means
@@ -272,9 +275,9 @@ def _size_likelihood(
 
 
 def _gains(sizes: Floats) -> Floats:
-    """Return twice the log likelihood ratio of each scatter against none.
+    """Return twice the log likelihood ratio of each scatter to no scatter.
 
-    ``sizes`` are twice the log likelihoods of each size of each part, (parts, sizes).
+    ``sizes`` is twice the log likelihood of each size of each part, (parts, sizes).
     """
     best = sizes.max(axis=1, keepdims=True)
     likelihoods = np.exp((sizes - best) / 2.0)

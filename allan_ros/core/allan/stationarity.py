@@ -1,16 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stationarity tests: does the early part of a recording differ from the rest, does the bias jump?
+"""Stationarity tests for an early part that differs from the rest, and for jumps of the bias.
 
-All tests take the means of the cells of a recording (`history.Recording`), and compare the
-likelihood of two models of them (Neyman & Pearson, 1933). Without an effect the means are those of
-white noise, bias instability and random walk about a constant and a ramp; with it a mean or a
-variance component is added. The three variances are fitted again under each model by maximum
-likelihood on the contrasts that are free of the constant and the ramp (Patterson & Thompson,
-Biometrika 58, 1971). Twice the log likelihood ratio is summed over the axes of a sensor, because
-temperature acts on all of them.
+All tests compare the likelihood of two models of the cell means of a recording
+(`history.Recording`; Neyman & Pearson, 1933). The model without an effect is white noise, bias
+instability and random walk, plus a constant and a ramp. The other model has an additional mean or
+variance component. The three variances are fitted again under each model by maximum likelihood on
+the contrasts that are free of the constant and the ramp (Patterson & Thompson, Biometrika 58,
+1971). Twice the log likelihood ratio is summed over the axes of a sensor, because temperature acts
+on all of them.
 
-The thresholds are those of simulations, see docs/engineering/stationarity.md.
+The thresholds were determined by simulation, see docs/engineering/stationarity.md.
 """
 
 from __future__ import annotations
@@ -37,19 +37,21 @@ Floats = NDArray[np.float64]
 Axes = tuple[int, ...]
 
 LEAST_CELLS = 24
-"""Recordings with fewer cells of data are not tested."""
+"""Smallest number of cells with data in a recording that is tested."""
 
 DECAYS, LONGEST_DECAY = 8, 1 / 12
-"""Correlation times tried for an exponential warm-up, and the longest, of the recording."""
+"""Number of correlation times tried for an exponential warm-up; the longest, as a fraction of the
+recording."""
 
 LINES, LONGEST_LINE = 5, 1 / 3
-"""Durations tried for a linear warm-up, and the longest, of the recording."""
+"""Number of durations tried for a linear warm-up; the longest, as a fraction of the recording."""
 
 EARLY_AGES, LONGEST_EARLY = 7, 1 / 2
-"""Ages tried for the end of an early part with larger drift, and the longest, of the recording."""
+"""Number of ages tried for the end of an early part with larger drift; the largest, as a fraction
+of the recording."""
 
 INVISIBLE = 1.0
-"""A warm-up whose rest changes twice the log likelihood by less than this has no effect."""
+"""The rest of a warm-up is negligible if it changes twice the log likelihood by less than this."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +59,12 @@ class EarlyPart:
     """An early part of a recording that differs from the rest."""
 
     kind: str  # 'warm_up': a mean that settles, or 'early_drift': a larger random walk
-    axes: Axes  # positions of the axes on which it is significant
-    amplitudes: Floats  # (axes,) change of the mean by warming up, for all axes; 0 for early drift
+    axes: Axes  # positions of the axes with a significant difference
+    amplitudes: Floats  # (axes,) change of the mean due to warm-up, for all axes; 0 for early drift
     # correlation time or duration of the warm-up in samples; the age itself for early drift
     decay: float
     excess: float  # twice the log likelihood ratio beyond its threshold
-    age: int  # age in samples from which it has no effect
+    age: int  # age in samples after which the effect is negligible
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class _Candidate:
 def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple[EarlyPart, ...]:
     """Return the early parts of a recording that differ significantly from the rest, in turn.
 
-    The most significant one is found first; what follows it is tested again, up to half the
+    The most significant part is found first. The remaining data are tested again, up to half of the
     recording.
 
     The likelihood ratios of the axes of each of the ``sensors`` (positions of axes) are summed.
@@ -94,7 +96,7 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
 
 
 THRESHOLDS = {'warm_up': (20.5, 25.0, 29.0), 'early_drift': (19.5, 21.0, 23.0)}
-"""Twice the log likelihood ratio that is significant: of one axis, one sensor, and all axes."""
+"""Significant values of twice the log likelihood ratio: of one axis, one sensor, and all axes."""
 
 SCREENED = 0.5
 """Axes are only fitted if a score reaches this fraction of its threshold. In 130 simulated axes
@@ -127,7 +129,7 @@ def _alternative(
 
 
 def _score_of(null: Likelihood, candidate: _Candidate, kind: str) -> float:
-    """Return the score statistic of an effect: the ratio expected without a new maximum."""
+    """Return the score statistic of an effect: the expected ratio without a new maximisation."""
     if kind == 'warm_up':
         shape = null.whitening @ candidate.shape
         return float((shape @ null.residual) ** 2 / max(float(shape @ shape), 1e-300))
@@ -150,7 +152,7 @@ def _candidates(model: VarianceModel, cells: int, kind: str) -> list[_Candidate]
 def _strongest(
     recording: Recording, sensors: Sequence[Sequence[int]], kind: str
 ) -> EarlyPart | None:
-    """Return the most significant early part of one kind; None if none is."""
+    """Return the most significant early part of one kind; None if no part is significant."""
     if np.count_nonzero(2 * recording.cell_samples >= recording.step) < LEAST_CELLS:
         return None
     means = CellMeans.of(recording)
@@ -199,9 +201,9 @@ def _strongest(
 
 
 def _invisible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> float:
-    """Return the age in cells from which the rest of a warm-up has no effect.
+    """Return the age in cells after which the rest of a warm-up is negligible.
 
-    Beyond the last stretch the exponential is extrapolated.
+    After the last interval the exponential is extrapolated.
     """
     if effect.kind == 'linear':
         return effect.parameter
@@ -232,32 +234,34 @@ class BiasSteps:
     """Steps of the bias of one axis."""
 
     axis: int
-    ages: tuple[float, ...]  # of the steps, in samples, largest likelihood first
-    sizes: Floats  # (steps,) in the unit of the samples
-    # variance of the random walk per sample without and with the steps
+    ages: tuple[float, ...]  # positions of the steps in samples, largest likelihood first
+    sizes: Floats  # (steps,) sizes in the unit of the samples
+    # variance of the random walk per sample, without and with the steps
     walk_before: float
     walk_after: float
     excess: float  # twice the log likelihood ratio beyond its threshold
 
 
 MOST_STEPS = 8
-"""Steps searched for on one axis."""
+"""Largest number of steps that are searched for on one axis."""
 
 FIRST_SCORE, NEXT_SCORE = 12.0, 8.0
-"""Score statistic from which the first step and a further one are tried."""
+"""Smallest score statistic at which the first step, and each further step, is tried."""
 
 STEP_PRICE, STEPS_THRESHOLD = 8.0, 22.0
-"""Twice the log likelihood ratio that each step costs, and what must be left for a finding."""
+"""Twice the log likelihood ratio that is subtracted for each step, and the smallest remainder that
+is a finding."""
 
 STEP_CELLS, STEP_STRETCHES = 512, 256
-"""Most stretches in which steps are located, and with which the variances are fitted."""
+"""Largest number of intervals in which steps are located, and with which the variances are
+fitted."""
 
 
 def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     """Return the axes on which steps of the bias are more likely than a random walk alone.
 
-    Steps are added one by one where the score is largest, and the variances are fitted again.
-    ``age`` samples are left out at the start.
+    Steps are added one by one at the largest score, and the variances are fitted again. The first
+    ``age`` samples are left out.
     """
     offset = math.ceil(age / recording.step)
     recording = recording.cells(offset)
@@ -273,14 +277,14 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
         steps = None if start is None else _steps_of(axis, fine, coarse, start.variances)
         if steps is not None:
             ages = tuple((a + offset) * recording.step for a in steps.ages)
-            scale = 1.0 / recording.step  # a walk per cell
+            scale = 1.0 / recording.step  # random walk per cell
             walks = steps.walk_before * scale, steps.walk_after * scale
             found.append(replace(steps, ages=ages, walk_before=walks[0], walk_after=walks[1]))
     return tuple(found)
 
 
 def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> BiasSteps | None:
-    """Return the steps of one axis in cells, None if they are not significant."""
+    """Return the steps of one axis in cells; None if they are not significant."""
     where, fitted = variance_model(fine), variance_model(coarse)
     ages = fine.begin[2:-1]
     every = where.steps(ages)
@@ -315,7 +319,7 @@ def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> B
 def _step_scores(
     values: Floats, model: VarianceModel, variances: Floats, every: Floats, chosen: list[int]
 ) -> Floats:
-    """Return the score statistic of each step in addition to the chosen ones."""
+    """Return the score statistic of each additional step."""
     known = every[:, chosen] if chosen else None
     at = likelihood(values, model.units, variances, known)
     whitened = at.whitening @ every

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fit_stationary`: fit recordings that are not the same throughout.
+"""`fit_stationary`: fit of recordings whose noise changes.
 
-The settled part is fitted where the early part differs, steps of the bias are reported, and the
-interval of N is widened where the level of the white noise varies.
+If the early part differs, the settled part is fitted. Steps of the bias are reported. Intervals are
+widened if the level of the white noise or the size of the drift varies.
 """
 
 from __future__ import annotations
@@ -25,14 +25,16 @@ from . import TERMS, Coefficient, NoiseModel, fit_noise
 from .model import Z_95
 
 LEAST_REST = 0.4
-"""The settled part is used if at least this fraction of the samples remains: half after the sensor
-has settled, less what is lost because sums are divided at some ages only."""
+"""The settled part is used if at least this fraction of the samples remains: half of the recording
+after the sensor has settled, less the loss because sums are divided only at some ages."""
 
 CERTAIN = 6.5
-"""Twice the log likelihood ratio beyond the threshold from which the early part is left out."""
+"""Excess of twice the log likelihood ratio over its threshold for which the early part is left
+out."""
 
 SHIFT, LEAST_SHIFT = 0.02, 0.005
-"""Relative changes of a value: one that matters in any case, and one below which none does."""
+"""Relative changes of a value: one that is always relevant, and one below which a change is never
+relevant."""
 
 TESTED_RECORDINGS = 8
 """Number of the longest recordings that are tested."""
@@ -43,7 +45,7 @@ early part is reported although no coefficient leaves its interval. Means of sho
 of less than a quarter of a second, which vibration moves rather than drift."""
 
 STEPS_MATTER = 0.96
-"""Steps are reported if without them the variance of the walk is below this fraction."""
+"""Steps are reported if the variance of the walk without them is below this fraction."""
 
 NAMED_CHANGES = 3
 """Number of changed coefficients that a finding names."""
@@ -51,7 +53,7 @@ NAMED_CHANGES = 3
 
 @dataclass(frozen=True)
 class _Change:
-    """A coefficient of all data, and of the settled part."""
+    """A coefficient of all data and of the settled part."""
 
     axis: str
     term: str
@@ -78,7 +80,7 @@ class _Change:
 
     @property
     def _sizes(self) -> list[float]:
-        """Both values, a limit counting as the value; 0 for none."""
+        """Both values; a limit counts as the value, 0 without either."""
         both = self.complete, self.settled
         return [(c.value if c.status == 'estimated' else c.upper95) or 0.0 for c in both]
 
@@ -99,7 +101,7 @@ class _Change:
 
 
 def _shown(axis: str, term: str, *values: float) -> tuple[list[float], str]:
-    """Return values of a term in its datasheet unit, and the unit."""
+    """Return values of a term in its datasheet unit, and this unit."""
     shown = [to_datasheet(term, sensor_of(axis), value) for value in values]
     return [value for value, _ in shown], shown[0][1]
 
@@ -120,9 +122,9 @@ def fit_stationary(
     Returns
     -------
     sums : AllanSums
-        Those that were fitted.
+        The sums that were fitted.
     model : NoiseModel
-        With findings where the recording is not stationary.
+        The fit; its findings report a recording that is not stationary.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def fit_stationary(
 
 
 def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseModel, list[Finding]]:
-    """Return the model with intervals widened by the scatter between periods, and findings."""
+    """Return the model with findings and with intervals widened by the scatter between periods."""
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
@@ -159,7 +161,7 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
     drift = dict(zip(sums.axes, drift_scatter(tested, _sensors(sums), age).tolist()))
     for axis, scatter in drift.items():
         model = _widened(model, axis, 'BK', scatter)
-    # Of a drift that is not resolved it cannot be stated how much it differs.
+    # If the drift is not resolved, its relative change is unknown.
     scattered = tuple(axis for axis in sums.axes if drift[axis] and _has_drift(model, axis))
     if scattered:
         typical = math.expm1(max(drift[axis] for axis in scattered))
@@ -190,9 +192,10 @@ def _without_early_part(
     rest, age = divided
     settled = fit_noise(rest, method)
     certain = settle and max(part.excess for part in parts) >= CERTAIN
-    # The selection of the model takes most of the time: once is enough.
+    # The selection of the model takes most of the time: it is done once.
     complete = fit_noise(sums, method, settled if certain else None)
-    # Coefficients of the other axes change too, by chance: they are estimated from fewer samples.
+    # Coefficients of the other axes also change by chance, because they are estimated from fewer
+    # samples.
     axes = tuple(a for i, a in enumerate(sums.axes) if any(i in part.axes for part in parts))
     every = [
         _Change(axis, term, complete.axes[axis].noise[term], settled.axes[axis].noise[term])
@@ -274,7 +277,8 @@ def _sensors(sums: AllanSums) -> list[list[int]]:
 
 
 def _rest(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
-    """Return the sums from the first possible age on, and this age; None if too few remain."""
+    """Return the sums from the first possible age on, and this age; None if too few samples
+    remain."""
     edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
         return None

@@ -213,7 +213,7 @@ def _frame_id(path: Path) -> str:
     with _opened(path, FRAME) as file:
         shape, _, dtype = _read_header(file, f'{path}: array {FRAME!r}')
         if shape not in ((), (1,)) or dtype.kind != 'U' or dtype.itemsize > MAX_FRAME_BYTES:
-            raise AllanError(f'{path}: array {FRAME!r} must be one text: save it as such')
+            raise AllanError(f'{path}: array {FRAME!r} must be one string: save it as a string')
         return str(np.frombuffer(file.read(dtype.itemsize), dtype)[0]) if dtype.itemsize else ''
 
 
@@ -246,9 +246,9 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
                     counts[name] += len(array)
         n = counts[SAMPLES]
         if len(frames) > 1:
-            raise AllanError(f'{path}: npz holds one frame_id, not {len(frames)}: write a bag')
+            raise AllanError(f'{path}: npz stores one frame_id, not {len(frames)}: write a bag')
         if counts[RECORD] not in (0, n):
-            raise AllanError(f'{path}: some batches have record times and some have none')
+            raise AllanError(f'{path}: some batches have record times and some do not: write a bag')
         how = zipfile.ZIP_DEFLATED if deflate else zipfile.ZIP_STORED
         with zipfile.ZipFile(path, 'w', how) as archive:
             for name, shape, dtype in (
@@ -321,7 +321,7 @@ def recording_in_memory(
     elif index.dtype.kind == 'M':
         stamps = _stamps(index, 1)
     else:
-        raise AllanError('the samples have no times: give their rate in Hz, such as rate=200')
+        raise AllanError('the samples have no times: give the sample rate, such as rate=200')
     given = tuple(AXES[axis] for axis in values)
     return _recording(ImuBatch(stamps, rows), options.with_units(found.units), given)
 
@@ -330,7 +330,7 @@ def _recording(
     batch: ImuBatch, options: ReadOptions = ReadOptions(), axes: tuple[str, ...] = AXES
 ) -> Recording:
     if len(batch) and np.abs(batch.stamps_ns.astype(float)).max() > MAX_INTEGER:
-        raise AllanError('some times are beyond a hundred years from 1970: check their unit')
+        raise AllanError('some times are more than a hundred years from 1970: check their unit')
     if not len(batch):
         raise AllanError('there are no samples: give an array with at least some thousand rows')
     info = SourceInfo(NAME, '', 'array', 'memory')
@@ -370,7 +370,8 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(
-                f'{columns} columns could be any axes: name them, such as axes=["gyro_z", ...]'
+                f'the axes of {columns} columns are unknown: name them, such as axes=["gyro_z", '
+                '...]'
             )
         return DEFAULT_AXES[columns]
     names = AXES[SENSORS[axes]] if isinstance(axes, str) and axes in SENSORS else axes
@@ -381,7 +382,8 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
     columns = columns or len(names)
     if len(set(names)) < len(names) or len(names) != columns:
         raise AllanError(
-            f'{columns} columns and {len(names)} axes ({", ".join(names)}): name each column once'
+            f'{columns} columns, but {len(names)} axes ({", ".join(names)}): name one axis per '
+            'column'
         )
     return names
 
