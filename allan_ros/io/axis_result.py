@@ -38,7 +38,7 @@ class Quantity:
     Attributes
     ----------
     value : float or None
-        The estimate; None where the term is not resolved. The ramp R is given without its sign.
+        The estimate, or None if the term is not resolved. For the ramp R, the magnitude.
     ci95 : (low, high) or None
         95 % confidence interval.
     upper95 : float or None
@@ -67,7 +67,7 @@ class Quantity:
         Raises
         ------
         AllanError
-            When the unit is unknown, or of another quantity; it lists the units that fit.
+            When the unit is unknown, or of another quantity; the message lists the possible units.
         """
         si = UNITS[self.unit].si
         expect(str, unit=unit)
@@ -98,18 +98,18 @@ class AxisResult:
         Sample period in s.
     fit : AxisFit
     curve : AxisCurve or None
-        None where only the coefficients are known.
+        None if only the coefficients are known.
     regions : tuple of Region
-        Which noise dominates in which range of tau.
+        Ranges of tau with the noise that dominates in each.
     sample_std : float or None
-        Standard deviation of the samples about their mean of up to a second, as measured.
+        Measured standard deviation of the samples about their mean over up to a second.
     name : str
         Name of the axis.
     rounding : float or None
-        Step to which the samples are rounded, where this makes more than a tenth of their white
+        Step to which the samples are rounded, if this causes more than a tenth of their white
         noise; else None.
     turn_on : TurnOnBias or None
-        Scatter of the bias between recordings; None of fewer than two.
+        Scatter of the bias between recordings; None for fewer than two recordings.
 
     Examples
     --------
@@ -153,7 +153,7 @@ class AxisResult:
 
     @property
     def B(self) -> Quantity:
-        """Bias instability: the coefficient, i.e. the minimum of the curve / 0.664."""
+        """Bias instability: the coefficient B, which is the minimum of the curve / 0.664."""
         return self.quantity('B')
 
     @property
@@ -183,7 +183,7 @@ class AxisResult:
     def state_space(self) -> StateSpace:
         """Return the noise as states of a Kalman filter: Phi, Qd and R at any rate.
 
-        The same states as in the export ``state_space``.
+        The states are the same as in the export ``state_space``.
 
         Raises
         ------
@@ -226,12 +226,13 @@ class AxisResult:
             ) from error
 
     def part_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of each part of the selected model at averaging factors m, SI."""
+        """Return the deviation of each part of the selected model at averaging factors m, in SI."""
         parts = self.fit.selected.parts(self._tau(m), self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of the terms outside the model at their 95 % upper limits, SI."""
+        """Return the deviation of the terms outside the model, at their 95 % upper limits, in
+        SI."""
         model = self.fit.selected.terms
         limits = {
             term: c.upper95
@@ -242,14 +243,14 @@ class AxisResult:
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def model_line(self) -> ModelLine:
-        """Return the selected model at the points of the curve as it is drawn, SI."""
+        """Return the selected model, as drawn, at the points of the curve, in SI."""
         curve = self.curve
         if curve is None:
             return ModelLine(np.zeros(0), np.zeros(0))
         return model_line(self.fit, self.tau0, curve.m, curve.adev, curve.ci_high)
 
     def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
-        """Return the deviation of the selected model at averaging factors m, (factors,), SI."""
+        """Return the deviation of the selected model at averaging factors m, (factors,), in SI."""
         total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(self._tau(m), self.tau0))
         return total
 
@@ -257,7 +258,7 @@ class AxisResult:
 def axis_results(
     fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
-    """Yield name and result of each axis of sums, their curve and fit."""
+    """Yield name and result of each axis from its sums, curve and fit."""
     for sums, curve, model in fitted:
         means = np.array([one.mean for one in sums.history.recordings])
         for i, name in enumerate(curve.axes):
@@ -283,7 +284,7 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     Parameters
     ----------
     samples : (n,) or (n, columns) array
-        Of any quantity, evenly spaced.
+        Evenly spaced samples of any quantity.
     rate : float
         Samples per second.
 
@@ -338,7 +339,7 @@ def fit(
     curve : AxisCurve or (tau, adev)
         Averaging times in s and Allan deviations in SI.
     axis : str
-        The axis, which decides the units.
+        The axis, which determines the units.
     record : float, optional
         Length of the recording in s; by default nine times the longest averaging time.
 

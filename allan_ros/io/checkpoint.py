@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The checkpoint: a `sums.json` in which running sums survive a restart."""
+"""The checkpoint: a `sums.json` from which running sums continue after a restart."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ class Checkpoint:
     """Adds the sums of earlier runs of a node to those of this run, and saves the total in a file.
 
     A damaged file is renamed. A file of another version or IMU is never overwritten: nothing is
-    written until it is moved away, or until its IMU is back. Only regular files are read, renamed
-    or replaced; a folder, FIFO or device at the path is left alone, and so is a path that another
-    node has locked. Every problem becomes a finding and is logged once; the node continues.
+    written until it is moved away, or until its IMU is connected again. Only regular files are
+    read, renamed or replaced; a folder, FIFO or device at the path is left unchanged, as is a path
+    that another node has locked. Every problem becomes a finding and is logged once; the node
+    continues.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ class Checkpoint:
     earlier : Total
         The content of the file when the run began.
     loaded, refused : Finding or None
-        What was wrong with the file, and why nothing is written now.
+        The problem of the file when it was loaded, and the reason why nothing is written now.
     """
 
     def __init__(self, path: str | os.PathLike[str], log: Any) -> None:
@@ -64,8 +65,8 @@ class Checkpoint:
         self.refused: Finding | None = None
         self._file, self._log = Path(path), log
         self._lock = PathLock(self._file) if self.path else None
-        self._owned = False  # whether there is a file, and no other node has it
-        self._content: Total | None = NOTHING  # of the file; None where it cannot be read
+        self._owned = False  # whether there is a file that no other node has locked
+        self._content: Total | None = NOTHING  # identity in the file; None if it cannot be read
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
         self._in_use: Finding | None = None
@@ -77,7 +78,7 @@ class Checkpoint:
 
     @property
     def last_stamp_ns(self) -> int | None:
-        """Latest stamp of the samples in the file; None where nothing is known."""
+        """Latest stamp of the samples in the file; None if unknown."""
         provenance = self.earlier[1]
         ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
         known = provenance.last_stamp_ns
@@ -94,7 +95,7 @@ class Checkpoint:
         return None if self._saved_s is None else now - self._saved_s
 
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
-        """Return the sums of all runs; these alone while the file is of another IMU or axes."""
+        """Return the sums of all runs, or of this run alone if the file has another IMU or axes."""
         self._news = bool(sums)
         if self.refused is not None and not os.path.lexists(self.path):
             self._clear()
@@ -112,18 +113,18 @@ class Checkpoint:
         return total, replace(both, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total now if there are new samples; return whether the file holds it."""
+        """Write the total now if there are new samples; return whether the file contains it."""
         self._collect()
         return self._writable() and (not self._news or self._done(lambda: self._write(total)))
 
     def save_in_background(self, total: Total) -> None:
-        """Write the total in a thread; the outcome is collected by `tick` or the next call."""
+        """Write the total in a thread; `tick` or the next call collects the outcome."""
         self._collect()
         if self._news and self._writable():
             self._writing = self._writer.submit(self._write, total)
 
     def tick(self) -> None:
-        """Collect the outcome of a write in the background, once it has ended."""
+        """Collect the outcome of a write in the background, if it has ended."""
         if self._writing is not None and self._writing.done():
             self._collect()
 
@@ -133,7 +134,7 @@ class Checkpoint:
         Returns
         -------
         str
-            Path of the renamed file; '' where there is none.
+            Path of the renamed file; '' if there is none.
         """
         previous = f'{self.path}.previous'
         if self.save(total):
@@ -144,7 +145,7 @@ class Checkpoint:
                 return previous
             except AllanError as error:
                 self._note(error)
-        if self._content is not None:  # it stays where it is
+        if self._content is not None:  # the file stays where it is
             self.earlier = self._content
         return ''
 
@@ -168,8 +169,8 @@ class Checkpoint:
             self._load()
         trial = self._file.with_name(f'{self._file.name}.trial')
         try:
-            write_atomic(trial, '')  # reports now, not at the first period, what cannot be written
-            with contextlib.suppress(OSError):  # an empty file is left behind
+            write_atomic(trial, '')  # reports write problems now, not after the first period
+            with contextlib.suppress(OSError):  # an empty file remains
                 trial.unlink(missing_ok=True)
         except AllanError as error:
             self._note(error)
@@ -180,7 +181,7 @@ class Checkpoint:
     def _load(self) -> None:
         try:
             data = read_bounded(self.path, MAX_BYTES)
-        except (AllanError, OSError) as error:  # no regular file, too large, not ours to read
+        except (AllanError, OSError) as error:  # not a regular file, too large, or not readable
             self._content = None
             self._refuse(str(error) if isinstance(error, AllanError) else str(error.strerror))
             return
@@ -236,7 +237,7 @@ class Checkpoint:
     def _locked(self, unlockable: bool = True) -> bool:
         """Acquire the lock, and return whether no other node has it.
 
-        Where it cannot be created the result is ``unlockable``: the file may be readable.
+        The result is ``unlockable`` if the lock cannot be created: the file may still be readable.
         """
         try:
             owner = self._lock.acquire() if self._lock is not None else ''
@@ -251,7 +252,7 @@ class Checkpoint:
         return not owner
 
     def _writable(self) -> bool:
-        """Return whether this node may write the file; retries a lock that failed so far."""
+        """Return whether this node may write the file; retries a lock that failed before."""
         return self._owned and self.refused is None and self._locked(False)
 
     def _write(self, total: Total) -> None:

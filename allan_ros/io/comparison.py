@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compare runs with the first of them, with datasheets, and at rest with motors off and on."""
+"""Comparisons of recordings with the first one, with datasheets, and of motors off and on."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCHEMA = 'allan_ros/comparison/1'
 
 @dataclass(frozen=True)
 class Subject:
-    """One run and its label, which is made safe to show in a terminal and in tables."""
+    """One recording and its label, which is safe to print in a terminal and in tables."""
 
     label: str
     results: Results
@@ -42,7 +42,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Pair:
-    """How one run differs from the first (their labels)."""
+    """Differences of a recording from the first one, and their labels."""
 
     first: str
     second: str
@@ -54,14 +54,14 @@ class Pair:
         return tuple(d for d in self.differences if d.significant)
 
     def of(self, axis: str, quantity: str) -> Difference | None:
-        """Return the difference of a term of an axis, where both runs have it."""
+        """Return the difference of a term of an axis, if both recordings have it."""
         of_axis = (d for d in self.differences if d.axis == axis)
         return next((d for d in of_axis if d.quantity == quantity), None)
 
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Several runs, the differences of the others from the first, and every run with datasheets.
+    """Several recordings, their differences from the first one, and comparisons with datasheets.
 
     ``family_error`` is the probability of any false detection among all differences.
     """
@@ -85,7 +85,7 @@ class RunComparison:
 def compare_runs(
     runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
 ) -> RunComparison:
-    """Compare each run with the first, and with each datasheet."""
+    """Compare each recording with the first one, and with each datasheet."""
     check_margin(margin)
     if len(runs) + len(datasheets) < 2 or not runs:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
@@ -149,7 +149,8 @@ RATIO_DIGITS = 3
 
 
 def comparison_headline(comparison: RunComparison) -> Iterator[str]:
-    """Yield one sentence per pair and datasheet: the largest difference, or that there is none."""
+    """Yield one sentence per pair and datasheet: the largest difference, or that none is
+    significant."""
     for pair in comparison.pairs:
         yield _of_pair(pair, comparison.family_error)
     for label, of_run in comparison.datasheets:
@@ -208,7 +209,7 @@ def _of_pair(pair: Pair, family_error: float) -> str:
 
 
 def _least_difference(difference: Difference) -> float:
-    """Return the logarithm of the end of the interval that is nearest to 1."""
+    """Return the logarithm of the end of the interval that is closest to 1."""
     low, high = difference.ci95 or (1.0, 1.0)
     return math.log(low) if difference.verdict == 'higher' else -math.log(high)
 
@@ -250,15 +251,15 @@ REST, RUNNING = 'at rest', 'at rest, motors on'
 """Labels of the two recordings."""
 
 SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
-"""Averaging times of the table."""
+"""Averaging times of the table in s."""
 
 
 @dataclass(frozen=True)
 class Inflation:
-    """The noise of an IMU at rest with motors on, over that with motors off.
+    """Ratio of the noise of an IMU at rest with motors on to its noise with motors off.
 
-    For each axis N and K, which bound the growth of the error over the horizons, and their factors;
-    the comparison has the ratios of the Allan deviations with intervals.
+    For each axis, it contains N and K, which bound the growth of the error over the horizons, and
+    their factors. The comparison contains the ratios of the Allan deviations with intervals.
     """
 
     axes: dict[str, AxisInflation]
@@ -280,7 +281,8 @@ class Inflation:
 
 
 def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation:
-    """Return what running motors add to the noise of a robot at rest (see `api.inflate`)."""
+    """Return the increase of the noise of a robot at rest due to running motors (see
+    `api.inflate`)."""
     horizons = Horizons.up_to(horizon)
     fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (rest, running)]
     axes = measure_inflation(fits[0], fits[1], horizons)
@@ -311,7 +313,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
 
 
 def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
-    """Yield the factor on N and K of each axis, and the values to use, as lines of a report."""
+    """Yield the factors on N and K of each axis, and the values to use, as lines of a report."""
     for name, axis in inflation.axes.items():
         (n, n_unit), (k, k_unit) = _to_use(name, axis)
         factors = axis.white.factor, axis.walk.factor
@@ -320,7 +322,8 @@ def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
-    """Yield a table of N and K to use, then one of the ratio of the deviations over tau."""
+    """Yield a table of the N and K to use, then a table of the ratios of the deviations over
+    tau."""
     yield f'N and K for a filter, over {inflation.horizons}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
@@ -343,7 +346,7 @@ def _to_use(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
 
 
 def _nearest(ratios: list[Difference], tau: float) -> Difference | None:
-    """Return the ratio at the averaging time within a factor of 1.5 of ``tau``, if there is one."""
+    """Return the ratio at the averaging time within a factor of 1.5 of ``tau``, or None."""
     close = [d for d in ratios if d.tau is not None and tau / 1.5 < d.tau < 1.5 * tau]
     return min(close, key=lambda d: abs((d.tau or 0.0) - tau), default=None)
 

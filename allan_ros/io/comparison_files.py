@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a comparison: JSON, tables, plots, and a report of the first run with the others."""
+"""The files of a comparison: JSON, tables, plots, and a report of the first recording."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CSV_COLUMNS = (
     *(f'{run}_{part}' for run in ('first', 'second') for part in ('value', 'low', 'high', 'upper')),
     *('ratio', 'ratio_low', 'ratio_high', 'p', 'verdict'),
 )
-"""One line per comparison, in SI; ``upper`` is the 95 % limit of what is not observable."""
+"""One line per comparison, in SI; ``upper`` is the 95 % limit of a term that is not observable."""
 
 
 def write_comparison(
@@ -45,7 +45,7 @@ def write_comparison(
     units: str = 'datasheet',
     pictures: PictureSettings = PictureSettings(),
 ) -> list[Path]:
-    """Write comparison.json, .md and .csv and a picture of each sensor, and return their paths."""
+    """Write comparison.json, .md and .csv and a picture of each sensor; return their paths."""
     from .plot_layout import to_form  # imports matplotlib
     from .plots import comparison_figure
 
@@ -94,7 +94,7 @@ def _markdown_lines(comparison: RunComparison, units: str) -> Iterator[str]:
 
 
 def _cell_text(text: str) -> str:
-    """Return text of a user as it may stand in a Markdown table."""
+    """Return a user's text, escaped for a Markdown table."""
     return one_line(text).replace('|', '\\|').replace('<', '&lt;')
 
 
@@ -114,7 +114,7 @@ def _markdown_row(comparison: RunComparison, pair: Pair, d: Difference, units: s
 
 
 def csv_table(comparison: RunComparison) -> str:
-    """Return every comparison of two runs as CSV, in SI."""
+    """Return every comparison of two recordings as CSV, in SI."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(CSV_COLUMNS)
@@ -156,10 +156,7 @@ def write_overlay(
     units: str = 'datasheet',
     facts: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write report.html of the first run, with the curves of the others drawn over it.
-
-    The facts are further lines about the comparison.
-    """
+    """Write report.html of the first recording, with the curves of the others."""
     from .report import ReportContext, render_report
 
     first, *others = runs

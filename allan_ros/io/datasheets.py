@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Datasheets of IMUs: YAML files with the figures of a sensor, read as limits in SI.
 
-Figures stand in a file as the datasheet states them, in its own unit; what they mean for N and B is
-computed here. A datasheet rarely states which of two customary meanings a number has. Its file says
-what is known (``sided``, ``stated_as``); where that is ``unknown`` the limit is the wider of the
-two meanings and carries a note, so that an ambiguous datasheet causes no false alarm.
+A file contains the figures as the datasheet states them, in its units; N and B are computed here. A
+datasheet rarely states which of two customary meanings a number has. Its file states the meaning if
+it is known (``sided``, ``stated_as``). If it is ``unknown``, the limit is the wider of the two and
+has a note, so that an ambiguous datasheet causes no false alarm.
 
 ``gyro`` or ``accel`` sets its three axes; a single axis such as ``accel_z`` takes precedence.
-A product that carries a known sensor names it (``carries``) and has no figures of its own.
+The file of a product that contains a known sensor names this sensor (``carries``) and has no
+figures.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from .format import interval_text, shown_unit, significant, value_text
 SCHEMA = 'allan_ros/sensor/1'
 
 WALK_KEY = {'gyro': 'arw', 'accel': 'vrw'}
-"""sensor -> the key of N as datasheets call it: angle or velocity random walk."""
+"""Sensor -> key of N in datasheets: angle or velocity random walk."""
 
 
 FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
-"""B over the minimum of a curve, which is at least sqrt(2 ln2/pi) B = 0.664 B: white noise and
-random walk add to it."""
+"""Ratio of B to the minimum of a curve. The minimum is at least sqrt(2 ln2/pi) B = 0.664 B, because
+white noise and random walk add to it."""
 
 MEANINGS = {
     'sided': {
@@ -58,15 +59,16 @@ MEANINGS = {
         ),
     },
 }
-"""Key of a noise density (a one-sided one is sqrt(2) N: IEEE Std 952-1997, C.1.1) or a bias
-instability -> what its value may be -> the factor that makes it N or B, and a note."""
+"""Key of a noise density or bias instability -> possible meaning -> factor that gives N or B, and a
+note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where figures come from: a document, its number and revision, and the manufacturer's page.
+    """The source of figures: a document, its number and revision, and the manufacturer's page.
 
-    ``seen`` is whether the document itself was read, or ``via``, which quotes it.
+    ``seen`` is True if the document itself was read, False if only ``via``, which quotes it, was
+    read.
     """
 
     title: str
@@ -83,8 +85,8 @@ class Source:
 class Limit:
     """The limit of one term in SI, and the number and unit that the datasheet states.
 
-    ``note`` states how one follows from the other, ``condition`` is that of the number (typical,
-    range, bandwidth), ``source`` the key of its source; '' where there is none.
+    ``note`` states how the limit follows from the number, ``condition`` the conditions of the
+    number (typical, range, bandwidth), ``source`` the key of its source; '' if unknown.
     """
 
     value: float
@@ -101,11 +103,11 @@ class Datasheet:
     Attributes
     ----------
     limits : mapping of axis name to term ('N', 'B') to Limit
-        Only what the sources state.
+        Limits of the terms that the sources state.
     range, lsb : mapping of axis name to float
-        Full scale and step of the values in rad/s and m/s^2, where stated.
+        Full scale and step of the values in rad/s and m/s^2, if stated.
     carries : str
-        Name of the sensor in it, whose figures these are; '' for a sensor itself.
+        Name of the sensor that a product contains and whose figures these are; '' for a sensor.
     """
 
     name: str
@@ -126,7 +128,7 @@ class Datasheet:
 
 
 VERDICTS: tuple[Verdict, ...] = ('beyond', 'open', 'within')
-"""The worst first."""
+"""Verdicts, the worst first."""
 
 VERDICT_TEXT: dict[Verdict, str] = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
 """Verdict -> its text in tables; 'open' means that the interval contains the limit."""
@@ -134,7 +136,7 @@ VERDICT_TEXT: dict[Verdict, str] = {'within': 'within', 'open': 'not settled', '
 
 @dataclass(frozen=True)
 class DatasheetComparison:
-    """All coefficients that a datasheet has a limit for, by axis, then term.
+    """All coefficients with a limit in a datasheet, by axis, then term.
 
     A complete 95 % interval must lie above a limit by the margin, a fraction, to be beyond it.
     """
@@ -145,7 +147,7 @@ class DatasheetComparison:
 
     @property
     def verdict(self) -> Verdict | None:
-        """The worst verdict; None where nothing could be compared."""
+        """The worst verdict; None if nothing could be compared."""
         verdicts = {c.verdict for c in self.comparisons}
         return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
 
@@ -154,7 +156,7 @@ class DatasheetComparison:
         return next((c for c in self.comparisons if (c.axis, c.term) == (axis, term)), None)
 
     def limit(self, comparison: Comparison) -> Limit:
-        """Return the limit of one of the comparisons, as the datasheet states it."""
+        """Return the limit of one of the comparisons, as stated in the datasheet."""
         return self.datasheet.limits[comparison.axis][comparison.term]
 
 
@@ -256,7 +258,7 @@ def comparison_from_document(
 
 
 def sensor_names() -> list[str]:
-    """Return the names of the datasheets that come with the package, and of the user's own."""
+    """Return the names of the datasheets of the package and of the user."""
     return config_names('sensors')
 
 
@@ -268,14 +270,14 @@ def load_sensor(name: str) -> Datasheet:
 
 
 def _product(fields: Fields) -> Datasheet:
-    """Return the figures of the sensor that a product carries, with the sources of both."""
+    """Return the figures of the sensor in a product, with the sources of both."""
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     name = fields.text('carries')
     with located(f'{fields.where}.carries'):
         path = config_file('sensors', name, 'datasheet')
     carried = Fields(read_yaml(path), str(path))
-    # This refuses a file that names itself, too.
+    # This also rejects a file that names itself.
     if 'carries' in carried:
         raise AllanError(
             f'{fields.where}.carries: {name!r} is a product, not a sensor: name the sensor that '
@@ -345,7 +347,7 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
     walk, units = WALK_KEY[sensor], SI_UNITS[sensor]
     fields.only(walk, 'noise_density', 'bias_instability', 'range', 'lsb')
     limits = {}
-    # Where both are stated, the random walk is N itself and needs no guess.
+    # If both are stated, the random walk is N itself, and no assumption is needed.
     for key, term, meaning in (
         ('noise_density', 'N', 'sided'),
         (walk, 'N', ''),
@@ -359,7 +361,7 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
 def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
     """Return a ``{value, unit, condition, source}`` and its key of `MEANINGS` in SI.
 
-    The source may be left out where there is only one.
+    The source may be omitted if there is only one.
     """
     fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
     factor, note = 1.0, ''

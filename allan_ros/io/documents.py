@@ -3,7 +3,7 @@
 """The JSON documents: `results.json` (``allan_ros/results/1``) and `sums.json`.
 
 Unknown values are null, never NaN. Reading is strict: a missing field, a wrong type or another
-version is an error that names the place.
+version raises an error that names the position.
 """
 
 from __future__ import annotations
@@ -42,16 +42,17 @@ RESULTS_SCHEMA = 'allan_ros/results/1'
 SUMS_SCHEMA = 'allan_ros/sums_file/1'
 
 RESULTS, SUMS = 'results.json', 'sums.json'
-"""The documents in the folder of an analysis: its results, and the sums they are computed from."""
+"""Names of the documents in the folder of an analysis: the results, and the sums from which they
+are computed."""
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
-"""Sample periods: the stamps are in ns; the upper bound is thirty years."""
+"""Range of sample periods in s: stamps are in ns, and the upper bound is thirty years."""
 
 MAX_SETTINGS = 100
-"""Largest number of settings, and of the entries of one."""
+"""Largest number of settings, and of entries of one setting."""
 
 LISTED_SEGMENTS = 1000
-"""Number of the longest segments that are listed; the total number is always given."""
+"""Number of longest segments that are listed; the total number is always stated."""
 
 SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean')
 """Keys whose numbers may be negative."""
@@ -60,10 +61,7 @@ SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'me
 def results_to_document(
     results: Results, curves: bool = True, units: str = 'datasheet'
 ) -> dict[str, Any]:
-    """Return the results as ``allan_ros/results/1``; without curves it is the noise model.
-
-    The units are those of the sentences of the verdict.
-    """
+    """Return the results as ``allan_ros/results/1``; without curves it is the noise model."""
     judged = {'verdict': verdict_of(results, units=units).to_document()} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
@@ -142,7 +140,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     Raises
     ------
     AllanError
-        When the file is missing, or is no such document.
+        When the file is missing, or is not such a document.
 
     Examples
     --------
@@ -172,7 +170,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
     """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
 
-    With the folder, they know the datasheet that the analysis was compared with.
+    From a folder, the result includes the datasheet with which the analysis was compared.
     """
     place = file_in(path, SUMS)
     recorded = RecordingSums(place, *sums_file_from_document(read_json(place), place))
@@ -184,7 +182,7 @@ def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return the path, or if it is a folder the file ``name`` in it."""
+    """Return the path, or, for a folder, the file ``name`` in it."""
     if not Path(path).is_dir():
         return str(path)
     inside = Path(path) / name
@@ -196,7 +194,7 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
 
 
 def labels_of(paths: Sequence[str]) -> list[str]:
-    """Return a short name for each path: its folder or stem if these differ."""
+    """Return a short name for each path: its folder or its stem, if these differ."""
     short = [
         Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
         for path in paths
@@ -233,7 +231,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
-    """Return the settings of an analysis: plain values, or lists of those."""
+    """Return the settings of an analysis: plain values, or lists of plain values."""
     settings: dict[str, Any] = {}
     for name in fields:
         value = fields.value(name)
@@ -323,7 +321,7 @@ def _processes_to_document(processes: Processes) -> dict[str, Any]:
 
 
 def _processes_from_document(fields: Fields) -> Processes:
-    """Read all processes, or in a document of an earlier version, one of each kind."""
+    """Read all processes; documents of earlier versions have at most one of each kind."""
     if 'processes' not in fields:
         process = fields.of('gauss_markov', GaussMarkov | None)
         line = fields.of('sinusoid', Sinusoid | None)
@@ -343,7 +341,7 @@ def _processes_from_document(fields: Fields) -> Processes:
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:
-    """Return the value per sample where there is an estimate, else None."""
+    """Return the value per sample if there is an estimate, else None."""
     if coefficient.value is None or coefficient.status != 'estimated':
         return None
     found: float | None = plain(coefficient.value * factor)
@@ -355,6 +353,6 @@ def _curve_from_document(fields: Fields) -> AxisCurve:
     if len({len(column) for column in vars(curve).values()}) > 1:
         raise AllanError(f'{fields.where}: its columns have different lengths')
     tau = curve.tau
-    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails too
+    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # also fails for NaN
         raise AllanError(f'{fields.where}.tau is not positive and increasing')
     return curve

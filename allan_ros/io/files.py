@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write files safely: regular files only, bounded, never half written, and locked.
+"""Read and write files safely: only regular files, bounded, written atomically, and locked.
 
 JSON and YAML are strict in both directions and bounded when read. A YAML file of a kind (a
-datasheet, a filter mapping) is found by its name in the user's folder
-(``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``), then among those of the package;
-or it is given by its path.
+datasheet, a filter mapping) is given by its path, or by its name, which is searched in the user's
+folder (``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``) and then in the package.
 """
 
 from __future__ import annotations
@@ -27,23 +26,23 @@ import yaml
 from ..core.errors import AllanError
 
 PATH = (str, os.PathLike)
-"""Types of a path."""
+"""Accepted types of a path."""
 
 ABANDONED_S = 3600.0
-"""A draft unchanged for an hour was left by a process that was killed."""
+"""Age in s after which a draft is removed: its process was killed."""
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file for reading; links are followed, and a FIFO does not block the call.
+    """Open a regular file for reading; links are followed, and opening a FIFO does not block.
 
     Raises AllanError when the path is a folder, FIFO, device or socket, and OSError when it is
     missing or unreadable.
     """
-    if not stat.S_ISREG(os.stat(path).st_mode):  # opening a device may already have an effect
+    if not stat.S_ISREG(os.stat(path).st_mode):  # opening a device can already have an effect
         raise _not_regular(path)
     flags = os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0) | getattr(os, 'O_BINARY', 0)
     file = os.fdopen(os.open(path, flags), 'rb')
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # replaced in between
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # replaced between the two checks
         file.close()
         raise _not_regular(path)
     return file
@@ -52,8 +51,8 @@ def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
 def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return the content of a regular file of at most ``limit`` bytes.
 
-    Raises AllanError when the path is no regular file, or the file is larger, and OSError when it
-    is missing or unreadable.
+    Raises AllanError when the path is not a regular file, or the file is larger, and OSError when
+    it is missing or unreadable.
     """
     with open_regular(path) as file:
         data = file.read(limit + 1)
@@ -72,7 +71,7 @@ def _not_regular(path: str | os.PathLike[str]) -> AllanError:
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file atomically: neither a reader nor a crash leaves or sees a part of it.
+    """Write a file atomically: no reader sees, and no crash leaves, an incomplete file.
 
     The content is written to a draft in the same folder, synced to the disk and renamed.
     """
@@ -82,13 +81,13 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
 def write_together(
     folder: Path, contents: Mapping[str, str | bytes], remove: Iterable[str] = ()
 ) -> None:
-    """Write several files of one folder; none is replaced before all are on the disk.
+    """Write several files of one folder; no file is replaced before all are on the disk.
 
     The files ``remove`` are removed before the first is replaced; ``contents`` (name -> content)
-    are replaced in their order.
+    are replaced in the given order.
 
-    Raises AllanError when a path is no regular file, the folder is missing or not writable, or the
-    disk is full. Then no file has changed, unless a rename failed.
+    Raises AllanError when a path is not a regular file, the folder is missing or not writable, or
+    the disk is full. Then no file has changed, unless a rename failed.
     """
     drafts: dict[Path, Path] = {}
     path = folder
@@ -119,7 +118,7 @@ def write_together(
 
 
 def check_replaceable(path: Path) -> None:
-    """Do nothing if a file may be written or renamed to the path."""
+    """Raise AllanError unless a file may be written or renamed to the path."""
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise _not_regular(path)
@@ -128,13 +127,13 @@ def check_replaceable(path: Path) -> None:
 def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
     """Remove drafts of this path that killed processes left, if they are older than ``older_s``.
 
-    0 s is allowed only where no other process writes this path.
+    0 s is allowed only if no other process writes this path.
     """
     of_this_path = re.compile(rf'\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.part')
     with contextlib.suppress(OSError):
         for name in filter(of_this_path.fullmatch, os.listdir(path.parent)):
             draft = path.with_name(name)
-            with contextlib.suppress(OSError):  # gone meanwhile, or of another user
+            with contextlib.suppress(OSError):  # already removed, or owned by another user
                 found = draft.lstat()
                 if stat.S_ISREG(found.st_mode) and time.time() - found.st_mtime >= older_s:
                     draft.unlink()
@@ -149,7 +148,7 @@ def unwritable(path: Path, error: OSError) -> AllanError:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make renames survive a power cut, where the system can do this (not on Windows)."""
+    """Sync the folder, so that renames survive a power failure; does nothing on Windows."""
     if os.name != 'posix':
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -160,10 +159,10 @@ def _sync_folder(folder: Path) -> None:
 
 
 MAX_BYTES = 16 * 2**20
-"""Longest document that is read; real ones are far smaller."""
+"""Largest size of a document in bytes; real documents are far smaller."""
 
 MAX_DIGITS = 20
-"""Most digits of an integer: one of a million digits takes minutes to read."""
+"""Largest number of digits of an integer: one with a million digits takes minutes to read."""
 
 
 def to_json(document: Mapping[str, Any]) -> str:
@@ -211,10 +210,11 @@ def _integer(digits: str) -> int:
 
 
 MOST_BRACKETS = 50
-"""Deepest nesting that is read: the time of the scanner grows with the square of the depth."""
+"""Largest nesting depth: the time of the scanner increases with the square of the depth."""
 
 MERGE = 'tag:yaml.org,2002:merge'
-"""Tag of the key ``<<``: nested merges are copied, so a short file of them can fill the memory."""
+"""Tag of the key ``<<``, which is rejected: nested merges are copied, so a short file can fill the
+memory."""
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -228,14 +228,14 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]
             raise yaml.YAMLError('it has a merge key "<<", which is not supported')
 
 
-# YAML 1.1 takes 1e-4 for a word because it has no point; people, and JSON, mean a number.
+# YAML 1.1 reads 1e-4 as a string because it has no point; users, and JSON, mean a number.
 _Loader.add_implicit_resolver(
     'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
 )
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a YAML (or JSON) text; yaml.YAMLError where it is not accepted."""
+    """Return the value of a YAML (or JSON) text; raises yaml.YAMLError if it is not accepted."""
     loader = _Loader(text)
     try:
         return loader.get_single_data()
@@ -249,7 +249,8 @@ MAX_YAML_BYTES = 100_000
 """Largest size of a YAML file in bytes."""
 
 NEAREST, LISTED, CLOSE = 3, 8, 0.8
-"""Names offered that resemble an unknown one, names listed where none does, least similarity."""
+"""Number of similar names that are suggested for an unknown one, number of names listed if none is
+similar, and smallest similarity."""
 
 
 def read_yaml(path: Path) -> Any:
@@ -264,12 +265,12 @@ def read_yaml(path: Path) -> Any:
 
 
 def config_names(kind: str) -> list[str]:
-    """Return the names of the files of a kind: the package's and the user's own."""
+    """Return the names of the files of a kind, of the package and of the user."""
     return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
 
 
 def config_file(kind: str, name: str, called: str) -> Path:
-    """Return the file named ``name``, or the path that was given."""
+    """Return the file with the given name, or the given path."""
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
         return path.expanduser()
@@ -290,8 +291,8 @@ def config_file(kind: str, name: str, called: str) -> Path:
 def config_folders(kind: str) -> list[Path]:
     """Return the search path of a kind of files; the first match wins.
 
-    The user's own folder (XDG Base Directory, 0.8), then ``config/<kind>`` of the checkout or of
-    the installed package.
+    The user's folder (XDG Base Directory, 0.8), then ``config/<kind>`` of the checkout or of the
+    installed package.
     """
     home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
     here = Path(__file__).resolve()
@@ -301,9 +302,9 @@ def config_folders(kind: str) -> list[Path]:
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    """Return the names that the unknown one may be a misspelling of, else those of its family.
+    """Return names of which the unknown one may be a misspelling, else names of its family.
 
-    Digits may be missing; other digits are another model.
+    Digits may be missing; different digits are another model.
     """
     word = _plain(name)
     digits = '.*'.join(re.findall(r'\d', name))
@@ -327,17 +328,17 @@ def _plain(name: str) -> str:
 
 
 OWNER_BYTES = 20
-"""Longest process number that is read from a lock file."""
+"""Largest number of bytes of a process number that are read from a lock file."""
 
 LOCKED_BYTE = 2**30
-"""Offset of the byte that is locked on Windows: beyond the text, which stays readable."""
+"""Offset of the byte that is locked on Windows: after the text, which stays readable."""
 
 
 class PathLock:
     """Marks a path as owned by one process, with a lock on a hidden file next to it.
 
-    The path itself cannot be locked, because it is replaced whenever it is written; it need not
-    exist.
+    The path itself cannot be locked, because it is replaced whenever it is written. It does not
+    need to exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -346,7 +347,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Acquire the lock. Return '' on success, else the owner."""
+        """Acquire the lock. Return '' on success, else the name of the owner."""
         while self._handle is None:
             handle = self._open_mark()
             if not _try_to_lock(handle):
@@ -355,10 +356,11 @@ class PathLock:
                 os.close(handle)
                 return f'process {owner}' if owner.isdigit() else 'another process'
             if not _is_at(handle, self._mark):
-                os.close(handle)  # released, and removed, before it was locked
+                os.close(handle)  # the lock file was released and removed before it was locked
                 continue
             self._handle = handle
-            with contextlib.suppress(OSError):  # a full disk: then the owner has no name
+            # the disk is full: the name of the owner is not written
+            with contextlib.suppress(OSError):
                 self._mark.write_text(f'{os.getpid()}\n')
         return ''
 
@@ -371,9 +373,9 @@ class PathLock:
             os.close(handle)
 
     def _open_mark(self) -> int:
-        # not for writing: that would keep a file system from being remounted read-only
+        # not for writing, which would prevent remounting the file system read-only
         flags = os.O_CREAT | os.O_RDONLY
-        for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC'):  # a FIFO must not block the call
+        for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC'):  # opening a FIFO must not block
             flags |= getattr(os, name, 0)
         try:
             handle = os.open(self._mark, flags, 0o644)
@@ -414,7 +416,7 @@ def _try_to_lock_on_windows(handle: int) -> bool:
 
 
 def _is_at(handle: int, path: Path) -> bool:
-    """Return whether the open file is the one that is at the path now."""
+    """Return whether the open file is the file that is now at the path."""
     try:
         return os.path.samestat(os.fstat(handle), os.stat(path))
     except FileNotFoundError:

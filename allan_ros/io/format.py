@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Format numbers for people, in the selected units with significant digits only, and findings."""
+"""Format numbers with the selected units and their significant digits only, and format findings."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ..core.fit.reading import Region
 from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
 
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
-"""Sensor -> its name in a heading."""
+"""Sensor -> name in a heading."""
 
 SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
-"""Units of the raw signal where the coefficients are shown as in datasheets."""
+"""Units of the raw signal if coefficients are shown in datasheet units."""
 
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
-"""Significant digits of a value and of the ends of its interval."""
+"""Significant digits of a value, and of the ends of its interval."""
 
 DENSITY_UNITS = {
     'datasheet': {'gyro': 'deg/s/sqrt(Hz)', 'accel': 'ug/sqrt(Hz)'},
@@ -41,27 +41,28 @@ PRETTY = (
     ('um/', 'µm/'),
     ('ug', 'µg'),
 )
-"""Spelling of units in tables, files and terminals, and on pages and plots."""
+"""Unit in tables, files and terminals -> spelling on pages and plots."""
 
 NOTHING_KNOWN = '-'
-"""Text where there is neither a value nor a limit."""
+"""Text for a term with neither a value nor a limit."""
 
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
 
 SHARP = 0.02
-"""An interval narrower than this share of its upper end is shown with the digits of a value."""
+"""If an interval is narrower than this fraction of its upper end, its ends are shown with the
+digits of a value."""
 
 
 class ShownUnit(NamedTuple):
-    """A unit, and what to multiply an SI value by to have it in that unit."""
+    """A unit, and the factor that converts an SI value to it."""
 
     name: str
     factor: float
 
 
 def shown_unit(axis: str, term: str, units: str) -> ShownUnit:
-    """Return the unit in which a term of an axis is shown; the deviation has that of B."""
+    """Return the unit in which a term of an axis is shown; the deviation has the unit of B."""
     system = SI_UNITS if units == 'si' else DATASHEET_UNITS
     return _shown(system[sensor_of(axis)][term])
 
@@ -78,7 +79,7 @@ def shown_density_unit(axis: str, units: str) -> ShownUnit:
 
 
 def pretty_unit(name: str) -> str:
-    """Return a unit as it is typeset.
+    """Return a unit in typographic spelling.
 
     >>> pretty_unit('deg/sqrt(h)'), pretty_unit('ug'), pretty_unit('m/s^2/sqrt(Hz)')
     ('°/√h', 'µg', 'm/s²/√Hz')
@@ -89,7 +90,7 @@ def pretty_unit(name: str) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return a number in its shortest form with ``digits`` significant digits, including zeros.
+    """Return a number in its shortest form with ``digits`` significant digits, keeping zeros.
 
     >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
     ('0.2420', '31.80', '12300')
@@ -104,7 +105,7 @@ def significant(value: float, digits: int) -> str:
 
 
 def value_text(coefficient: Coefficient, unit: ShownUnit) -> str:
-    """Return the value, or ``< limit`` where only an upper limit is known; '-' for neither."""
+    """Return the value, or ``< limit`` if only an upper limit is known, or '-'."""
     if coefficient.status == 'estimated' and coefficient.value is not None:
         sign = '-' if coefficient.sign < 0 else ''
         return sign + significant(coefficient.value * unit.factor, VALUE_DIGITS)
@@ -123,13 +124,13 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
 
 
 NUMBER_DIGITS = 6
-"""Significant digits of a number for other programs: more than any interval is known to."""
+"""Significant digits of a number for other programs: more than the accuracy of any interval."""
 
 
 def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return value, both ends of the interval and the limit in a unit; None for what is not known.
+    """Return value, both ends of the interval and the limit in a unit; None if unknown.
 
-    Of a term that is not resolved only the limit is given: its estimate means nothing.
+    For a term that is not resolved, only the limit is given, because its estimate is meaningless.
     """
     resolved = c.status == 'estimated'
     low, high = c.ci95 if resolved and c.ci95 is not None else (None, None)
@@ -142,14 +143,14 @@ def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
 
 
 def markdown_rows(rows: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown, the first row as its head."""
+    """Return a table in Markdown; the first row is its header."""
     lines = [[cell.replace('|', r'\|') for cell in row] for row in rows]
     lines.insert(1, ['---'] * len(lines[0]))
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
 
 
 def part_text(part: str, likely: Collection[str]) -> str:
-    """Return the name of a part of the model, or of several joined; '?' marks what is only likely.
+    """Return the name of a part, or several, of the model; '?' marks terms that are only likely.
 
     >>> part_text('B+GM 110 s', ['B'])
     'B?+GM 110 s'
@@ -158,13 +159,13 @@ def part_text(part: str, likely: Collection[str]) -> str:
 
 
 def region_text(region: Region, likely: Collection[str] = ()) -> str:
-    """Return which noise dominates in which range, and the slope of the curve there."""
+    """Return the range, the noise that dominates in it, and the slope of the curve."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}-{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
 
 def deviation_text(deviation: Deviation | None) -> str:
-    """Return by how much the curve deviates most from the model, and where; '' for nowhere."""
+    """Return the largest deviation of the curve from the model and its tau; '' if there is none."""
     if deviation is None:
         return ''
     return f'{deviation.relative:+.0%} at {significant(deviation.tau, 2)} s'
@@ -175,9 +176,9 @@ def _shown(unit: str) -> ShownUnit:
 
 
 def text_in_units(text: str, units: str, typeset: bool = False) -> str:
-    """Return a message with its quantities in the units asked for, which may be typeset.
+    """Return a message with its quantities converted to the given units.
 
-    Every number followed by a unit of a coefficient is converted, with the interval behind it.
+    Every number followed by a unit of a coefficient is converted, and the interval after it.
 
     >>> text_in_units('N is 0.60 deg/sqrt(h) (0.59..0.61).', 'si')
     'N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774).'
@@ -195,7 +196,7 @@ _OTHER_UNIT = {
         ('datasheet', SI_UNITS, DATASHEET_UNITS),
     )
 }
-"""Units asked for -> unit of the other system -> the unit to show."""
+"""Requested units -> unit of the other system -> unit to show."""
 
 _NAMES = '|'.join(sorted(map(re.escape, UNITS), key=len, reverse=True))
 
@@ -209,7 +210,7 @@ _QUANTITY = re.compile(
 
 
 def _converted(match: re.Match[str], units: str) -> str:
-    """Return a quantity of a message in the units asked for, unchanged if it is in them."""
+    """Return a quantity of a message in the requested units; unchanged if it is already in them."""
     new = _OTHER_UNIT[units].get(match[3])
     if new is None:
         return match[0]
@@ -226,14 +227,14 @@ NUMBER = re.compile(
     r'(?<![\w^])(?<!\w\.)(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)'
     r'(?:\.\.(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?))?(?!\w)'
 )
-"""A number in a message, or an interval ``low..high``; no part of a name or a unit."""
+"""A number in a message, or an interval ``low..high``, but no part of a name or a unit."""
 
 
 def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return one finding for each cause, the most severe first.
 
-    Findings of several axes whose texts differ in numbers only become one for all of these axes,
-    with the range of each number: "Vibration at 0.573 to 0.579 Hz".
+    Findings of several axes whose texts differ only in numbers are merged into one, with the range
+    of each number: "Vibration at 0.573 to 0.579 Hz".
     """
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for each in findings:
@@ -253,7 +254,7 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def _merged(texts: Sequence[str]) -> str:
-    """Return texts that differ in numbers only as one, with ranges."""
+    """Return texts that differ only in numbers as one text with ranges."""
     columns = zip(*(NUMBER.findall(text) for text in texts))
     ranges = []
     for column in columns:

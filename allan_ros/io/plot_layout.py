@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of a figure: panels in rows, heading, logarithmic axes, keys, and the file of it."""
+"""Layout of a figure: rows of panels, heading, logarithmic axes and keys; and its file."""
 
 from __future__ import annotations
 
@@ -36,30 +36,33 @@ RC: dict[str, Any] = {
     'svg.hashsalt': 'allan_ros',
     'axes.grid': False,
 }
-"""Settings of all plots; fonts are embedded completely in a PDF (type 42), as journals ask."""
+"""Settings of all plots; fonts are embedded completely in a PDF (type 42), as journals require."""
 
 HEAD_IN, LEGEND_ROW_IN, FOOT_IN, LEFT_IN, MARGIN_IN = 0.4, 0.17, 0.45, 0.62, 0.12
-"""Inches above the rows, of each row of the legend there, below, to the left and at the edge."""
+"""Lengths in inches: space above the rows, each row of the legend in it, below, to the left and at
+the edge."""
 
 GAP_IN, KEY_ABOVE_IN, KEY_BESIDE_IN = 0.15, 0.5, 1.34
-"""Inches above each panel, there with the key of a narrow figure, and of the key to the right."""
+"""Lengths in inches: space above each panel, the same with the key of a narrow figure, and the key
+to the right."""
 
 SMALL = 7.0
-"""Font size of keys and notes in points: the least that journals accept."""
+"""Font size of keys and notes in points: the smallest that journals accept."""
 
 LINE_IN = SMALL * 1.2 / 72.0
-"""Inches from line to line of the small font."""
+"""Line spacing of the small font in inches."""
 
 KEY_GAP_IN = 0.03
-"""Inches between two entries of a key to the right."""
+"""Space between two entries of a key to the right, in inches."""
 
 TAU_LABEL = 'averaging time τ [s]'
 
 PNG_DPI = 200
-"""Dots per inch of the PNG: sharp on a page of print and on a screen."""
+"""Dots per inch of the PNG, sharp in print and on a screen."""
 
 PNG_LEVEL = 1
-"""Of zlib: a quarter of the time of its default for a file that is 10 % larger."""
+"""Level of zlib: takes a quarter of the time of the default level for a file that is 10 %
+larger."""
 
 
 class _ShownFigure(Figure):
@@ -75,7 +78,7 @@ def to_png(figure: Figure) -> bytes:
 
 
 def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']) -> bytes:
-    """Return the figure as a file of a form of `plot_style.FORMATS`."""
+    """Return the figure as a file in one of the formats `plot_style.FORMATS`."""
     options: dict[str, dict[str, Any]] = {
         'png': {
             'metadata': {'Software': 'allan_ros'},
@@ -99,10 +102,10 @@ def new_figure(
     between: float = 0.0,
     ratios: Sequence[float] = (1.0,),
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure, whose size in the style is for three rows, and its panels by row.
+    """Return a figure and its panels by row; the size in the style is for three rows.
 
-    Lengths are inches: ``head`` above the rows, ``gap`` above each panel, ``between`` two panels
-    of a row, whose widths have the ``ratios``.
+    Lengths are in inches: ``head`` above the rows, ``gap`` above each panel, ``between`` the two
+    panels of a row. ``ratios`` are the ratios of the panel widths.
     """
     width, height = rcParams['figure.figsize']
     row = (height - head - FOOT_IN) / 3.0
@@ -132,7 +135,7 @@ def heading(
     columns: int,
     beside: bool = False,
 ) -> None:
-    """Draw title and facts, and the legend of all panels below or ``beside`` them."""
+    """Draw title and facts, and the legend of all panels below them or ``beside`` them."""
     width, height = figure.get_size_inches()
     left, top = LEFT_IN / width, 1.0 - 0.09 / height
     drawn = [
@@ -157,9 +160,9 @@ def heading(
 
 
 def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Make both axes logarithmic, from and to these values, with a grid.
+    """Make both axes logarithmic with the given limits, and draw a grid.
 
-    The fine grid is drawn as one piece: ticks of it would cost more time than all the rest.
+    The fine grid is one artist, because its ticks would take more time than all other elements.
     """
     panel.set(xscale='log', yscale='log', xlim=across, ylim=up)
     for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
@@ -180,7 +183,9 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
 
 
 def _ticks(low: float, high: float) -> tuple[Floats, Floats]:
-    """Return the values to label on a logarithmic axis, at least three, and all grid lines."""
+    """Return at least three values to label on a logarithmic axis, and the positions of all grid
+    lines.
+    """
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
     choices = [np.outer(decades, digits).ravel() for digits in ([1], [1, 2, 5], range(1, 10))]
     choices.append(np.asarray(MaxNLocator(4).tick_values(low, high)))
@@ -194,7 +199,7 @@ SUPERSCRIPT = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 
 
 def tick_text(value: float) -> str:
-    """Return the label of a tick: plain where that is short, else as a power of ten."""
+    """Return the label of a tick: a plain number if it is short, else a power of ten."""
     if 1e-3 <= value < 1e5:
         return f'{value:g}'
     exponent = math.floor(math.log10(value) + 1e-9)
@@ -206,7 +211,7 @@ def tick_text(value: float) -> str:
 def draw_key(panel: Axes, entries: Sequence[tuple[str, dict[str, Any]]], wide: bool) -> None:
     """Draw the key to the right of a panel, or in two columns above it.
 
-    Texts at fixed places take a third of the time of a legend.
+    Texts at fixed positions take a third of the time of a legend.
     """
     axes: Any = panel.transAxes
     rows = len(entries) if wide else math.ceil(len(entries) / 2)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What plots and page draw of a curve, and the style of the plots; without matplotlib."""
+"""Curves for plots and page, and the style of the plots; without matplotlib."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ FORMATS = ('png', 'svg', 'pdf')
 """File formats of the plots."""
 
 PAGE_IN, COLUMN_IN = 7.16, 3.5
-"""Widths in inches of a page and a column of the IEEE's journals."""
+"""Widths in inches of a page and a column of IEEE journals."""
 
 STYLES: dict[str, dict[str, Any]] = {
     'page': {'figure.figsize': (PAGE_IN, 6.3)},
     'column': {'figure.figsize': (COLUMN_IN, 7.6)},
 }
-"""Styles of our own: as wide as a page, with the signal next to the curves, or as a column."""
+"""Built-in styles: a page with the signal next to the curves, or a column."""
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
@@ -42,12 +42,11 @@ TERM_STYLES: dict[str, tuple[str, Any]] = {
 }
 """Term -> colour and dashes of its part.
 
-Colours are those of Okabe and Ito ("Color universal design", 2008), which the colour-blind tell
-apart; dashes keep a picture as legible in grey.
-"""
+The colours of Okabe and Ito ("Color universal design", 2008) can be distinguished by colour-blind
+readers; dashes keep a picture legible in grey."""
 
 BELOW_CURVE = 0.2
-"""A part is drawn where it is above this share of the lowest point of the curve."""
+"""A part is drawn if it is above this fraction of the lowest point of the curve."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +70,17 @@ class PictureSettings:
 
 
 class DrawnCurve(NamedTuple):
-    """The curve of one axis as it is drawn, (factors,) each; NaN where nothing is."""
+    """The curve of one axis as it is drawn, (factors,) each; NaN where nothing is drawn."""
 
     tau: Floats
     adev: Floats
     low: Floats  # 68.3 % limits
     high: Floats
     model: Floats
-    upper: Floats  # the model with the terms that are not resolved at their upper limits
-    parts: dict[str, Floats]  # of the model
-    limits: dict[str, Floats]  # of the terms that are not resolved
-    read: dict[str, tuple[float, float]]  # term -> where its coefficient is read off (tau, adev)
+    upper: Floats  # model with unresolved terms at their upper limits
+    parts: dict[str, Floats]  # parts of the model
+    limits: dict[str, Floats]  # limits of terms that are not resolved
+    read: dict[str, tuple[float, float]]  # term -> (tau, adev) at which its coefficient can be read
 
     @property
     def any(self) -> bool:
@@ -90,7 +89,7 @@ class DrawnCurve(NamedTuple):
 
 
 def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
-    """Return what is drawn of the curve of an axis, in SI times the factor; None without one."""
+    """Return the drawn curve of an axis, in SI times the factor; None if there is no curve."""
     curve = axis.curve
     if curve is None:
         return None
@@ -123,7 +122,8 @@ def check_pictures(settings: PictureSettings, drawn: bool) -> None:
 
 
 def load_style(name: str) -> Mapping[str, Any]:
-    """Return the matplotlib settings of a style, by its name or by the path of its sheet."""
+    """Return the matplotlib settings of a style, given by its name or by the path of a style
+    sheet."""
     if name in STYLES:
         return STYLES[name]
     path = Path(name)
@@ -142,7 +142,7 @@ def load_style(name: str) -> Mapping[str, Any]:
 def _sheet(path: Path) -> Mapping[str, Any]:
     from matplotlib import rc_params_from_file
 
-    # matplotlib only logs what is wrong with a line
+    # matplotlib only logs errors in a line
     log, handler, warnings = logging.getLogger('matplotlib'), logging.Handler(), []
     handler.emit = lambda record: warnings.append(record.getMessage())  # type: ignore[method-assign]
     passes_on, log.propagate = log.propagate, False

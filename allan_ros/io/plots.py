@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a sensor: its Allan deviation with model and raw signal, and that of several runs."""
+"""Figures of a sensor: Allan deviation with model and raw signal, or of several recordings."""
 
 from __future__ import annotations
 
@@ -50,13 +50,14 @@ from .results import Results
 from .signal import SignalSummary
 
 NARROW_IN = 5.0
-"""A narrower figure has one panel for each axis, and its legend above the panel."""
+"""Width in inches below which a figure has one panel for each axis, and its legend above the
+panel."""
 
 NARROW_ENTRIES = 6
-"""Most entries of the key of a narrow figure."""
+"""Largest number of entries of the key of a narrow figure."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
-"""Opacity of the 68 % limits, and of what terms that are not resolved may add to the model."""
+"""Opacity of the 68 % limits, and of the range that unresolved terms may add to the model."""
 
 LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
 """Line of the 95 % upper limit of a term that is not resolved."""
@@ -68,16 +69,16 @@ HATCHES = {True: '///', False: 3 * '\\'}
 """Hatching of excluded data, by whether the IMU moved."""
 
 VEIL = 0.75
-"""Opacity of the ground over the signal that is left out."""
+"""Opacity of the background over the part of the signal that is left out."""
 
 CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
-"""Least length in s, seconds in a unit, its name."""
+"""Smallest length in s, seconds per unit, name of the unit."""
 
 ABOVE_SIGNAL = 1.15
-"""Margin around the used samples, relative to the largest; an excluded knock may exceed it."""
+"""Margin around the used samples, relative to the largest; excluded knocks may exceed it."""
 
 STEPS = (1, 2, 5, 10)
-"""Of ticks: numbers that are easy to count in."""
+"""Steps between ticks that are easy to read."""
 
 RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
     ('', 'o', '-'),
@@ -87,19 +88,20 @@ RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
     ('#CC79A7', 'v', (0, (5, 1, 1, 1, 1, 1))),
     ('#E69F00', 'P', (0, (8, 2))),
 )
-"""Colour of Okabe and Ito ('' for that of the text), marker and dashes of each run."""
+"""Colour of Okabe and Ito ('' for the text colour), marker and dashes of each recording."""
 
 MARK_EVERY = 6
-"""Points between two marks of a run's curve; those of the next run are shifted by one."""
+"""Number of points between two markers of a curve; the markers of the next recording are shifted by
+one."""
 
 RATIO_MARGIN = 1.1
-"""Factor from the farthest end of an interval of a ratio to the edge of the panel."""
+"""Factor between the largest end of an interval of a ratio and the edge of the panel."""
 
 RATIO_STYLE: dict[str, Any] = {'ls': '', 'ms': 4.0, 'capsize': 1.5, 'lw': 0.9}
 """Points of a ratio with their intervals."""
 
 OFFSET = 1.05
-"""Runs are drawn this factor apart in averaging time where their ratios would hide each other."""
+"""Factor by which recordings are shifted in averaging time if their ratios would overlap."""
 
 
 def sensor_figure(
@@ -109,10 +111,10 @@ def sensor_figure(
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
-    """Return the figure of one sensor: a row for each of its axes, or None when it is absent.
+    """Return the figure of one sensor with a row for each axis, or None if it is absent.
 
-    Without a ``summary`` of the raw signal, or in a narrow figure, the curves stand alone. The
-    ``figure.figsize`` of the style is that of a figure of three axes.
+    Without a ``summary`` of the raw signal, or in a narrow figure, only the curves are drawn. The
+    ``figure.figsize`` of the style applies to a figure of three axes.
     """
     known = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
     axes = {name: axis for name, axis in known.items() if axis.curve is not None}
@@ -155,10 +157,10 @@ def comparison_figure(
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
-    """Return the figure of one sensor, a row for each axis; None where no run has its curves.
+    """Return the figure of one sensor with a row for each axis; None without any curve.
 
-    On the left the deviations with their 68.3 % limits; on the right, where the figure is wide,
-    their ratio to the first run with 95 % intervals, filled where it is significant.
+    The left panel shows the deviations with their 68.3 % limits. In a wide figure, the right panel
+    shows their ratio to the first recording with 95 % intervals, filled if it is significant.
     """
     curves: dict[str, dict[int, DrawnCurve]] = {}
     for name in AXES[SENSORS[sensor]]:
@@ -262,7 +264,7 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str, wide: bool)
 
 
 def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
-    """Return the name of a part of the model with its value, and the interval in a second line."""
+    """Return the name of a part of the model with its value, and the interval on a second line."""
     text = part
     if part in axis.fit.noise:
         unit = shown_unit(name, part, units)
@@ -303,13 +305,13 @@ def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> 
 
 
 def _clock(summary: SignalSummary) -> tuple[float, str]:
-    """Return the seconds in the unit of time that suits a recording, and its name."""
+    """Return the seconds in a suitable unit of time for a recording, and the name of the unit."""
     length = float(summary.time_s[-1])
     return next((scale, name) for least, scale, name in CLOCKS if length >= least)
 
 
 def _hatch_text(summary: SignalSummary) -> str:
-    """Return what the hatching of the signal means, as far as there is any."""
+    """Return the meaning of the hatching of the signal, if there is any."""
     moved = {out.why == 'motion' for out in summary.left_out}
     meanings = {True: 'it moved', False: 'left out otherwise'}
     texts = [f'{HATCHES[why]} {text}' for why, text in meanings.items() if why in moved]
@@ -317,13 +319,13 @@ def _hatch_text(summary: SignalSummary) -> str:
 
 
 def _run_style(run: int) -> tuple[str, str, Any]:
-    """Return colour, marker and dashes of a run; they repeat from the seventh run on."""
+    """Return colour, marker and dashes of a recording; they repeat from the seventh on."""
     colour, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
     return colour or rcParams['text.color'], marker, dashes
 
 
 def _draw_run(panel: Axes, run: int, curve: DrawnCurve) -> None:
-    """Draw the deviation of one of several runs."""
+    """Draw the deviation of one of several recordings."""
     colour, marker, dashes = _run_style(run)
     panel.fill_between(curve.tau, curve.low, curve.high, color=colour, alpha=BAND_ALPHA, lw=0)
     marked = (run * MARK_EVERY // len(RUN_STYLES), MARK_EVERY)
@@ -332,7 +334,7 @@ def _draw_run(panel: Axes, run: int, curve: DrawnCurve) -> None:
 
 
 def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
-    """Draw the ratio of the deviations to those of the first run, with 95 % intervals."""
+    """Draw the ratios of the deviations to the first recording, with 95 % intervals."""
     points = [
         (run, d.significant, d.tau, d.ratio, *d.ci95)
         for run, pair in enumerate(comparison.pairs, 1)

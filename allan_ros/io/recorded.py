@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`RecordingSums`: what reading recordings gives, as one addable value.
+"""`RecordingSums`: the sums and the context of one or more recordings, which can be added.
 
-Recordings are read one after the other, or in several processes: their sums add, so both give the
-same result, bit for bit.
+Recordings are read one after the other, or in several processes. Their sums are added, so the
+result is the same, bit for bit.
 """
 
 from __future__ import annotations
@@ -36,11 +36,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where sums come from: stored next to them in `sums.json` and `results.json`.
+    """The origin of sums, stored next to them in `sums.json` and `results.json`.
 
-    The segments are in the order in which they were recorded, the findings are those of the reader
-    and of the stream, the settings are plain values. With simulated time, samples older than
-    ``last_stamp_ns`` are a repeated pass.
+    Segments are in recorded order, findings come from the reader and the stream, and settings are
+    plain values. With simulated time, samples older than ``last_stamp_ns`` are a repeated pass.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -51,7 +50,8 @@ class Provenance:
     last_stamp_ns: int | None = None
 
     def __add__(self, other: Provenance) -> Provenance:
-        """Return the provenance of both; equal findings appear once, settings are the first's."""
+        """Return the provenance of both: equal findings appear once, settings come from the
+        first."""
         counts = deepcopy(self.counts)
         counts.add(other.counts)
         stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
@@ -67,12 +67,12 @@ class Provenance:
 
 @dataclass(frozen=True)
 class RecordingSums:
-    """The sums of one or more recordings of one IMU, and what a report shows about them.
+    """The sums of one or more recordings of one IMU, with signal and spectrum for a report.
 
-    The sums are one with all axes, or one per sensor where these have different rates, each with
-    its spectrum. There is a signal and a temperature for each recording. Spectra, signals and
-    temperatures are empty unless they were asked for. The name is the path of the first recording,
-    and ``judged`` holds the comparisons with datasheets that were made before.
+    There is one `AllanSums` with all axes, or one per sensor if the rates differ, each with its
+    spectrum. There is a signal and a temperature for each recording. Spectra, signals and
+    temperatures are empty unless they were requested. The name is the path of the first recording,
+    and ``judged`` contains earlier comparisons with datasheets.
     """
 
     name: str
@@ -86,8 +86,8 @@ class RecordingSums:
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the sums of both recordings.
 
-        Raises AllanError when the other is of another IMU (the message names what differs), or
-        contains samples that this one contains too.
+        Raises AllanError when the other recording is of another IMU (the message names the
+        difference), or contains the same samples.
         """
         try:
             sums = add_sums(self.sums, other.sums)
@@ -118,7 +118,7 @@ class RecordingSums:
 class ReadJob:
     """One recording to read, in a form that can be sent to another process or machine.
 
-    With context, what a report shows is kept: the signal, the spectrum and the temperature.
+    With context, the data for a report are kept: signal, spectrum and temperature.
     """
 
     path: str
@@ -140,8 +140,8 @@ def read_recording(
 ) -> RecordingSums:
     """Return the sums of one recording, which is read once from start to end.
 
-    By default it is what ``job.open()`` returns. ``advance`` is called with the number of samples
-    of every batch. Raises AllanError when there is no static data.
+    By default the recording is ``job.open()``. ``advance`` is called with the number of samples of
+    every batch. Raises AllanError when there is no static data.
     """
     recording = job.open() if recording is None else recording
     stream = ImuStream(job.segmenter, job.hardware_id, job.with_context)
@@ -178,7 +178,7 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
-    """Return whether a segment is in both: no two segments have the same noise."""
+    """Return whether a segment is in both. (No two segments have the same noise.)"""
     return any(
         one.order == other.order and (one.phase == other.phase).all()
         for one in a.segments
@@ -210,7 +210,7 @@ class Silent(Observer):
 
 def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
     """Read the recordings one after the other, in this process."""
-    # All are opened before the first is read: a wrong name is reported now, not after an hour.
+    # All are opened before the first is read, so that a wrong name is reported at once.
     recordings = [job.open() for job in jobs]
     for job, recording in zip(jobs, recordings):
         bar = observer.progress(job.path, recording.messages)
@@ -222,7 +222,7 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
 def read_in_processes(
     jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
 ) -> Iterator[RecordingSums]:
-    """Read the recordings in several processes at a time; the result is the same, bit for bit."""
+    """Read several recordings at a time in processes; the result is the same, bit for bit."""
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import active_children, get_context
@@ -239,7 +239,7 @@ def read_in_processes(
                 progress.advance(recorded.provenance.counts.received)
                 yield recorded
     except KeyboardInterrupt:
-        for child in active_children():  # none of them writes anything
+        for child in active_children():  # no task writes files
             child.terminate()
         raise
     except BrokenProcessPool as error:
@@ -252,7 +252,7 @@ def read_in_processes(
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT: processes started meanwhile never receive it and leave it to this one."""
+    """Block SIGINT, so that processes started meanwhile never receive it."""
     if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
         yield
         return
@@ -266,8 +266,7 @@ def _interrupts_blocked() -> Iterator[None]:
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
     """Return the sums of all recordings of one IMU.
 
-    They are added from the earliest to the latest, so the sums do not depend on the order in which
-    the recordings are given.
+    They are added from the earliest to the latest, so the order of the arguments does not matter.
     """
     return reduce(add, sorted(recordings, key=_start_ns))
 

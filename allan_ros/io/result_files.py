@@ -25,13 +25,13 @@ from .results import Results
 from .signal import summarize_signal
 
 SIGNAL_BINS = 1000
-"""Bins of the raw signal in pictures and page: about as many as a plot has pixels."""
+"""Number of bins of the raw signal in pictures and page, about the number of pixels of a plot."""
 
 FINGERPRINT_DIGITS = 16
-"""Hexadecimal digits of the fingerprint of the sums: 64 bits."""
+"""Number of hexadecimal digits of the fingerprint of the sums: 64 bits."""
 
 LONGEST_WAIT_S = 60.0
-"""How long to wait for another process that writes into the same folder."""
+"""Longest time in s to wait for another process that writes into the same folder."""
 
 
 def write_result_files(
@@ -45,10 +45,11 @@ def write_result_files(
 ) -> tuple[Results, list[Path]]:
     """Write results.json, sums.json, imu.yaml, the pictures, the report, and files of the targets.
 
-    ``command`` is what repeats the analysis. Returns the results as written, with a finding where
-    a file cannot be made from them (imu.yaml without an accelerometer), and the paths.
+    ``command`` is the command that repeats the analysis. Returns the results as written, with a
+    finding for each file that cannot be created from them (imu.yaml without an accelerometer), and
+    the paths.
     """
-    # takes 0.3 s to import, and merging sums on a robot needs no pictures before
+    # takes 0.3 s to import, and merging sums needs no pictures before
     from .plot_layout import to_form
     from .plots import sensor_figure
 
@@ -87,7 +88,8 @@ def write_result_files(
     contents[SUMS] = to_json(sums_document)
     folder = made_folder(Path(folder))
     with _folder_locked(folder):
-        # The filter files are removed first and written last, so none belongs to another analysis.
+        # The filter files are removed first and written last, so no file of another analysis
+        # remains.
         former_files = _files_of(folder).difference(contents)
         write_together(folder, {**contents, **filters}, {*filters, *former_files})
     return results, [folder / name for name in (*filters, *contents)]
@@ -95,7 +97,7 @@ def write_result_files(
 
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
-    """Lock the folder, once no other process writes to it; AllanError after a minute."""
+    """Lock the folder when no other process writes to it; raises AllanError after a minute."""
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:
@@ -110,7 +112,7 @@ def _folder_locked(folder: Path) -> Iterator[None]:
 
 
 def _files_of(folder: Path) -> set[str]:
-    """Return the names of the files that an earlier analysis wrote into the folder."""
+    """Return the names of the files that an earlier analysis wrote to the folder."""
     try:
         document = read_json(folder / RESULTS)
     except AllanError:
@@ -122,7 +124,9 @@ def _files_of(folder: Path) -> set[str]:
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
-    """Return file name -> text of Kalibr and the targets, and the results with what is left out."""
+    """Return file name -> text of Kalibr and the targets, and the results with findings on omitted
+    files.
+    """
     files = {}
     for name in dict.fromkeys(('kalibr', *targets)):
         target = target_of(name)
@@ -142,7 +146,7 @@ def _repeat(command: str, sums: str) -> dict[str, str]:
 
 
 def made_folder(folder: Path) -> Path:
-    """Return the folder, which is created if it is missing."""
+    """Return the folder; create it if it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Results`: the coefficients, curves and findings of one analysis, and how they are printed."""
+"""`Results`: the coefficients, curves and findings of one analysis, and their text form."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class Results:
     ----------
     identity : ImuIdentity
     method : str
-        How the curve was fitted.
+        Method of the fit.
     tau0, samples, duration_s, segments : float, int, float, int
-        Sample period, samples, their total time, and segments of the sensor with the most
-        samples; a sensor with another rate has its own tau0.
+        Sample period, number of samples, their total time, and number of segments of the sensor
+        with the most samples; axes of a sensor with another rate have their own tau0.
     axes : mapping of axis name to AxisResult
-        In the order of `AXES`; only the axes that were measured.
+        The measured axes, in the order of `AXES`.
     provenance : Provenance
         Recordings, segments, counts and settings.
     findings : tuple of Finding
@@ -59,7 +59,7 @@ class Results:
     datasheet : DatasheetComparison or None
         The comparison with a datasheet, if one was named.
     baselines : mapping of name to Results
-        Earlier runs of this IMU that it is compared with.
+        Earlier runs of this IMU with which it is compared.
     margin : float
         Fraction by which a complete interval must exceed a limit or an earlier run.
     recorded : RecordingSums or None
@@ -107,7 +107,7 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the IMU is healthy, why, and what to do next."""
+        """Verdict: whether the IMU is healthy, the reasons, and the next steps."""
         return verdict_of(self)
 
     @property
@@ -117,15 +117,16 @@ class Results:
 
     @property
     def measured(self) -> Run:
-        """The coefficients and the curve of each axis, as `core.compare.differences` takes them."""
+        """The coefficients and the curve of each axis, in the form for
+        `core.compare.differences`."""
         return {name: Measured(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property
     def comparisons(self) -> tuple[Comparison, ...]:
         """The comparisons with the datasheet and with the earlier runs.
 
-        The deviations of an axis are tested too; the largest excess is among the comparisons if no
-        coefficient of the axis exceeds the earlier run.
+        The deviations of an axis are also tested. If no coefficient of the axis exceeds the earlier
+        run, but a deviation does, the largest excess is included.
         """
         found = list(self.datasheet.comparisons) if self.datasheet else []
         pairs = [(earlier.measured, self.measured) for earlier in self.baselines.values()]
@@ -189,13 +190,13 @@ class Results:
         what : str
             'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
         ax : matplotlib Axes, optional
-            Where to draw; without it a figure with a panel for each axis is made.
+            Axes to draw into; by default a figure with a panel for each axis is created.
         units : 'datasheet' or 'si'
 
         Returns
         -------
         matplotlib Axes or Figure
-            The axes that were given, or the figure that was made.
+            The given axes, or the created figure.
         """
         from .plots import draw_axes, sensor_figure
 
@@ -221,7 +222,7 @@ class Results:
         target : str
             A name of `io.exporters.TARGETS`, such as 'kalibr'.
         path : path, optional
-            File to write, or the folder to write it into.
+            File to write, or its folder.
         **options
             Fields of `io.exporters.ExportOptions`, such as ``inflate=2``.
         """
@@ -240,14 +241,15 @@ class Results:
         targets: Sequence[str] = (),
         **options: Any,
     ) -> list[Path]:
-        """Write the files that `allan analyze -o` writes, which `load` reads; return their paths.
+        """Write the same files as `allan analyze -o`, and return their paths. `load` reads the
+        folder.
 
         Parameters
         ----------
         folder : path
         units : 'datasheet' or 'si'
         targets : sequence of str
-            Names of `io.exporters.TARGETS` to write files for, in addition to Kalibr.
+            Names of `io.exporters.TARGETS` whose files are written in addition to Kalibr.
         **options
             Fields of `io.plot_style.PictureSettings`: ``plot_format=('svg',)``, ``plot_style``.
         """
@@ -266,7 +268,7 @@ class Results:
         baseline: Results | str | os.PathLike[str] = '',
         margin: float = MARGIN,
     ) -> Verdict:
-        """Return whether the IMU is as good as its datasheet and as it was before.
+        """Return a verdict on the IMU, compared with its datasheet and with an earlier run.
 
         Parameters
         ----------
@@ -320,7 +322,8 @@ class Results:
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU and return the results; AllanError if there is too little data."""
+    """Fit the sums of one IMU and return the results; raises AllanError if there are too few
+    data."""
     skip = recorded.provenance.settings.get('skip', AUTO)
     settle = isinstance(skip, (int, float)) and skip < 0.0
     fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
@@ -350,7 +353,7 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
 
 
 def judged_as_before(results: Results) -> Results:
-    """Return the results compared with the datasheet that all recordings were compared with."""
+    """Return the results compared with the datasheet that all recordings share, if there is one."""
     known = results.recorded.judged if results.recorded is not None else ()
     judged = {comparison.datasheet.name: comparison for comparison in known}
     if len(judged) > 1:
@@ -362,26 +365,26 @@ def judged_as_before(results: Results) -> Results:
 
 
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
-    """Fit sums (one with all axes, or one for each sensor), as `analyse_recorded` does."""
+    """Fit sums (one with all axes, or one for each sensor), as in `analyse_recorded`."""
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
 IN_SUMMARY = ('N', 'B', 'K')
-"""Terms of the text summary: those that filters take."""
+"""Terms of the text summary, which filters use."""
 
 REPORTED_LEFT_OUT = 0.01
-"""Least share of the samples received that is reported in the headline where it is left out."""
+"""Smallest fraction of unused samples that the headline reports."""
 
 
 def used_samples(results: Results) -> str:
-    """Return '60,000 samples', or '737,856 of 1,000,000 samples' where a part is left out."""
+    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
     used, received = results.samples, results.provenance.counts.received
     of = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
     return f'{used:,}{of} samples'
 
 
 def headline(results: Results) -> str:
-    """Return one line: which IMU, how many samples, how long at rest."""
+    """Return one line: the IMU, the number of samples, and the time at rest."""
     name = results.identity.label or 'IMU'
     return (
         f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '

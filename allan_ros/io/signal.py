@@ -22,14 +22,15 @@ from ..core.stream.health import Segment
 Floats = NDArray[np.float64]
 
 MAX_BINS = 2048
-"""More bins than a plot has pixels across; when all are full, neighbours are joined."""
+"""Largest number of bins, more than a plot has pixels across; when all are full, neighbours are
+joined."""
 
 
 class SignalEnvelope:
     """Lowest and highest sample of every axis in bins of equal sample count, in constant memory.
 
-    The result does not depend on the size of the batches. NaN is ignored; a bin with nothing else
-    is NaN.
+    The result does not depend on the size of the batches. NaN is ignored; a bin without other
+    values is NaN.
     """
 
     def __init__(self) -> None:
@@ -68,7 +69,7 @@ class SignalEnvelope:
     def start_ns(self) -> NDArray[np.int64]:
         """Stamp of the first sample of each bin, (bins,).
 
-        The header stamp, or the record time where header stamps do not advance.
+        This is the header stamp, or the record time if header stamps do not advance.
         """
         header, record = self._start_ns[: self.bins].T
         stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
@@ -81,7 +82,7 @@ class SignalEnvelope:
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
     def _put(self, batch: ImuBatch) -> None:
-        """Add samples that fit into the bins."""
+        """Add samples for which there is room in the bins."""
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -111,7 +112,7 @@ class SignalEnvelope:
 Item = TypeVar('Item')
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
-"""degC; readings beyond are ignored."""
+"""Plausible range in degC; readings outside are ignored."""
 
 
 @dataclass(frozen=True)
@@ -120,13 +121,13 @@ class TemperatureTrace:
 
     source: str  # topic or column
     header_ns: NDArray[np.int64]  # times of measurement, (n,)
-    record_ns: NDArray[np.int64]  # times of recording; equal where only one is known
+    record_ns: NDArray[np.int64]  # times of recording; the same if only one is known
     celsius: Floats
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
     """Return readings (header ns, record ns, degC) as a trace, or None if none is plausible."""
-    valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # false for NaN too
+    valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
     if not valid:
         return None
     header, record, celsius = zip(*valid)
@@ -171,16 +172,17 @@ GAP = 3.0
 """A bin that lasts this many times the usual duration contains a gap."""
 
 LEAST_SHARE = 1e-3
-"""Shorter gaps, and parts left out for no single reason, are narrower than a line: not marked."""
+"""Shorter gaps, and parts left out for several reasons, are not marked, because they are narrower
+than a line."""
 
 REASONS = ('motion', 'stuck')
-"""Cuts that leave samples out; other cuts only separate two segments."""
+"""Reasons for which samples are left out; other reasons only separate two segments."""
 
 
 class LeftOut(NamedTuple):
     """Samples that are not used, from ``start`` to ``end`` in s.
 
-    ``why`` is 'motion', 'stuck', or '' (warm-up, another rate, or several reasons).
+    ``why`` is 'motion', 'stuck', or '' for warm-up, another rate or several reasons.
     """
 
     start: float
@@ -192,8 +194,8 @@ class LeftOut(NamedTuple):
 class SignalTemperature:
     """Temperature over time; NaN separates recordings."""
 
-    source: str  # topic or column; several, where recordings differ
-    time_s: Floats  # as in the summary, (n,)
+    source: str  # topic or column; several if recordings differ
+    time_s: Floats  # times as in the summary, (n,)
     celsius: Floats
 
 
@@ -201,8 +203,9 @@ class SignalTemperature:
 class SignalSummary:
     """Signals of all recordings, one after the other."""
 
-    time_s: Floats  # start of each bin since the first sample of all, (bins,)
-    low: Floats  # lowest sample, SI, (bins, 6); NaN where a recording begins or lacks the sensor
+    time_s: Floats  # start of each bin since the first sample of all recordings, (bins,)
+    # lowest sample, SI, (bins, 6); NaN at the start of a recording or without the sensor
+    low: Floats
     high: Floats
     used: NDArray[np.bool_]  # whether all samples of the bin are used, (bins,)
     middle: Floats  # median of the signal, (6,)
@@ -214,9 +217,9 @@ class SignalSummary:
 
     @property
     def reach(self) -> Floats:
-        """Largest distance of used samples from their middle, (6,), SI; 1 where there are none.
+        """Largest distance of used samples from their middle, (6,), SI; 1 without samples.
 
-        A knock that was left out does not count: it may exceed the plot.
+        Excluded knocks are ignored; they may exceed the plot.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):
@@ -235,8 +238,8 @@ def summarize_signal(
 ) -> SignalSummary | None:
     """Return the summary of the signals in about ``bins`` bins, or None if none has two bins.
 
-    There is one signal, and one temperature or None, per recording. ``cuts`` is how often a
-    segment ended for which reason; it determines what ended the last one.
+    There is one signal, and one temperature or None, per recording. ``cuts`` counts the reasons for
+    which segments ended; it determines why the last one ended.
     """
     temperatures = temperatures or [None] * len(signals)
     known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -291,7 +294,7 @@ def _recording(
     for out in outside:
         used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
     if offset:
-        low[0] = high[0] = np.nan  # no line from the recording before
+        low[0] = high[0] = np.nan  # no line from the previous recording
     least = LEAST_SHARE * length
     summary = SignalSummary(
         time + offset,
@@ -315,7 +318,9 @@ def _recording(
 def _counted(
     segments: Sequence[Segment], first_ns: int, length: float
 ) -> list[tuple[float, float, str]]:
-    """Return start, end and cut of the segments of one recording, in s since its first sample."""
+    """Return start, end and reason of the end of the segments of one recording, in s since its
+    first sample.
+    """
     seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
     return [(at, at + of, cut) for at, of, cut in seconds if at < length and at + of > 0.0]
 
@@ -326,7 +331,7 @@ def _left_out(
     length: float,
     cuts: Mapping[str, int],
 ) -> Iterator[LeftOut]:
-    """Yield the parts between the segments of one recording that are not gaps, with the reason."""
+    """Yield the parts between the segments of one recording that are not gaps, with the reasons."""
     if not counted:
         return
     ends = {reason for reason in REASONS if cuts.get(reason)}
@@ -341,7 +346,7 @@ def _left_out(
 def _without(
     interval: tuple[float, float], others: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float]]:
-    """Return the parts of an interval that the others do not cover."""
+    """Return the parts of an interval that the other intervals do not cover."""
     left = [interval]
     for low, high in others:
         parts = [
@@ -354,7 +359,7 @@ def _without(
 def _temperature(
     trace: TemperatureTrace, first_ns: int, length: float, offset: float
 ) -> SignalTemperature | None:
-    """Return the readings taken during one recording, by the first of its clocks that fits."""
+    """Return the readings taken during one recording, by the first of its clocks that matches."""
     for stamps in (trace.header_ns, trace.record_ns):
         time = np.asarray((stamps - first_ns) * 1e-9, float)
         inside = (time >= 0.0) & (time <= length)
@@ -366,7 +371,7 @@ def _temperature(
 
 
 def _joined(parts: Sequence[SignalTemperature]) -> SignalTemperature | None:
-    """Return the temperatures of all recordings as one, with a NaN between two."""
+    """Return the temperatures of all recordings as one, separated by NaN."""
     if not parts:
         return None
     times = [np.insert(p.time_s, 0, p.time_s[:1] if i else []) for i, p in enumerate(parts)]

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that a user gives: known noise, filter mappings, and Allan curves of other tools.
 
-Known noise is YAML or JSON: a map from axes to terms, each a number in the unit of datasheets or
+Known noise is a YAML or JSON mapping from axes to terms, each a number in the unit of datasheets or
 ``{value, unit}``. ``gyro`` or ``accel`` sets its three axes; a single axis takes precedence:
 
     gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
     gyro_z: {N: 0.4}
 
-The truth file of a simulated recording has such a map, in SI, under the key ``noise``.
+The truth file of a simulated recording contains such a mapping, in SI, under the key ``noise``.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from .files import config_file, read_bounded, read_yaml, write_atomic
 TRUTH_SCHEMA, FILTER_SCHEMA = 'allan_ros/truth/1', 'allan_ros/filter/1'
 
 TRUTH_SUFFIX = '.truth.json'
-"""The truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
+"""Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
 
 OTHER_TOOL = ('accel_x', 'accel_y', 'accel_z', 'gyro_x', 'gyro_y', 'gyro_z')
-"""Columns of a file without a header, as allan_variance_ros writes them: gyros in deg/s."""
+"""Columns of a file without a header, as written by allan_variance_ros: gyros in deg/s."""
 
 LARGEST_FILE = 64 * 2**20
-"""Bytes: a curve has some ten thousand lines."""
+"""Largest size in bytes: a curve has about ten thousand lines."""
 
 PUBLISHED = {
     'accelerometer_noise_density': ('accel', 'N'),
@@ -56,10 +56,10 @@ PUBLISHED = {
 """Key of a Kalibr file -> sensor and term."""
 
 PLAUSIBLE = 2.0
-"""A published value further than this factor from the curve contradicts it."""
+"""A published value that differs from the curve by more than this factor contradicts it."""
 
 HEALTHY_RISE = 30.0
-"""Rise of a curve from its minimum to its end, above which the IMU was not at rest."""
+"""Rise of a curve from its minimum to its end above which the IMU was not at rest."""
 
 AxesNoise = dict[str, NoiseTerms]
 
@@ -73,7 +73,7 @@ def truth_path(recording: str | os.PathLike[str]) -> Path:
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
     """Return axis -> true terms of a specification or truth file, in SI.
 
-    Axes that are not named have no noise. Raises AllanError naming the place that is invalid.
+    Axes that are not named have no noise. Raises AllanError that names an invalid entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'noise' in fields:
@@ -105,7 +105,7 @@ def stated_noise(
     spec: str = '',
     changes: Mapping[str, Mapping[str, float]] | None = None,
 ) -> AxesNoise:
-    """Return the noise of a file (``spec``), a preset, or a datasheet, with single changes.
+    """Return the noise of a file (``spec``), a preset, or a datasheet, with changes.
 
     The limits of a datasheet are N and B. Changes (axis or sensor -> term -> value) are in
     datasheet units.
@@ -199,7 +199,8 @@ def _parameter(name: str, fields: Fields) -> FilterParameter:
 
 
 class Curves(NamedTuple):
-    """Averaging times in s, (points,), and axis -> Allan deviations in SI, (points,)."""
+    """Averaging times in s, (points,), and a mapping of axis to Allan deviations in SI,
+    (points,)."""
 
     tau: NDArray[np.float64]
     adev: Mapping[str, NDArray[np.float64]]
@@ -208,9 +209,9 @@ class Curves(NamedTuple):
 def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
     """Return the curves of a text file: averaging times in s, then deviations.
 
-    Columns are separated by commas, semicolons or spaces. With a header, its names are ``tau`` and
-    axes (others are ignored), and gyros are in rad/s unless ``gyro_unit`` is 'deg/s'; without one
-    there are six axes in the order of `OTHER_TOOL`, and gyros are in deg/s by default.
+    Columns are separated by commas, semicolons or spaces. With a header, the names are ``tau`` and
+    axes (others are ignored), and gyros are in rad/s unless ``gyro_unit`` is 'deg/s'. Without a
+    header, there are six axes in the order of `OTHER_TOOL`, and gyros are in deg/s by default.
     """
     rows = [_cells(line) for line in _text(path).splitlines() if line.strip()]
     names = ['tau', *OTHER_TOOL]
@@ -288,14 +289,15 @@ def _text(path: str | Path) -> str:
 
 
 def _cells(line: str) -> list[str]:
-    """Return the cells of a line: between commas or semicolons if it has any, else spaces."""
+    """Return the cells of a line, separated by commas or semicolons if there are any, else by
+    spaces."""
     line = line.strip().rstrip(',;')
     cells = re.split('[,;]', line) if ',' in line or ';' in line else line.split()
     return [cell.strip() for cell in cells]
 
 
 def _column_name(cell: str) -> str:
-    """Return a header's name without unit, in lower case."""
+    """Return the name of a column without its unit, in lower case."""
     name = cell.strip().strip('"').lower().split('[')[0].split('(')[0].strip('_ ')
     return 'tau' if name in ('tau', 'tau_s', 'period', 'time') else name.removesuffix('_adev')
 

@@ -28,22 +28,22 @@ WORDS: dict[Level, str] = {
 """Level -> its text."""
 
 SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
-"""Findings that mean a broken sensor even though nothing could be measured."""
+"""Findings that indicate a broken sensor even if nothing could be measured."""
 
 TOO_SHORT_S = 20.0
-"""Seconds at rest below which no verdict is given."""
+"""Time at rest in s below which no verdict is given."""
 
 ALIKE = 1.15
-"""Largest ratio of the white noise of two axes that agree: what units of one batch scatter by."""
+"""Largest ratio of the white noise of two axes that agree: the typical scatter between units."""
 
 ODD_AXIS = 2.0
-"""Ratio from which an axis is suspect; the third axis of many accelerometers reaches 1.5."""
+"""Ratio above which an axis is suspicious; the third axis of many accelerometers reaches 1.5."""
 
 CHANGES_NUMBERS = ('settled_part',)
 """Notes that come first, because they state which part of the data was used."""
 
 NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
-"""Findings that need no action, or only a longer record, which is advised in one line."""
+"""Findings that need no action, or only a longer record, which is recommended in one line."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Verdict:
     Attributes
     ----------
     level : 'healthy', 'attention', 'unknown' or 'failed'
-        'unknown' where nothing could be measured, or there is nothing to compare with.
+        'unknown' if nothing could be measured, or there is nothing to compare with.
     summary : str
         One sentence.
     reasons : tuple of str
         Sentences, the most important first.
     next_steps : tuple of str
-        What to do, the most urgent first.
+        Recommended actions, the most urgent first.
     """
 
     level: Level
@@ -75,7 +75,7 @@ class Verdict:
 def verdict_of(
     results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'datasheet'
 ) -> Verdict:
-    """Return the verdict on an IMU and its record; by default with the comparisons it has."""
+    """Return the verdict on an IMU and its record; by default from its own comparisons."""
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
     summary = _summary(level, results, comparisons, units)
@@ -112,9 +112,9 @@ def too_short(results: Results) -> bool:
 
 
 def _judged(comparisons: Sequence[Comparison]) -> bool:
-    """Return whether N, the first thing a record resolves, is within every limit there is.
+    """Return whether N, which is resolved first, is within all its limits.
 
-    Where no limit of N is stated, every stated number must be within.
+    Without any limit of N, all other stated numbers must be within their limits.
     """
     asked = [c for c in comparisons if c.term == 'N'] or list(comparisons)
     return bool(asked) and all(c.verdict == 'within' for c in asked)
@@ -153,7 +153,7 @@ def _references(comparisons: Sequence[Comparison]) -> str:
 
 
 def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
-    """Yield by how much the numbers of each sensor and term exceed each limit."""
+    """Yield the excess of the numbers of each sensor and term over each limit."""
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
         groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
@@ -169,7 +169,7 @@ def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Ite
 
 
 def _axes_alike(results: Results) -> Iterator[str]:
-    """Yield how far the white noise of the axes of each sensor agrees."""
+    """Yield a sentence on the agreement of the white noise of the axes of each sensor."""
     for sensor, where in SENSORS.items():
         known = {
             axis: c.value
@@ -195,7 +195,7 @@ def _axes_alike(results: Results) -> Iterator[str]:
 
 
 def _duration(results: Results) -> Iterator[str]:
-    """Yield what the length of the record resolves."""
+    """Yield a sentence on the terms that the length of the record resolves."""
     axes = results.axes
     if not measured(results):
         return
@@ -220,7 +220,7 @@ def _warnings(results: Results) -> Iterator[str]:
 
 
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
-    """Return how long to record, and for which terms; None where more would not help."""
+    """Return the recommended length of a record and the terms it resolves, or None."""
     if results.method != 'gls':
         return None
     longest = max((s.duration_s for s in results.provenance.segments), default=0.0)
@@ -235,7 +235,7 @@ def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
 
 
 def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
-    """Yield what to do next, the most urgent first."""
+    """Yield the next steps, the most urgent first."""
     remedies: dict[str, list[str]] = {}
     for severity in ('error', 'warning'):
         for finding in results.findings:
@@ -258,7 +258,8 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def finding_text(finding: Finding, results: Results) -> str:
-    """Return the message of a finding, preceded by its axes (or sensor, for all of one)."""
+    """Return the message of a finding after the names of its axes (or its sensor, for all
+    three)."""
     return f'{_where(finding, results)}{finding.message}'
 
 
@@ -271,7 +272,7 @@ def _axis(axis: str) -> str:
 
 
 def _axes_text(axes: Sequence[str], results: Results) -> str:
-    """Return axes by name, or by sensor where all axes of one are given."""
+    """Return the names of the axes, or of the sensor if all its axes are given."""
     if set(axes) >= set(results.axes):
         return 'all axes'
     words: list[str] = []

@@ -3,7 +3,7 @@
 """Write Imu batches as a recording: rosbag2 (mcap, sqlite3), ROS 1 bag, CSV or npz.
 
 A recording is written to a temporary folder next to its path and renamed when it is complete. Every
-form keeps int64 stamps and float64 samples, so reading any of them returns the same numbers.
+format stores int64 stamps and float64 samples, so reading returns the same numbers.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ COMPRESSIONS: dict[str, tuple[str, ...]] = {
     'csv': ('none',),
     'npz': ('none', 'deflate'),
 }
-"""Storage -> kinds of compression; those of rosbag2 use zstd."""
+"""Storage -> kinds of compression; rosbag2 uses zstd."""
 STORAGE_OF_SUFFIX = {'.bag': 'ros1', '.csv': 'csv', '.tsv': 'csv', '.npz': 'npz'}
 DEFAULT_STORAGE = 'mcap'
 FILE_SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
-"""Suffix of a single file instead of a bag with metadata.yaml -> its storage."""
+"""Suffix of a single file, instead of a bag with metadata.yaml -> its storage."""
 
 METADATA_VERSION = 8
 """Version of metadata.yaml, as of ROS 2 Jazzy."""
@@ -115,7 +115,7 @@ def write_recording(
     path : path
         The bag directory (rosbag2) or file (ROS 1, CSV, TSV, npz).
     batches : iterable of ImuBatch
-        In the order of recording.
+        The batches in recorded order.
     storage : 'mcap', 'sqlite3', 'ros1', 'csv' or 'npz', optional
         By default from the suffix: .mcap, .db3, .bag, .csv, .tsv, .npz; otherwise an mcap bag.
     compression : str
@@ -170,7 +170,7 @@ def _write(
 
 
 def _only_file(bag: Path) -> None:
-    """Replace a bag by its storage file, because the given name is that of a file."""
+    """Replace a bag by its storage file, because the given name is the name of a file."""
     (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
     kept = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
@@ -179,7 +179,7 @@ def _only_file(bag: Path) -> None:
 
 @contextmanager
 def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
-    """Yield a temporary path of the same name; what is written there is moved to ``path``."""
+    """Yield a temporary path with the same name; its content is then moved to ``path``."""
     if path.exists() and not overwrite:
         raise AllanError(f'{path} exists already: choose another name, or use --overwrite')
     if path.is_dir() and not (path / 'metadata.yaml').is_file():
@@ -303,7 +303,8 @@ def _metadata(
                 'message_count': times.count,
             }
         ],
-        'files': [{'path': file, **copy.deepcopy(extent)}],  # YAML would refer to the same values
+        # YAML would write references to equal values
+        'files': [{'path': file, **copy.deepcopy(extent)}],
         'custom_data': None,
         'ros_distro': 'jazzy',
     }
@@ -400,7 +401,7 @@ class _Chunk:
     def add(
         self, first: int, record_ns: NDArray[np.int64], payloads: NDArray[Any] | list[bytes]
     ) -> None:
-        """Add messages, which are numbered from ``first``."""
+        """Add messages, numbered from ``first``."""
         sequence = np.arange(first, first + len(record_ns)) & 0xFFFFFFFF
         if isinstance(payloads, np.ndarray):
             size = payloads.itemsize
