@@ -12,7 +12,7 @@ import base64
 import datetime
 import hashlib
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
@@ -40,86 +40,6 @@ from .tables import (
     in_units,
 )
 
-EARLIEST_S = 978_307_200
-"""2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""
-
-NS = 10**9
-
-
-def recorded_on(results: Results) -> str:
-    """Return when the static data begins, in UTC, or '' where the stamps are no dates."""
-    segments = results.provenance.segments
-    start = min((s.start_ns for s in segments), default=0) // NS
-    if start < EARLIEST_S:
-        return ''
-    when = datetime.datetime.fromtimestamp(start, datetime.timezone.utc)
-    return f'{when:%Y-%m-%d %H:%M} UTC'
-
-
-def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of inputs, sample counts and what is needed to repeat the analysis."""
-    yield '<h3>Inputs</h3>' + _table(dict(_inputs(results)))
-    yield '<h3>Samples</h3>' + _table(dict(_counts(results)))
-    yield '<h3>To repeat it</h3>' + _table({**method, **_versions()})
-    settings = results.provenance.settings
-    if settings:
-        rows = {key: _value(value) for key, value in settings.items()}
-        yield (f'<details><summary>Every setting ({len(rows)})</summary>{_table(rows)}</details>')
-
-
-def _inputs(results: Results) -> Iterator[tuple[str, str]]:
-    for source in results.provenance.sources:
-        what = [part for part in (source.topic, source.type, source.storage) if part]
-        yield source.path, ', '.join([*what, *_size(Path(source.path))])
-
-
-def _size(path: Path) -> Iterator[str]:
-    """Yield the size of an input, if it is still there."""
-    try:
-        files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
-        stats = [file.stat() for file in files]
-    except OSError:
-        return
-    if stats:
-        yield f'{sum(stat.st_size for stat in stats):,} bytes'
-
-
-def _counts(results: Results) -> Iterator[tuple[str, str]]:
-    counts = results.provenance.counts
-    yield (
-        'used',
-        f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
-        f'{duration_text(results.duration_s, 3)} in {results.segments} '
-        f'segment{"" if results.segments == 1 else "s"}',
-    )
-    for name, number in vars(counts).items():
-        if isinstance(number, int) and number and name != 'used':
-            yield name.replace('_', ' '), f'{number:,}'
-    yield 'gaps', ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none'
-
-
-def _versions() -> dict[str, str]:
-    return {
-        'versions': f'allan_ros {__version__}, Python {platform.python_version()}, '
-        f'numpy {numpy.__version__}, scipy {scipy.__version__}',
-        'machine': f'{platform.system()} {platform.machine()}',
-    }
-
-
-def _value(value: object) -> str:
-    if isinstance(value, (list, tuple)):
-        return ', '.join(str(v) for v in value) or '–'
-    return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
-
-
-def _table(rows: Mapping[str, str]) -> str:
-    cells = ''.join(
-        f'<tr><th scope="row">{escape(key)}</th><td>{escape(value)}</td></tr>'
-        for key, value in rows.items()
-    )
-    return f'<table class="facts"><tbody>{cells}</tbody></table>'
-
-
 STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
 
 SCRIPTS = (
@@ -140,11 +60,11 @@ ICONS = {
 }
 """Level -> its symbol, which repeats the meaning of the colour."""
 
-FOLDED = 3
-"""More notes than this are folded away under their number."""
+EARLIEST_S = 978_307_200
+"""2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""
 
-STEPS = 4
-"""Most next steps that are shown."""
+FOLDED, STEPS = 3, 4
+"""Most notes that are not folded away under their number, and most next steps that are shown."""
 
 
 @dataclass(frozen=True)
@@ -189,15 +109,20 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
         '</section></main>',
         f'<footer>allan_ros {__version__}</footer>',
     ]
-    data = _data(results, context, list(sensors), units)
-    return _page(f'Noise of {name}', '\n'.join(body), data)
+    data = {
+        'units': units,
+        'temperature': temperature_chart(context.signal),
+        'sensors': [sensor_charts(results, s, context.spectra, context.signal) for s in sensors],
+    }
+    return _page(f'Noise of {name}', '\n'.join(body), to_script(data))
 
 
 def _page(title: str, body: str, data: str) -> str:
     here = files(__package__)
     scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
     styles = '\n'.join(here.joinpath(name).read_text('utf-8') for name in STYLES)
-    hashes = ' '.join(f"'sha256-{_digest(script)}'" for script in scripts)
+    digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
+    hashes = ' '.join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; "
         f"style-src 'unsafe-inline'; script-src {hashes}"
@@ -213,26 +138,15 @@ def _page(title: str, body: str, data: str) -> str:
     )
 
 
-def _digest(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-
-
-def _data(results: Results, context: ReportContext, sensors: Sequence[str], units: str) -> str:
-    charts = [sensor_charts(results, sensor, context.spectra, context.signal) for sensor in sensors]
-    return to_script(
-        {'units': units, 'temperature': temperature_chart(context.signal), 'sensors': charts}
-    )
-
-
 def _header(
     results: Results, name: str, sensors: Mapping[str, object], units: str
 ) -> Iterator[str]:
-    number = results.segments
+    start = min((s.start_ns for s in results.provenance.segments), default=0) // 10**9
+    when = datetime.datetime.fromtimestamp(max(start, 0), datetime.timezone.utc)
     facts = [
         f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
-        f'{duration_text(results.duration_s, 3)} at rest in {number} '
-        f'segment{"" if number == 1 else "s"}',
-        recorded_on(results),
+        f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
+        f'{when:%Y-%m-%d %H:%M} UTC' if start >= EARLIEST_S else '',
     ]
     items = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
     yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul></header>'
@@ -254,10 +168,7 @@ def _verdict_section(
 ) -> Iterator[str]:
     """Yield the verdict with N, B and K of every axis."""
     listed = {finding_text(f, results) for f in grouped(results.findings)}
-    reasons = ''.join(
-        f'<li>{_text(reason)}</li>' for reason in verdict.reasons if reason not in listed
-    )
-    steps = ''.join(f'<li>{_text(step)}</li>' for step in verdict.next_steps[:STEPS])
+    reasons = _items(reason for reason in verdict.reasons if reason not in listed)
     yield (
         f'<section id="verdict" class="{verdict.level}">'
         f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
@@ -266,16 +177,77 @@ def _verdict_section(
     )
     yield '<div class="headline">'
     for sensor, axes in sensors.items():
-        yield from headline_table(sensor, axes)
+        yield headline_table(sensor, axes)
     yield '</div><div class="answers">'
     if reasons:
         yield f'<div><h2>What the recording shows</h2><ul>{reasons}</ul></div>'
-    yield f'<div><h2>What to do next</h2><ol>{steps}</ol></div></div></section>'
+    yield f'<div><h2>What to do next</h2><ol>{_items(verdict.next_steps[:STEPS])}</ol></div></div>'
+    yield '</section>'
+
+
+def _items(texts: Iterable[str]) -> str:
+    return ''.join(f'<li>{_text(text)}</li>' for text in texts)
 
 
 def _text(text: str) -> str:
     """Return the HTML of a sentence in both systems of units."""
     return in_units(lambda units: escape(text_in_units(text, units, typeset=True)))
+
+
+def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
+    """Yield the tables of inputs, sample counts and what is needed to repeat the analysis."""
+    known, counts = results.provenance, results.provenance.counts
+    inputs = {
+        s.path: ', '.join(filter(None, (s.topic, s.type, s.storage, _size(Path(s.path)))))
+        for s in known.sources
+    }
+    samples = {
+        'used': f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
+        f'{duration_text(results.duration_s, 3)} in {_segments(results)}',
+        **{
+            name.replace('_', ' '): f'{number:,}'
+            for name, number in vars(counts).items()
+            if isinstance(number, int) and number and name != 'used'
+        },
+        'gaps': ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none',
+    }
+    versions = {
+        'versions': f'allan_ros {__version__}, Python {platform.python_version()}, '
+        f'numpy {numpy.__version__}, scipy {scipy.__version__}',
+        'machine': f'{platform.system()} {platform.machine()}',
+    }
+    yield f'<h3>Inputs</h3>{_table(inputs)}<h3>Samples</h3>{_table(samples)}'
+    yield f'<h3>To repeat it</h3>{_table({**method, **versions})}'
+    if known.settings:
+        rows = {key: _value(value) for key, value in known.settings.items()}
+        yield f'<details><summary>Every setting ({len(rows)})</summary>{_table(rows)}</details>'
+
+
+def _size(path: Path) -> str:
+    """Return the size of an input, or '' if it is not there any more."""
+    try:
+        files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+        return f'{sum(file.stat().st_size for file in files):,} bytes' if files else ''
+    except OSError:
+        return ''
+
+
+def _segments(results: Results) -> str:
+    return f'{results.segments} segment{"" if results.segments == 1 else "s"}'
+
+
+def _value(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        value = ', '.join(map(str, value))
+    return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    cells = ''.join(
+        f'<tr><th scope="row">{escape(key)}</th><td>{escape(value)}</td></tr>'
+        for key, value in rows.items()
+    )
+    return f'<table class="facts"><tbody>{cells}</tbody></table>'
 
 
 def _findings_section(results: Results) -> Iterator[str]:

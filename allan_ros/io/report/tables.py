@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from html import escape
 
 import numpy as np
@@ -33,138 +32,121 @@ from ..format import (
 )
 from ..results import Results
 
+Axes = Mapping[str, AxisResult]
+
+Row = tuple[str, Iterable[str]]
+"""Heading of a row as HTML, and its ``<td>`` elements, one for each axis."""
+
 SYSTEMS = ('datasheet', 'si')
 """The systems of units that the page offers."""
 
-TERM_NAMES = {
-    'gyro': {
-        'Q': 'quantization',
-        'N': 'angle random walk',
-        'B': 'bias instability',
-        'K': 'rate random walk',
-        'R': 'rate ramp',
-    },
-    'accel': {
-        'Q': 'quantization',
-        'N': 'velocity random walk',
-        'B': 'bias instability',
-        'K': 'acceleration random walk',
-        'R': 'acceleration ramp',
-    },
-}
-"""sensor -> term -> its name in IEEE Std 952 and 1293."""
+WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
+"""Sensor -> quantities whose random walks are N and K in IEEE Std 952 and 1293."""
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict -> its symbol, which repeats the meaning of word and colour."""
 
+ERRORS = {
+    'gyro': {'datasheet': ShownUnit('°', 180.0 / math.pi), 'si': ShownUnit('rad', 1.0)},
+    'accel': dict.fromkeys(SYSTEMS, ShownUnit('m/s', 1.0)),
+}
+"""Sensor -> system of units -> the unit of what grows without correction."""
 
-def coefficient_table(
-    sensor: str, axes: Mapping[str, AxisResult], deviations: bool = True
-) -> Iterator[str]:
+COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
+"""Columns of the table for spreadsheets."""
+
+
+def in_units(html_of: Callable[[str], str]) -> str:
+    """Return the HTML of both systems of units, of which the page shows the chosen one."""
+    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
+
+
+def headline_table(sensor: str, axes: Axes) -> str:
+    """Return the small table of N, B and K of the verdict section."""
+    rows = _coefficient_rows(sensor, axes, ADVISED_TERMS, named=False)
+    return _table('coefficients', axes, '', rows, f'<caption>{SENSOR_NAMES[sensor]}</caption>')
+
+
+def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[str]:
     """Yield the table of the five terms, one column per axis; a note where none is known."""
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
-        yield '<p class="note">Nothing could be measured: neither a value nor a limit.</p>'
+        yield _note('Nothing could be measured: neither a value nor a limit.')
         return
-    rows = [*_coefficient_rows(sensor, axes, TERMS)]
-    if deviations and any(result.fit.deviation for result in axes.values()):
-        texts = (deviation_text(result.fit.deviation) or '–' for result in axes.values())
-        cells = ''.join(f'<td>{text}</td>' for text in texts)
+    rows = _coefficient_rows(sensor, axes, TERMS)
+    stated = [deviation_text(axis.fit.deviation) for axis in axes.values()]
+    if deviations and any(stated):
+        heading = 'largest deviation<small>from the model</small>'
+        rows.append((heading, [f'<td>{text or "–"}</td>' for text in stated]))
+    if any(axis.regions for axis in axes.values()):
+        texts = ([region_text(r, a.fit.likely) for r in a.regions] for a in axes.values())
         rows.append(
-            f'<tr><th scope="row">largest deviation<small>from the model</small></th>{cells}</tr>'
+            ('dominant noise', (f'<td class="regions">{"<br>".join(t)}</td>' for t in texts))
         )
-    if any(result.regions for result in axes.values()):
-        texts = (
-            '<br>'.join(region_text(region, result.fit.likely) for region in result.regions)
-            for result in axes.values()
-        )
-        cells = ''.join(f'<td class="regions">{text}</td>' for text in texts)
-        rows.append(f'<tr class="wide"><th scope="row">dominant noise</th>{cells}</tr>')
-    yield '<div class="scroll"><table class="coefficients">'
-    yield from _rows(axes, rows, '<th scope="col">term</th>')
+    yield f'<div class="scroll">{_table("coefficients", axes, "term", rows)}</div>'
     also = [
-        f'{_letter(axis)}: {f"{part}, likely but not resolved (?)" if part in TERMS else part}'
-        for axis, result in axes.items()
-        for part in result.part_adev(np.ones(1, int))
-        if part not in TERMS or part in result.fit.likely
+        f'{_letter(name)}: {f"{part}, likely but not resolved (?)" if part in TERMS else part}'
+        for name, axis in axes.items()
+        for part in axis.part_adev(np.ones(1, int))
+        if part not in TERMS or part in axis.fit.likely
     ]
-    yield (
-        '</div><p class="note">95 % intervals below the values. "&lt;" is the 95 % '
-        'upper limit of a term that is not resolved. B is the coefficient; the level part of the '
-        'curve lies at 0.664 B.'
-        + (f' The model also has {escape("; ".join(also))}.' if also else '')
-        + '</p>'
+    yield _note(
+        '95 % intervals below the values. "<" is the 95 % upper limit of a term that is not '
+        'resolved. B is the coefficient; the level part of the curve lies at 0.664 B.'
+        + (f' The model also has {"; ".join(also)}.' if also else '')
     )
 
 
-ERRORS = {
-    'gyro': ('angle', {'datasheet': ('°', 180.0 / math.pi), 'si': ('rad', 1.0)}),
-    'accel': ('velocity', {'datasheet': ('m/s', 1.0), 'si': ('m/s', 1.0)}),
-}
-"""Sensor -> what grows without correction, and its unit and factor by system of units."""
-
-
-def growth_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
+def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
     """Yield the predicted growth of the error, and the scatter of the bias between recordings."""
-    tables = {axis: result.growth for axis, result in axes.items()}
-    rows = []
-    quantity, units_of = ERRORS[sensor]
-    for row in zip(*tables.values()):
-        cells = ''.join(
-            f'<td>{in_units(partial(_size, growth.std, growth.ci95, units_of))}</td>'
-            for growth in row
-        )
-        rows.append(f'<tr><th scope="row">after {row[0].horizon:g} s</th>{cells}</tr>')
-    turned = {axis: result.turn_on for axis, result in axes.items() if result.turn_on}
+    rows: list[Row] = []
+    for of_time in zip(*(axis.growth for axis in axes.values())):
+        cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in of_time)
+        rows.append((f'after {of_time[0].horizon:g} s', cells))
     if rows:
-        heading = in_units(lambda system: f'Predicted {quantity} error [{units_of[system][0]}]')
-        yield from _comparison_table(heading, axes, rows, 'time')
-        window = next(iter(tables.values()))[0].window
-        yield (
-            '<p class="note">One standard deviation without correction, with the 95 % interval, '
-            f'after the bias was averaged over {window:g} s.</p>'
+        unit = in_units(
+            lambda system: f'Predicted {WALKS[sensor][0]} error [{ERRORS[sensor][system].name}]'
         )
-    for axis, bias in turned.items():
-        units = {s: _unit_of(shown_unit(axis, 'B', s)) for s in ('datasheet', 'si')}
-        size = in_units(partial(_size, bias.std, bias.ci95, units, in_line=True))
-        yield (
-            f'<p class="note">Bias of {_letter(axis)} between {bias.recordings} recordings: '
-            f'standard deviation {size}</p>'
+        yield _comparison(unit, axes, rows, 'time')
+        window = next(iter(axes.values())).growth[0].window
+        yield _note(
+            'One standard deviation without correction, with the 95 % interval, after the bias was '
+            f'averaged over {window:g} s.'
         )
-
-
-def _unit_of(unit: ShownUnit) -> tuple[str, float]:
-    return pretty_unit(unit.name), unit.factor
+    for name, axis in axes.items():
+        if axis.turn_on:
+            units = {system: shown_unit(name, 'B', system) for system in SYSTEMS}
+            size = _size(axis.turn_on.std, axis.turn_on.ci95, units)
+            yield (
+                f'<p class="note">Bias of {_letter(name)} between {axis.turn_on.recordings} '
+                f'recordings: standard deviation {size}</p>'
+            )
 
 
 def _size(
     size: float,
     interval: tuple[float, float] | None,
-    units: Mapping[str, tuple[str, float]],
-    system: str,
-    in_line: bool = False,
+    units: Mapping[str, ShownUnit],
+    below: bool = False,
 ) -> str:
-    """Return a standard deviation with its interval, below it or in the same line."""
-    name, factor = units[system]
+    """Return a standard deviation with its interval: ``below`` it, or in line with the unit."""
     low, high = interval or (size, size)
-    if not low > 0.0:  # no term is resolved: only a limit is known
-        limit = f'< {significant(high * factor, 2)}' if high > 0.0 else '–'
-        return escape(f'{limit} {name}' if in_line else limit)
-    ends = '..'.join(significant(end * factor, 2) for end in interval or ())
-    if in_line:
-        return escape(f'{significant(size * factor, 2)} {name}' + (f' ({ends})' if ends else ''))
-    return f'{escape(significant(size * factor, 2))}' + (f'<small>{ends}</small>' if ends else '')
+
+    def shown(system: str) -> str:
+        name, factor = units[system]
+        value, ends = significant(size * factor, 2), ''
+        if not low > 0.0:  # no term is resolved: only a limit is known
+            value = f'&lt; {significant(high * factor, 2)}' if high > 0.0 else '–'
+        elif interval:
+            ends = '..'.join(significant(end * factor, 2) for end in interval)
+        if below:
+            return value + (f'<small>{ends}</small>' if ends else '')
+        return f'{value} {escape(pretty_unit(name))}' + (f' ({ends})' if ends else '')
+
+    return in_units(shown)
 
 
-def headline_table(sensor: str, axes: Mapping[str, AxisResult]) -> Iterator[str]:
-    """Yield the small table of N, B and K of the verdict section."""
-    yield f'<table class="coefficients"><caption>{SENSOR_NAMES[sensor]}</caption>'
-    yield from _rows(axes, _coefficient_rows(sensor, axes, ADVISED_TERMS, named=False), '<td></td>')
-
-
-def datasheet_table(
-    sensor: str, axes: Mapping[str, AxisResult], comparison: DatasheetComparison
-) -> Iterator[str]:
+def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) -> Iterator[str]:
     """Yield the comparison with a datasheet; nothing where it states nothing about the sensor."""
     stated, notes = {}, []
     for term in TERMS:
@@ -180,11 +162,7 @@ def datasheet_table(
 
 
 def baseline_table(
-    sensor: str,
-    axes: Mapping[str, AxisResult],
-    name: str,
-    baseline: Results,
-    comparisons: Sequence[Comparison],
+    sensor: str, axes: Axes, name: str, baseline: Results, comparisons: Sequence[Comparison]
 ) -> Iterator[str]:
     """Yield the comparison with an earlier run; nothing where the two share no term."""
     notes = [
@@ -198,54 +176,30 @@ def baseline_table(
 def _checks_table(
     heading: str,
     sensor: str,
-    axes: Mapping[str, AxisResult],
+    axes: Axes,
     comparisons: Sequence[Comparison],
     notes: Sequence[str],
     stated: Mapping[str, str],
     baseline: Results | None = None,
 ) -> Iterator[str]:
     """Yield a table of comparisons with limits, and its notes; nothing without comparisons."""
-    rows = []
+    rows: list[Row] = []
     for term in TERMS:
         checks = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
-        cells = ''.join(
-            _verdict_cell(axes[axis].fit.noise[term], checks[axis], baseline)
-            if axis in checks
+        cells = (
+            _check_cell(axis.fit.noise[term], checks[name], baseline)
+            if name in checks
             else '<td></td>'
-            for axis in axes
+            for name, axis in axes.items()
         )
         if checks:
-            rows.append(f'<tr>{_term_heading(sensor, term, stated.get(term, ""))}{cells}</tr>')
+            rows.append((_term_heading(sensor, term, stated.get(term, '')), [*cells]))
     if rows:
-        yield from _comparison_table(heading, axes, rows)
-        yield from (f'<p class="note">{escape(note)}</p>' for note in notes)
+        yield _comparison(heading, axes, rows)
+        yield from map(_note, notes)
 
 
-def _comparison_table(
-    caption: str, axes: Mapping[str, AxisResult], rows: Sequence[str], first: str = 'term'
-) -> Iterator[str]:
-    yield f'<h3>{caption}</h3><div class="scroll"><table class="comparison">'
-    yield from _rows(axes, rows, f'<th scope="col">{first}</th>')
-    yield '</div>'
-
-
-def _rows(axes: Mapping[str, AxisResult], rows: Iterable[str], corner: str) -> Iterator[str]:
-    """Yield head and body of a table with a column per axis, and its end."""
-    yield f'<thead><tr>{corner}'
-    yield ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes) + '</tr></thead><tbody>'
-    yield from rows
-    yield '</tbody></table>'
-
-
-def _coefficient_rows(
-    sensor: str, axes: Mapping[str, AxisResult], terms: Sequence[str], named: bool = True
-) -> Iterator[str]:
-    for term in terms:
-        cells = ''.join(_coefficient_cell(a, term, r.fit.noise[term]) for a, r in axes.items())
-        yield f'<tr>{_term_heading(sensor, term, named=named)}{cells}</tr>'
-
-
-def _verdict_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
+def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
     """Return the value, its share of the limit or what it was, and the verdict."""
     axis, term = check.axis, check.term
 
@@ -267,38 +221,68 @@ def _verdict_cell(coefficient: Coefficient, check: Comparison, baseline: Results
     )
 
 
-def _coefficient_cell(axis: str, term: str, coefficient: Coefficient) -> str:
-    def shown(units: str) -> str:
-        unit = shown_unit(axis, term, units)
-        value, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
-        low, _, high = interval.partition('..')
-        # an interval may be broken at its dots where the column is narrow
-        ends = f'<small>{escape(low)}<wbr>..{escape(high)}</small>' if high else ''
-        value = '–' if value == NOTHING_KNOWN else value
-        return f'<b>{escape(value)}</b>{ends}'
+def _coefficient_rows(
+    sensor: str, axes: Axes, terms: Sequence[str], named: bool = True
+) -> list[Row]:
+    """Return a row for each term with the value and the interval of each axis."""
 
-    return f'<td class="{coefficient.status}">{in_units(shown)}</td>'
+    def cell(axis: str, term: str, c: Coefficient) -> str:
+        def shown(units: str) -> str:
+            unit = shown_unit(axis, term, units)
+            value = value_text(c, unit)
+            low, _, high = interval_text(c, unit).partition('..')
+            # an interval may be broken at its dots where the column is narrow
+            ends = f'<small>{low}<wbr>..{high}</small>' if high else ''
+            return f'<b>{"–" if value == NOTHING_KNOWN else escape(value)}</b>{ends}'
+
+        return f'<td class="{c.status}">{in_units(shown)}</td>'
+
+    return [
+        (
+            _term_heading(sensor, term, named=named),
+            [cell(name, term, axis.fit.noise[term]) for name, axis in axes.items()],
+        )
+        for term in terms
+    ]
 
 
 def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) -> str:
     """Return the heading of a term's row; ``html`` replaces its name."""
+    angle, rate = WALKS[sensor]
+    names = {
+        'Q': 'quantization',
+        'N': f'{angle} random walk',
+        'B': 'bias instability',
+        'K': f'{rate} random walk',
+        'R': f'{rate} ramp',
+    }
     units = in_units(lambda system: escape(pretty_unit(shown_unit(sensor, term, system).name)))
-    what = html or escape(TERM_NAMES[sensor][term])
-    name = f'<small>{what}</small>' if named else ''
-    return f'<th scope="row">{term} <em>{units}</em>{name}</th>'
+    name = f'<small>{html or names[term]}</small>' if named else ''
+    return f'{term} <em>{units}</em>{name}'
+
+
+def _comparison(caption: str, axes: Axes, rows: Sequence[Row], corner: str = 'term') -> str:
+    table = _table('comparison', axes, corner, rows)
+    return f'<h3>{caption}</h3><div class="scroll">{table}</div>'
+
+
+def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str = '') -> str:
+    """Return a table with a column for each axis, and their letters as its head."""
+    first = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
+    head = ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes)
+    body = ''.join(f'<tr><th scope="row">{th}</th>{"".join(cells)}</tr>' for th, cells in rows)
+    return (
+        f'<table class="{kind}">{caption}<thead><tr>{first}{head}</tr></thead>'
+        f'<tbody>{body}</tbody></table>'
+    )
+
+
+def _note(text: str) -> str:
+    return f'<p class="note">{escape(text, quote=False)}</p>'
 
 
 def _letter(axis: str) -> str:
     return axis.rsplit('_', 1)[1]
-
-
-def in_units(html_of: Callable[[str], str]) -> str:
-    """Return the HTML of both systems of units, of which the page shows the chosen one."""
-    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
-
-
-COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
-"""Columns of the table for spreadsheets."""
 
 
 def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
@@ -315,11 +299,8 @@ def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
             value, low, high, upper = numbers = known_numbers(c, unit)
             shown = ('' if number is None else f'{number:g}' for number in numbers)
             lines.append('\t'.join([axis, term, *shown, unit.name]))
-            known = {
-                'value': value,
-                'ci95': None if low is None else [low, high],
-                'upper95': upper,
-            }
+            ci95 = None if low is None else [low, high]
+            known = {'value': value, 'ci95': ci95, 'upper95': upper}
             given = {key: number for key, number in known.items() if number is not None}
             tree[axis][term] = {'unit': unit.name, **given}
     for term in TERMS:
