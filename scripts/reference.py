@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import allan_ros
-from allan_ros.cli.console import add_console_options
+from allan_ros.cli.console import OPTIONS
 from allan_ros.cli.main import EXITS, VERBS, command_of
+from allan_ros.cli.options import add_options
 from allan_ros.core.findings import CATALOGUE, PLURAL
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
@@ -162,7 +163,7 @@ def _launch_rows() -> Iterator[str]:
 def cli_page() -> str:
     """Return the page of the command line's options."""
     common = argparse.ArgumentParser(add_help=False)
-    add_console_options(common)
+    add_options(common, OPTIONS)
     every = EVERY_VERB.format(
         options='\n'.join(_option_row(action) for action in common._actions),
         exits='\n'.join(f'| {code} | {what} |' for code, what in EXITS.items()),
@@ -172,7 +173,7 @@ def cli_page() -> str:
 
 def _verb_section(verb: str) -> str:
     parser = argparse.ArgumentParser(prog=f'allan {verb}', add_help=False)
-    command_of(verb).add_arguments(parser)
+    command_of(verb).declare(parser)
     rows = '\n'.join(
         _option_row(action) for action in parser._actions if action.help != argparse.SUPPRESS
     )

@@ -34,7 +34,7 @@ from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_proces
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
 from .console import Console, coloured, painted, width
-from .options import Command, add_settings, settings_of
+from .options import Command, Settings, settings_of
 from .tables import LEVEL_COLOURS, findings_lines, print_results
 
 EXIT_UNKNOWN, EXIT_FAILED = 1, 3
@@ -43,72 +43,44 @@ EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit ex
 """Exit code -> what it means, besides those of every verb."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this verb; defaults are those of the settings classes."""
-    parser.add_argument('inputs', nargs='+', metavar='INPUT', help='recording, or a folder of them')
-    spread = parser.add_argument_group('several recordings')
-    spread.add_argument(
-        '--jobs', type=int, default=1, metavar='N', help='read N recordings in parallel (default 1)'
-    )
-    spread.add_argument(
-        '--merge',
-        action='store_true',
-        help='add the sums of all recordings of a folder; by default each recording has '
-        'its own results and a line in the summary',
-    )
-    spread.add_argument(
-        '--scheduler',
-        metavar='ADDRESS',
-        help='read on the Dask cluster of this scheduler, for example tcp://host:8786; '
-        'its workers must see the same paths',
-    )
-    add_output_arguments(parser)
-    add_reading_arguments(parser)
+FAIL_ON = f"""
+--fail-on {{warning,error}}  exit with {EXIT_FAILED} at a finding of this severity, or if a limit of
+    the datasheet or the earlier run is exceeded
+"""
 
+WRITTEN = (
+    '-o --output DIR  folder for results, plots and report (default: none)',
+    Settings('result', ResultSettings),
+    FAIL_ON,
+    Settings('pictures', PictureSettings),
+)
+"""Options of the results, and of the files that are written."""
 
-def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the results, and of the files that are written."""
-    parser.add_argument(
-        '-o', '--output', metavar='DIR', help='folder for results, plots and report (default: none)'
-    )
-    add_settings(parser, 'result', ResultSettings)
-    add_fail_on(parser)
-    add_settings(parser, 'pictures', PictureSettings)
+READ = (
+    """
+    --rate HZ [0]  sample rate: compared with the stamps, or used if there are no stamps
+    --hardware-id TEXT []  serial number of the IMU; sums with different numbers are never added
+    """,
+    Settings('data at rest', SegmenterSettings, ['declared_rate']),
+    Settings('reading', ReadOptions, ['rate_hz']),
+)
+"""Options for the processing of recordings to sums."""
 
-
-def add_fail_on(parser: argparse.ArgumentParser) -> None:
-    """Add the option that turns findings into an exit code."""
-    parser.add_argument(
-        '--fail-on',
-        choices=('warning', 'error'),
-        help=f'exit with {EXIT_FAILED} at a finding of this severity, or if a limit of the '
-        'datasheet or the earlier run is exceeded',
-    )
-
-
-def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the processing of recordings to sums."""
-    parser.add_argument(
-        '--rate',
-        type=float,
-        default=0.0,
-        metavar='HZ',
-        help='sample rate: compared with the stamps, or used if there are no stamps',
-    )
-    parser.add_argument(
-        '--hardware-id',
-        default='',
-        metavar='TEXT',
-        help='serial number of the IMU; sums with different numbers are never added',
-    )
-    add_settings(parser, 'data at rest', SegmenterSettings, without=['declared_rate'])
-    add_settings(parser, 'reading', ReadOptions, without=['rate_hz'])
+SEVERAL = """
+inputs INPUT...  recording, or a folder of them
+several recordings:
+  --jobs N [1]  read N recordings in parallel
+  --merge  add the sums of all recordings of a folder; by default each recording has its own
+    results and a line in the summary
+  --scheduler ADDRESS  read on the Dask cluster of this scheduler, for example tcp://host:8786; its
+    workers must see the same paths
+"""
 
 
 def read_jobs(
     paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
 ) -> list[ReadJob]:
-    """Return the recordings to read, by the options of `add_reading_arguments`."""
+    """Return the recordings to read, by the options `READ`."""
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
@@ -241,14 +213,6 @@ def _read_text(recorded: RecordingSums) -> str:
     )
 
 
-def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `allan check`."""
-    parser.add_argument('inputs', nargs='+', metavar='INPUT', help='a recording, or its results')
-    add_settings(parser, 'result', ResultSettings, without=['export'])
-    add_fail_on(parser)
-    add_reading_arguments(parser)
-
-
 def check(args: argparse.Namespace) -> int:
     """Read, fit, check, and print one line."""
     settings = settings_of(ResultSettings, args)
@@ -285,14 +249,6 @@ def _checked(args: argparse.Namespace, settings: ResultSettings, console: Consol
     return fit_recorded(add_recordings(recorded), settings)
 
 
-def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `allan merge`."""
-    parser.add_argument(
-        'inputs', nargs='+', metavar='SUMS', help='sums.json of one recording, or its folder'
-    )
-    add_output_arguments(parser)
-
-
 def merge(args: argparse.Namespace) -> int:
     """Read, add, fit, show and write."""
     check_result_arguments(args)
@@ -322,7 +278,22 @@ one analysis of all recordings would give, to rounding.
 """
 
 COMMANDS = {
-    'analyze': Command(__doc__ or '', add_arguments, run, EXITS),
-    'check': Command(CHECK, add_check_arguments, check, {EXIT_FAILED: 'checked and failed'}),
-    'merge': Command(MERGE, add_merge_arguments, merge, EXITS),
+    'analyze': Command(__doc__ or '', [SEVERAL, *WRITTEN, *READ], run, EXITS),
+    'check': Command(
+        CHECK,
+        [
+            'inputs INPUT...  a recording, or its results',
+            Settings('result', ResultSettings, ['export']),
+            FAIL_ON,
+            *READ,
+        ],
+        check,
+        {EXIT_FAILED: 'checked and failed'},
+    ),
+    'merge': Command(
+        MERGE,
+        ['inputs SUMS...  sums.json of one recording, or its folder', *WRITTEN],
+        merge,
+        EXITS,
+    ),
 }

@@ -24,65 +24,18 @@ from ..core.errors import AllanError
 from ..core.fit import AxisFit
 from ..core.fit.least_squares import fit_curve
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
-from ..io.comparison import (
-    comparison_document,
-    inflation_document,
-    inflation_facts,
-)
+from ..io.comparison import comparison_document, inflation_document, inflation_facts
 from ..io.format import deviation_text, text_in_units
 from ..io.plot_style import PictureSettings, check_pictures
 from .console import Console, width
-from .options import Command, add_settings, settings_of
+from .options import Command, Settings, settings_of
 from .tables import axis_cells, comparison_lines, table_lines, term_labels
-
-ALL_BUT_UNITS = ('method', 'sensor', 'baseline', 'margin', 'export')
 
 SENSOR_PREFIX = 'sensor:'
 
 EXIT_DIFFERENT = 3
 
 EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or a limit exceeded'}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this verb."""
-    parser.add_argument(
-        'inputs',
-        nargs='+',
-        metavar='INPUT',
-        help='recording or its results, or sensor:NAME for a datasheet',
-    )
-    parser.add_argument(
-        '-o', '--output', metavar='DIR', help='folder for tables and pictures (default: none)'
-    )
-    parser.add_argument(
-        '--report',
-        action='store_true',
-        help='also write report.html of the first input, with the curves of the others',
-    )
-    parser.add_argument(
-        '--label',
-        action='append',
-        default=[],
-        metavar='TEXT',
-        help='name of an input, such as a temperature or a serial number; give one per input, in '
-        'the same order (default: name of folder or file)',
-    )
-    parser.add_argument(
-        '--sensor',
-        action='append',
-        default=[],
-        metavar='NAME',
-        help='also compare with this datasheet, like sensor:NAME; `allan sensors` lists the names',
-    )
-    parser.add_argument(
-        '--fail-on-difference',
-        action='store_true',
-        help=f'exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a '
-        'datasheet is exceeded',
-    )
-    add_settings(parser, 'result', ResultSettings, without=['sensor', 'baseline', 'export'])
-    add_settings(parser, 'pictures', PictureSettings)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -115,27 +68,6 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
 
 
-def add_inflate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `allan inflate`."""
-    parser.add_argument('rest', metavar='REST', help='the robot at rest, motors off')
-    parser.add_argument('running', metavar='RUNNING', help='the robot at rest, motors on')
-    parser.add_argument(
-        '--horizon',
-        type=float,
-        default=30.0,
-        metavar='SECONDS',
-        help='longest time that the filter integrates without correction (default 30)',
-    )
-    parser.add_argument(
-        '-o',
-        '--output',
-        metavar='DIR',
-        help='folder for inflation.json, report.html with both curves, and a table and pictures',
-    )
-    add_settings(parser, 'result', ResultSettings, without=ALL_BUT_UNITS)
-    add_settings(parser, 'pictures', PictureSettings)
-
-
 def inflate(args: argparse.Namespace) -> int:
     """Read both, show the factors, and write the files."""
     console = Console.of(args)
@@ -161,28 +93,6 @@ def inflate(args: argparse.Namespace) -> int:
         names = ', '.join(one.name for one in (path, *written))
         console.say(f'written to {args.output}: {names}')
     return 0
-
-
-def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `allan fit`."""
-    parser.add_argument('curve', metavar='CURVE', help='text file of an Allan curve')
-    parser.add_argument(
-        '--published',
-        metavar='FILE',
-        help='imu.yaml of Kalibr whose values are checked against the curve',
-    )
-    parser.add_argument(
-        '--hours',
-        type=float,
-        metavar='HOURS',
-        help='length of the recording (default: nine times the longest averaging time)',
-    )
-    parser.add_argument(
-        '--gyro-unit',
-        choices=('rad/s', 'deg/s'),
-        help='unit of gyro deviations (default rad/s with a header, else deg/s)',
-    )
-    add_settings(parser, 'result', ResultSettings, without=ALL_BUT_UNITS)
 
 
 def fit(args: argparse.Namespace) -> int:
@@ -262,8 +172,40 @@ factor on each, and the ratio of the Allan deviations.
   allan inflate rest_bag motors_on_bag -o inflation
 """
 
+COMPARE_OPTIONS = f"""
+inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
+-o --output DIR  folder for tables and pictures (default: none)
+--report  also write report.html of the first input, with the curves of the others
+--label TEXT...  name of an input, such as a temperature or a serial number; give one per input, in
+    the same order (default: name of folder or file)
+--sensor NAME...  also compare with this datasheet, like sensor:NAME; `allan sensors` lists the
+    names
+--fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
+    datasheet is exceeded
+"""
+
+INFLATE_OPTIONS = """
+rest REST  the robot at rest, motors off
+running RUNNING  the robot at rest, motors on
+--horizon SECONDS [30]  longest time that the filter integrates without correction
+-o --output DIR  folder for inflation.json, report.html with both curves, and a table and pictures
+"""
+
+FIT_OPTIONS = """
+curve CURVE  text file of an Allan curve
+--published FILE  imu.yaml of Kalibr whose values are checked against the curve
+--hours HOURS  length of the recording (default: nine times the longest averaging time)
+--gyro-unit {rad/s,deg/s}  unit of gyro deviations (default rad/s with a header, else deg/s)
+"""
+
+UNITS = Settings('result', ResultSettings, ['method', 'sensor', 'baseline', 'margin', 'export'])
+
+RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export'])
+
+PICTURES = Settings('pictures', PictureSettings)
+
 COMMANDS = {
-    'compare': Command(__doc__ or '', add_arguments, run, EXITS),
-    'inflate': Command(INFLATE, add_inflate_arguments, inflate),
-    'fit': Command(FIT, add_fit_arguments, fit),
+    'compare': Command(__doc__ or '', [COMPARE_OPTIONS, RESULT, PICTURES], run, EXITS),
+    'inflate': Command(INFLATE, [INFLATE_OPTIONS, UNITS, PICTURES], inflate),
+    'fit': Command(FIT, [FIT_OPTIONS, UNITS], fit),
 }

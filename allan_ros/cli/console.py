@@ -74,32 +74,19 @@ SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
 """ANSI colours (ECMA-48): cyan, yellow, red. They only emphasize the severity word."""
 
 
-def add_console_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that every verb has."""
-    group = parser.add_argument_group('terminal')
-    group.add_argument(
-        '--json',
-        action='store_true',
-        help='print one JSON document to stdout; messages go to stderr',
-    )
-    loudness = group.add_mutually_exclusive_group()
-    loudness.add_argument(
-        '-q',
-        '--quiet',
-        action='store_true',
-        help='print errors only; print the result only if it is not written to files',
-    )
-    loudness.add_argument(
-        '-v',
-        '--verbose',
-        action='store_true',
-        help='print every finding with its remedy; print settings, inputs and times to stderr',
-    )
+OPTIONS = """
+terminal:
+  --json  print one JSON document to stdout; messages go to stderr
+  | -q --quiet  print errors only; print the result only if it is not written to files
+  | -v --verbose  print every finding with its remedy; print settings, inputs and times to
+    stderr
+"""
+"""Options of every verb."""
 
 
 @dataclass(frozen=True)
 class Console:
-    """Output of a verb, controlled by the options of `add_console_options`."""
+    """Output of a verb, controlled by `OPTIONS`."""
 
     verb: str = ''
     json: bool = False

@@ -27,29 +27,7 @@ from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_bounded
 from ..io.format import shown_unit, significant
 from .console import Console, width, wrapped
-from .options import Command, add_settings, settings_of
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of this verb."""
-    parser.add_argument('results', nargs='?', metavar='RESULTS', help='results.json, or its folder')
-    parser.add_argument(
-        '--to',
-        metavar='TARGET',
-        default='',
-        help='filter or simulator that reads the file (--list)',
-    )
-    parser.add_argument('--list', action='store_true', help='list the targets, one per line')
-    parser.add_argument(
-        '-o', '--output', metavar='FILE', help='file to write (default: standard output)'
-    )
-    parser.add_argument(
-        '--merge-into',
-        metavar='EXISTING',
-        help='your own YAML or JSON file, whose other keys and comments are kept; changed in '
-        'place unless -o is given',
-    )
-    add_settings(parser, 'numbers', ExportOptions)
+from .options import Command, Settings, settings_of
 
 
 def run(args: argparse.Namespace) -> int:
@@ -110,16 +88,6 @@ DIGITS = 3
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
 """The columns of the list: accelerometers are listed as their datasheets state them."""
-
-
-def add_sensors_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `allan sensors`."""
-    parser.add_argument(
-        'name',
-        nargs='?',
-        metavar='NAME',
-        help='sensor to show with its sources (default: list all)',
-    )
 
 
 def sensors(args: argparse.Namespace) -> int:
@@ -252,7 +220,18 @@ that ends in .yaml is a path.
   allan analyze my_bag --sensor icm-42688-p
 """
 
+EXPORT_OPTIONS = """
+results RESULTS?  results.json, or its folder
+--to TARGET []  filter or simulator that reads the file (--list)
+--list  list the targets, one per line
+-o --output FILE  file to write (default: standard output)
+--merge-into EXISTING  your own YAML or JSON file, whose other keys and comments are kept; changed
+    in place unless -o is given
+"""
+
 COMMANDS = {
-    'export': Command(__doc__ or '', add_arguments, run),
-    'sensors': Command(SENSORS, add_sensors_arguments, sensors),
+    'export': Command(__doc__ or '', [EXPORT_OPTIONS, Settings('numbers', ExportOptions)], run),
+    'sensors': Command(
+        SENSORS, ['name NAME?  sensor to show with its sources (default: list all)'], sensors
+    ),
 }

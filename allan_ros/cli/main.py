@@ -26,8 +26,8 @@ from typing import Any, NoReturn
 
 from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
-from .console import add_console_options
-from .options import Command, words_with_config
+from .console import OPTIONS
+from .options import Command, add_options, words_with_config
 
 HELP_COLUMN = 26
 """Where the explanations of options begin."""
@@ -193,8 +193,8 @@ def build_parser(verb: str = '') -> AllanParser:
             command = command_of(name)
             sub.description = command.description
             sub.epilog = _exits_text({**EXITS, **command.exits})
-            command.add_arguments(sub)
-            add_console_options(sub)
+            command.declare(sub)
+            add_options(sub, OPTIONS)
             sub.shorten_usage()
     return parser
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the command line: from settings dataclasses, with defaults from a config file.
+"""Options of the command line: from a text or settings, with defaults from a config file.
 
 `allan.toml` or the section [tool.allan] of pyproject.toml sets defaults. Keys are the names of
 options, as in ``units = "si"``. Those at the top apply to every verb that has the option; those of
@@ -12,11 +12,13 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
+import inspect
+import re
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from ..core.errors import AllanError
 from ..core.settings import AUTO, describe
@@ -24,20 +26,108 @@ from ..core.settings import AUTO, describe
 T = TypeVar('T')
 
 
+class Settings(NamedTuple):
+    """Options made of a settings class: one for each field but those ``without``."""
+
+    title: str
+    kind: type[Any]
+    without: Collection[str] = ()
+
+
 @dataclass(frozen=True)
 class Command:
     """One verb of the command line."""
 
     description: str  # the start of its help text, with examples
-    add_arguments: Callable[[argparse.ArgumentParser], None]
+    options: Sequence[str | Settings]  # as for `add_options`, or from a settings class
     run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
     exits: Mapping[int, str] = field(default_factory=dict)  # exit codes of its own
+
+    def declare(self, parser: argparse.ArgumentParser) -> None:
+        """Add the options to the parser of the verb."""
+        for options in self.options:
+            if isinstance(options, str):
+                add_options(parser, options)
+            else:
+                add_settings(parser, *options)
+
+
+def _terms(text: str) -> dict[str, float]:
+    """Return term -> number of ``N=0.3,B=7``."""
+    try:
+        pairs = [part.split('=') for part in text.split(',')]
+        return {term.strip(): float(value) for term, value in pairs}
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r}: write terms as N=0.3,B=7') from None
+
+
+def _period(text: str) -> tuple[float, float]:
+    """Return (start, length) in s of ``60:2.5``."""
+    try:
+        start, length = text.split(':')
+        return float(start), float(length)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r}: write a period as START:LENGTH') from None
+
+
+TYPES: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(('HZ', 'HOURS', 'SECONDS'), float),
+    'N': int,
+    'N=..,B=..': _terms,
+    'START:LENGTH': _period,
+}
+"""Placeholder of an option in `add_options` -> type of its value; a text if it is not here."""
+
+
+def add_options(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add the options that a text lists.
+
+    One option a line, its help after two spaces, further lines of it indented deeper. An argument
+    has its name before its placeholder; ``...`` allows several values or uses, ``?`` none. A line
+    that ends with a colon begins a group. Options marked with ``|`` exclude one another.
+
+        inputs INPUT...             an argument
+        group:
+          | -q --quiet              a switch
+          | --level {low,high}      one of several words
+          --rate HZ [100]           a number, and its default
+    """
+    group: Any = parser
+    exclusive: Any = None
+    for item in re.sub(r'\n {4,}', ' ', inspect.cleandoc(text)).splitlines():
+        if item.endswith(':'):
+            group, exclusive = parser.add_argument_group(item[:-1]), None
+            continue
+        head, _, words = item.strip().partition('  ')
+        names = [word for word in head.split() if word.startswith('-')]
+        mark, *rest = ['', *(word for word in head.split() if word not in names)]
+        if rest and rest[0] == '|':
+            mark, *rest = rest
+            exclusive = exclusive or group.add_mutually_exclusive_group()
+        given: dict[str, Any] = {'help': words.strip()}
+        positional = [] if names else [rest.pop(0)]
+        if not rest:
+            given['action'] = 'store_true'
+        else:
+            word = rest[0].removesuffix('...').removesuffix('?')
+            given.update(metavar=word, type=TYPES.get(word, str))
+            if word.startswith('{'):
+                given['choices'] = word[1:-1].split(',')
+            if positional:
+                given['nargs'] = {'...': '+', '?': '?'}.get(rest[0][len(word) :])
+            elif rest[0] != word:
+                given.update(action='append', default=[])
+        if rest[1:]:
+            default = rest[1][1:-1]
+            given['default'] = given['type'](default)
+            given['help'] += f' (default {default})' if default not in ('', '0') else ''
+        (exclusive if mark else group).add_argument(*names, *positional, **given)
 
 
 def add_settings(
     parser: argparse.ArgumentParser,
     title: str,
-    settings_type: type[Any],
+    kind: type[Any],
     without: Collection[str] = (),
 ) -> None:
     """Add an option for every field of a settings class but those ``without``, in their own group.
@@ -46,8 +136,8 @@ def add_settings(
     ``--no-...``; a tuple is given as words joined by commas.
     """
     group = parser.add_argument_group(title)
-    infos = describe(settings_type)
-    for setting in fields(settings_type):
+    infos = describe(kind)
+    for setting in fields(kind):
         if setting.name not in infos or setting.name in without:
             continue
         info, default = infos[setting.name], setting.default
@@ -62,16 +152,22 @@ def add_settings(
             )
             continue
         unit = f' [{info.unit}]' if info.unit else ''
-        word = 'auto' if info.auto and default == AUTO else _shown(default)
-        shown = f' (default {word})' if default not in ('', ()) else ''
+        listed = ','.join(map(str, default)) if isinstance(default, tuple) else default
+        shown = f'{listed:g}' if isinstance(listed, float) else listed
+        word = 'auto' if info.auto and default == AUTO else shown
+        metavar = 'A,B,..' if isinstance(default, tuple) else 'NUMBER'
+        if isinstance(default, str):
+            metavar = 'TEXT'
+        if info.choices:
+            metavar = f'{{{",".join(filter(None, info.choices))}}}'
         group.add_argument(
             f'--{name}',
             dest=setting.name,
             type=_words if isinstance(default, tuple) else _number if info.auto else type(default),
             choices=info.choices or None,
             default=default,
-            metavar=_metavar(default, info.choices),
-            help=f'{words}{unit}{shown}',
+            metavar=metavar,
+            help=f'{words}{unit}' + (f' (default {word})' if default not in ('', ()) else ''),
         )
 
 
@@ -88,20 +184,6 @@ def _number(text: str) -> float:
 
 def _words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(','))
-
-
-def _shown(default: object) -> str:
-    if isinstance(default, tuple):
-        return ','.join(map(str, default))
-    return f'{default:g}' if isinstance(default, float) else str(default)
-
-
-def _metavar(default: object, choices: tuple[str, ...]) -> str:
-    if choices:
-        return f'{{{",".join(word for word in choices if word)}}}'
-    if isinstance(default, tuple):
-        return 'A,B,..'
-    return 'TEXT' if isinstance(default, str) else 'NUMBER'
 
 
 FILE, PROJECT = 'allan.toml', 'pyproject.toml'

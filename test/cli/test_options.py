@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import pytest
 
 from allan_ros.cli.main import build_parser
-from allan_ros.cli.options import add_settings, settings_of
+from allan_ros.cli.options import add_options, add_settings, settings_of
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import SegmenterSettings, check, parameter
 from allan_ros.io.readers.recording import ReadOptions
@@ -69,3 +69,33 @@ def test_a_list_of_columns_may_begin_with_a_dash(columns: list[str]) -> None:
     args = build_parser('analyze').parse_args(['analyze', 'a.csv', *columns, '-o', 'out'])
     assert args.columns == ('-', 't', 'gx')
     assert (args.inputs, args.output) == (['a.csv'], 'out')
+
+
+TEXT = """
+inputs INPUT...  one or several
+group:
+  | -q --quiet  a switch of
+    two lines
+  | --level {low,high}  a word
+  --rate HZ [100]  a number
+  --label TEXT...  may be repeated
+  --to TARGET []  a text
+"""
+
+
+def test_options_are_read_from_a_text() -> None:
+    parser = argparse.ArgumentParser()
+    add_options(parser, TEXT)
+    none = argparse.Namespace(inputs=['a'], quiet=False, level=None, rate=100.0, label=[], to='')
+    assert parser.parse_args(['a']) == none
+    words = ['a', 'b', '--level=low', '--rate=2', '--label=x', '--label=y', '--to=z']
+    args = vars(parser.parse_args(words))
+    assert args == {
+        **{'inputs': ['a', 'b'], 'quiet': False, 'level': 'low', 'rate': 2.0},
+        **{'label': ['x', 'y'], 'to': 'z'},
+    }
+    for wrong in (['-q', '--level=low'], ['--level=middle'], ['--rate=fast']):
+        with pytest.raises(SystemExit):
+            parser.parse_args(['a', *wrong])
+    said = ' '.join(parser.format_help().split())
+    assert 'a switch of two lines' in said and 'a number (default 100)' in said
