@@ -25,6 +25,7 @@ from typing import Any
 from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding
+from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings
 from ..io.datasheets import load_sensor
 from ..io.documents import RESULTS, load, load_sums, results_to_document
@@ -205,11 +206,13 @@ def _settings_text(*settings: Any) -> str:
 
 def _read_text(recorded: RecordingSums) -> str:
     """Return what was read of one recording, and how."""
-    (source,), counts = recorded.provenance.sources, recorded.provenance.counts
+    (source,) = recorded.provenance.sources
     what = ' '.join(word for word in (source.topic, source.type) if word)
+    used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}  # alike is shown once
+    each = (f'{number} of {sensor}' if len(used) > 1 else number for number, sensor in used.items())
     return (
-        f'{source.path}: {counts.received:,} samples from {source.storage}'
-        f'{f", {what}" if what else ""}; {counts.used:,} used'
+        f'{source.path}: {recorded.provenance.counts.received:,} samples from {source.storage}'
+        f'{f", {what}" if what else ""}; {", ".join(each)} used'
     )
 
 

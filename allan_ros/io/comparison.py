@@ -18,7 +18,6 @@ from ..core.imu import SI_UNITS, sensor_of
 from .datasheets import (
     Datasheet,
     DatasheetComparison,
-    against_datasheet,
     check_margin,
     comparison_to_document,
 )
@@ -101,9 +100,10 @@ def compare_runs(
         tuple(runs),
         tuple(Pair(first.label, other.label, of) for other, of in zip(others, found)),
         tuple(
-            (run.label, against_datasheet(run.results.noise, datasheet, margin))
+            (run.label, checked)
             for datasheet in datasheets
             for run in runs
+            if (checked := run.results.against_datasheet(datasheet, margin).datasheet)
         ),
     )
 
@@ -241,6 +241,8 @@ def _of_datasheet(label: str, comparison: DatasheetComparison) -> str:
         what = ', '.join(f'{c.axis.replace("_", " ")} {c.term}' for c in beyond)
         return f'{label} is beyond the datasheet of {name} in {what}'
     unsettled = sum(c.verdict == 'open' for c in checks)
+    if unsettled == len(checks):
+        return f'{label} cannot be judged by the datasheet of {name} yet: no number is settled'
     rest = f'; {unsettled} of {len(checks)} are not settled yet' if unsettled else ''
     return f'{label} is within the datasheet of {name}{rest}'
 

@@ -35,7 +35,7 @@ from .exporters import ExportOptions, make_export, target_of
 from .files import PATH, write_atomic
 from .format import interval_text, pretty_unit, shown_unit, value_text
 from .recorded import Provenance, RecordingSums
-from .verdict import WORDS, Verdict, verdict_of
+from .verdict import TOO_SHORT_S, WORDS, Verdict, verdict_of
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,16 @@ class Results:
     margin: float = field(default=MARGIN, repr=False, compare=False)
     recorded: RecordingSums | None = field(default=None, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        if self.datasheet is not None:
+            checks = self._judged(self.datasheet.comparisons)
+            object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
+
+    def _judged(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
+        """Return the comparisons, none of them settled if the record is too short."""
+        short = self.duration_s < TOO_SHORT_S
+        return tuple(replace(c, verdict='open') if short else c for c in comparisons)
+
     @property
     def rate_hz(self) -> float:
         """Sample rate in Hz."""
@@ -139,7 +149,7 @@ class Results:
                 if c.tau is not None and c.verdict == 'beyond' and c.axis not in explained:
                     excess[c.axis] = c
             found += excess.values()
-        return tuple(found)
+        return self._judged(found)
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:
@@ -317,8 +327,10 @@ class Results:
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
         """Return a copy with the comparison with a datasheet, and a finding for each excess."""
         comparison = against_datasheet(self.noise, datasheet, margin)
-        found = datasheet_findings(self.noise, comparison)
-        return replace(self, datasheet=comparison, margin=margin, findings=(*self.findings, *found))
+        judged = replace(self, datasheet=comparison, margin=margin)
+        assert judged.datasheet is not None
+        found = datasheet_findings(self.noise, judged.datasheet)
+        return replace(judged, findings=(*self.findings, *found))
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:

@@ -42,7 +42,7 @@ ODD_AXIS = 2.0
 CHANGES_NUMBERS = ('settled_part',)
 """Notes that come first, because they state which part of the data was used."""
 
-NO_STEP = ('file_left_out', 'short', 'record_longer', 'record_too_short')
+NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
 """Findings that need no action, or only a longer record, which is recommended in one line."""
 
 

@@ -125,3 +125,14 @@ def test_the_width_is_what_columns_says(monkeypatch: pytest.MonkeyPatch) -> None
     assert width() == 77
     monkeypatch.setenv('COLUMNS', '7')
     assert width() == 40
+
+
+def test_the_detail_says_how_many_samples_each_sensor_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = str(tmp_path / 'held.npz')
+    words = f'simulate {bag} --preset paper --hours .02 --accel-rate 62.5 -q'.split()
+    assert main(words) == 0
+    assert main(['analyze', bag, '-v', '--method', 'paper']) == 0
+    said = capsys.readouterr().err
+    assert ': 7,200 samples from npz, imu array; 7,200 of gyro, 4,500 of accel used' in said

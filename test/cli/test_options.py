@@ -89,11 +89,10 @@ def test_options_are_read_from_a_text() -> None:
     none = argparse.Namespace(inputs=['a'], quiet=False, level=None, rate=100.0, label=[], to='')
     assert parser.parse_args(['a']) == none
     words = ['a', 'b', '--level=low', '--rate=2', '--label=x', '--label=y', '--to=z']
-    args = vars(parser.parse_args(words))
-    assert args == {
-        **{'inputs': ['a', 'b'], 'quiet': False, 'level': 'low', 'rate': 2.0},
-        **{'label': ['x', 'y'], 'to': 'z'},
-    }
+    known = argparse.Namespace(
+        inputs=['a', 'b'], quiet=False, level='low', rate=2.0, label=['x', 'y'], to='z'
+    )
+    assert parser.parse_args(words) == known
     for wrong in (['-q', '--level=low'], ['--level=middle'], ['--rate=fast']):
         with pytest.raises(SystemExit):
             parser.parse_args(['a', *wrong])

@@ -12,7 +12,9 @@ from allan_ros.core.compare import Comparison, compare_with_limits
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.imu import AXES
-from allan_ros.io.comparison import Subject, compare_runs
+from allan_ros.io.comparison import Subject, compare_runs, comparison_headline
+from allan_ros.io.datasheets import Datasheet, Limit
+from allan_ros.io.documents import results_to_document
 from allan_ros.io.results import Results
 from allan_ros.io.verdict import verdict_of
 
@@ -126,6 +128,27 @@ def test_too_short_a_record_is_not_judged(small_results: Results) -> None:
     short = replace(calm(small_results), duration_s=5.0)
     verdict = verdict_of(short, against_itself(small_results, 1.01))
     assert (verdict.level, verdict.summary) == ('unknown', 'Too short to judge: 5 s at rest.')
+
+
+def test_no_file_calls_a_record_that_is_too_short_beyond_a_limit(small_results: Results) -> None:
+    sheet = Datasheet('X', '', {}, {'gyro_x': {'N': Limit(1e-9, '1')}}, {}, {})
+    short = replace(small_results, duration_s=5.0)
+    assert small_results.against_datasheet(sheet, 0.0).comparisons[0].verdict == 'beyond'
+    judged = [
+        short.against_datasheet(sheet, 0.0),
+        replace(small_results.against_datasheet(sheet, 0.0), duration_s=5.0),
+        replace(short, baselines={'May': scaled(small_results, 0.5)}),
+    ]
+    for results in judged:
+        assert {c.verdict for c in results.comparisons} == {'open'}
+    document = results_to_document(judged[0])
+    assert document['datasheet']['verdict'] == 'open'
+    assert 'beyond_limit' not in {finding['id'] for finding in document['findings']}
+    comparison = compare_runs([Subject('short', short)], [sheet])
+    assert not comparison.differs
+    assert [*comparison_headline(comparison)] == [
+        'short cannot be judged by the datasheet of X yet: no number is settled'
+    ]
 
 
 def test_axes_that_differ_are_not_said_to_agree(small_results: Results) -> None:
