@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-A `Target` has the rows of its table or a function that yields its entries; its `Form` makes text of
-them. The tables are in `targets` and `simulators`; `model` gives the numbers and the header
-comment, `forms` the text. A new target is an entry of a table and a line in `TARGETS`.
+A `Target` has the rows of its table, or a function that yields its entries; its `Form` converts
+them to text. The tables are in `targets` and `simulators`, the numbers and the header comment in
+`model`, the text formats in `forms`. A new target needs an entry in a table and a line in
+`TARGETS`.
 """
 
 from __future__ import annotations
@@ -53,18 +54,18 @@ TARGETS = {
     'isaac_sim': 'Isaac Sim: Python module that adds the noise to the readings of the IMU sensor',
     'webots': 'Webots: Python module that adds the noise in the controller',
 }
-"""Target -> what its file is."""
+"""Target -> description of its file."""
 
 AXIS_RULE = 'worst'
-"""Default axis rule of files with one number per sensor, as Kalibr users expect it."""
+"""Default axis rule of files with one number per sensor, as users of Kalibr expect."""
 
 FIDELITIES = ('reduction', 'coefficients')
 
 VIO_HORIZON_S = 30.0
-"""A camera or lidar corrects the integration; drift counts over 1 to 30 s."""
+"""A camera or lidar corrects the integration; drift is considered over 1 to 30 s."""
 
 INS_HORIZON_S = 100.0
-"""GNSS corrects the integration and may be out for a while; drift counts over 1 to 100 s."""
+"""GNSS corrects the integration, with possible outages; drift is considered over 1 to 100 s."""
 
 SIMULATOR_HORIZON_S = 1000.0
 """A simulated sensor should drift like the real one over 1 to 1000 s."""
@@ -135,14 +136,14 @@ class ExportOptions(CheckedSettings):
 class Entry:
     """One key of a file."""
 
-    path: tuple[str, ...]  # the key, after the keys of the mappings that contain it
+    path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
-    # origin of the number: unit, formula, axis, interval. '' for what is not measured
+    # origin of the number: unit, formula, axis, interval. '' if it is not measured
     words: str = ''
-    levels: tuple[Level, ...] = ()  # the measured levels that it is made from
-    # whether to leave the value in the user's own file alone, because it is not measured
+    levels: tuple[Level, ...] = ()  # the measured levels from which it is computed
+    # whether the value in the user's file stays unchanged, because it is not measured
     keep: bool = False
-    findings: tuple[Finding, ...] = ()  # facts for the user of the file
+    findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
     def key(self) -> str:
@@ -161,7 +162,7 @@ class Entry:
 
 
 class Row(NamedTuple):
-    """One key of a file and the quantity that it holds."""
+    """One key of a file and its quantity."""
 
     key: str
     sensor: str  # 'gyro' or 'accel', or '-' for both
@@ -190,7 +191,7 @@ def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
 
 
 class Form(ABC):
-    """How the entries of a target become text."""
+    """Conversion of the entries of a target to text."""
 
     no_merge = (
         'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
@@ -209,22 +210,22 @@ class Form(ABC):
 class Target:
     """A filter, simulator or calibration tool."""
 
-    file_name: str  # name of its file in a folder of results
+    file_name: str  # name of its file in a results folder
     convention: str  # convention of the numbers, and the source file of the target that shows it
     form: Form
     rows: tuple[Row, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # the mappings that contain the keys
-    # required keys that are not measured; in the user's own file they are unchanged
+    # required keys that are not measured; they stay unchanged in the user's file
     fixed: Mapping[str, Value] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()  # further facts for the user of this file
-    # yields the entries from the noise, for files that a table cannot describe
+    notes: tuple[str, ...] = ()  # further information for the user of this file
+    # yields the entries from the noise, for files that are too complex for a table
     entries: Callable[[FilterNoise], Iterable[Entry]] | None = None
     three: bool = False  # whether the file takes three numbers per sensor
-    rate_hz: float | None = None  # the filter's own rate; None where it steps with the samples
+    rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
     horizon_s: float = VIO_HORIZON_S  # default upper end of the horizons of the reduction, in s
-    # whether the target has a random walk of the bias, and so takes N from the same reduction
+    # whether the target has a random walk of the bias, and therefore uses N from the same reduction
     walk: bool = True
-    # whether the reduction bounds the error growth, as a filter needs it; a simulator gets the
+    # whether the reduction bounds the error growth, as a filter needs it; simulators get the
     # closest one
     bound: bool = True
     exact: bool = False  # whether N is for the midpoint rule, and `ExportOptions.exact` applies
@@ -232,7 +233,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Export:
-    """A file for a filter as text, and notes on it for the user."""
+    """A file for a filter as text, and notes about it for the user."""
 
     text: str
     findings: tuple[Finding, ...]
@@ -270,13 +271,13 @@ def make_export(
         One of `TARGETS`.
     options : ExportOptions
     existing : str or None
-        Text of the user's own file to merge into.
+        Text of the user's file, into which the numbers are merged.
 
     Raises
     ------
     AllanError
-        When the target is unknown, an option does not fit it, the results lack what its file must
-        hold, or the existing text cannot take it.
+        When the target is unknown, an option does not fit it, the results lack a required number,
+        or the existing text cannot be changed.
     """
     from .model import FilterNoise, header_lines
 

@@ -1,10 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How entries become text: JSON, YAML, parameter lines and programs, XML.
+"""Conversion of entries to text: JSON, YAML, parameter lines and programs, XML.
 
-JSON and YAML are also merged into the user's own file. In YAML the text changes at the positions
-that the parser reports, so comments, order, quotes and foreign tags (``!!opencv-matrix``) stay. The
-result is parsed again and must hold the new values and all others unchanged, or nothing is written.
+Entries can also be merged into the user's JSON or YAML file. YAML text is changed only at the
+positions that the parser reports, so comments, order, quotes and foreign tags (``!!opencv-matrix``)
+stay. The result is parsed again. It must contain the new values and all other values unchanged, or
+nothing is written.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ HEADER_KEY = 'allan_ros'
 
 
 def put_entries(tree: dict[str, Value], entries: Sequence[Entry]) -> dict[str, Value]:
-    """Put the values of entries into nested mappings, and return these.
+    """Insert the values of entries into nested mappings, and return these.
 
     Raises
     ------
     AllanError
-        When a key holds a value where a mapping is needed.
+        When a key has a value instead of a mapping.
     """
     for entry in entries:
         here: Any = tree
@@ -59,7 +60,7 @@ class JsonForm(Form):
         if not isinstance(document, dict):
             raise AllanError('the file to merge into is not a JSON object: give a calibration file')
         put_entries(document, entries)
-        document.pop(HEADER_KEY, None)  # last, because a reader may expect its own key first
+        document.pop(HEADER_KEY, None)  # last, because a reader may expect one of its keys first
         document[HEADER_KEY] = list(header)
         return json.dumps(document, indent=4, ensure_ascii=False, allow_nan=False) + '\n'
 
@@ -77,7 +78,7 @@ class LineForm(Form):
     # further text around the lines
     before: str = ''
     after: str = ''
-    literal: Callable[[Value], str] = repr  # from a value to the text of the language
+    literal: Callable[[Value], str] = repr  # converts a value to the text of the language
 
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
         comments = ''.join(f'{self.comment} {line}\n' for line in header)
@@ -89,7 +90,7 @@ class LineForm(Form):
 
 
 def matlab_literal(value: Value) -> str:
-    """Return a number or a list of numbers as MATLAB writes it."""
+    """Return a number or a list of numbers as a MATLAB literal."""
     return f'[{" ".join(map(repr, value))}]' if isinstance(value, list) else repr(value)
 
 
@@ -139,11 +140,11 @@ class _NotYamlError(AllanError):
 
 
 class _Row(list[float]):
-    """Numbers that are written in one line."""
+    """Numbers that are written on one line."""
 
 
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
-    """Writes lists of numbers in one line, and indents sequences as OpenCV needs it."""
+    """Writes lists of numbers on one line, and indents sequences as OpenCV requires."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -156,7 +157,7 @@ _Dumper.add_representer(
 
 @dataclass(frozen=True)
 class YamlForm(Form):
-    """A YAML file; ``opencv`` for cv::FileStorage, which needs the first line %YAML:1.0."""
+    """A YAML file; with ``opencv`` for cv::FileStorage, which needs the first line %YAML:1.0."""
 
     opencv: bool = False
 
@@ -165,7 +166,7 @@ class YamlForm(Form):
         return first + ''.join(f'# {line}\n' for line in header) + _block(put_entries({}, entries))
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's text with these entries in it and all else unchanged.
+        """Return the user's text with these entries inserted and everything else unchanged.
 
         A key is searched at its path, else anywhere if it occurs once. Missing keys are added to
         the mapping of their siblings.
@@ -201,7 +202,7 @@ class YamlForm(Form):
 
 
 def _rows(value: Value) -> Any:
-    """Return the value with its lists of numbers marked to be written in one line."""
+    """Return the value with its lists of numbers marked, so that each is written on one line."""
     if isinstance(value, dict):
         return {key: _rows(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -221,7 +222,7 @@ def _block(tree: dict[str, Value]) -> str:
 
 
 def _inline(value: Value) -> str:
-    """Return the value as text after a key, in one line."""
+    """Return the value as text on the line of its key."""
     return _dump(value, default_flow_style=True).removesuffix('\n').removesuffix('\n...')
 
 
@@ -241,7 +242,7 @@ def _composed(body: str) -> yaml.Node | None:
 
 
 def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
-    """Return the text with one entry in it, and its path; None for an entry that was kept."""
+    """Return the text with one entry inserted, and its path; None for an entry that was kept."""
     places = dict(_mappings(_composed(body)))
     path = _home(places, entry, siblings)
     if path not in places:
@@ -257,14 +258,14 @@ def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str
         raise AllanError(f'{entry.key} of the file is a mapping, not a number: {_BY_HAND}')
     start, end = value.start_mark.index, _end(value)
     if start == end or (isinstance(value, yaml.CollectionNode) and not value.flow_style):
-        # no value, or a block: the new value goes directly behind the colon
+        # no value, or a block: the new value follows directly after the colon
         start = body.index(':', key.end_mark.index) + 1
         return f'{body[:start]} {_inline(entry.value)}{body[max(start, end) :]}', place
     return body[:start] + _inline(entry.value) + body[end:], place
 
 
 def _home(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequence[Entry]) -> Path:
-    """Return the path of the mapping that an entry belongs to, which may not exist yet."""
+    """Return the path of the mapping to which an entry belongs; it may not exist yet."""
     parent = entry.path[:-1]
     if parent in places and (parent or _item(places[parent], entry.key)):
         return parent
@@ -284,18 +285,18 @@ def _mappings(node: yaml.Node | None, path: Path = ()) -> Iterator[tuple[Path, y
 
 
 def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:
-    """Return the nodes of a key and of its value; None if the mapping lacks it."""
+    """Return the nodes of a key and of its value; None if the mapping does not contain it."""
     return next(((name, value) for name, value in node.value if name.value == key), None)
 
 
 def _holds(node: yaml.MappingNode, key: str) -> bool:
-    """Return whether a mapping has a value, not a mapping, under that key."""
+    """Return whether a mapping contains a value, not a mapping, under that key."""
     found = _item(node, key)
     return found is not None and not isinstance(found[1], yaml.MappingNode)
 
 
 def _end(node: yaml.Node) -> int:
-    """Return the index where the text of a node ends; for a block, of its last item."""
+    """Return the index of the end of a node's text; for a block, the end of its last item."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
@@ -309,7 +310,7 @@ def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
         at = home.end_mark.index - 1
         return f'{body[:at]}{", " if home.value else ""}{line}{body[at:]}'
     at = _end(home)
-    if body[at - 1] != '\n':  # past the comment behind the last value
+    if body[at - 1] != '\n':  # after the comment that follows the last value
         rest = body.find('\n', at)
         at = len(body) if rest < 0 else rest + 1
     gap = '' if body[at - 1] == '\n' else '\n'
@@ -319,7 +320,7 @@ def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
 
 
 def _added(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str:
-    """Return the text with the entry and the mappings it needs, after the existing ones."""
+    """Return the text with the entry and its missing mappings inserted after the existing ones."""
     path = entry.path
     depth = next((n for n in range(len(path) - 1, -1, -1) if path[:n] in places), None)
     below = put_entries({}, [Entry(path[depth or 0 :], entry.value)])
@@ -350,7 +351,7 @@ def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
 
 
 def _prove(before: dict[Path, str], after: dict[Path, str], wanted: dict[Path, Value]) -> None:
-    """Check that the text holds the new values and all others unchanged."""
+    """Check that the text contains the new values and all other values unchanged."""
     expected = {
         place: text
         for place, text in before.items()

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`FilterNoise`: the numbers of one IMU for one target, each with its origin in words."""
+"""`FilterNoise`: the numbers of one IMU for one target, each with its origin as text."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from ..results import Results
 
 DIGITS = 6
-"""Significant digits written: two more than any interval is known to."""
+"""Significant digits that are written: two more than the accuracy of any interval."""
 
 
 Convert = Callable[[float, float], float]
-"""From a level and the rate in Hz to the number that is written."""
+"""Converts a level at a rate in Hz to the number that is written."""
 
 QUANTITIES: dict[str, tuple[str, str, Convert]] = {
     'density': ('', '{density}', lambda value, rate: value),
@@ -49,14 +49,14 @@ QUANTITIES: dict[str, tuple[str, str, Convert]] = {
     'step_variance': ('{term}^2 / f', '({bias})^2', lambda value, rate: value**2 / rate),
     'covariance': ('{term}^2', '({density})^2', lambda value, rate: value**2),
 }
-"""Form in which a target takes N and K -> formula, unit and conversion. The templates contain the
-term, its unit, that of its standard deviation per sample, and that of the bias. See
-`allan_ros.core.filters.noise_parameters` for which filter takes which."""
+"""Notation in which a target expects N and K -> formula, unit and conversion. The templates contain
+the term and the units of the term, of its standard deviation per sample and of the bias.
+`allan_ros.core.filters.noise_parameters` explains the notations."""
 
 UNITS_S = {'s': 1.0, 'h': HOUR}
 
 DEFAULT_TOPIC = '/imu0'
-"""As in the examples of Kalibr."""
+"""Default topic, as in the examples of Kalibr."""
 
 
 class SensorProcess(NamedTuple):
@@ -66,11 +66,12 @@ class SensorProcess(NamedTuple):
     tau: tuple[float, ...]
     words: str
     findings: tuple[Finding, ...]
-    levels: tuple[Level, ...]  # K of the axes without a fitted process, which it follows from
+    # K of the axes without a fitted process, from which the process is computed
+    levels: tuple[Level, ...]
 
     @property
     def driving(self) -> tuple[float, ...]:
-        """Density sigma sqrt(2/tau) of the noise that drives it."""
+        """Density sigma sqrt(2/tau) of the driving noise."""
         return tuple(sigma * math.sqrt(2.0 / tau) for sigma, tau in zip(self.sigma, self.tau))
 
 
@@ -83,7 +84,7 @@ class FilterNoise:
     """The noise of one IMU, with one set of options, for one target; ``rule`` is the axis rule.
 
     The filter steps at ``rate`` Hz; reductions hold over ``horizons``. Every method raises
-    AllanError where an option does not fit the target, a sensor is absent, or an axis has neither
+    AllanError if an option does not apply to the target, a sensor is absent, or an axis has neither
     a value nor a limit.
     """
 
@@ -172,14 +173,14 @@ class FilterNoise:
     def entry(
         self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
     ) -> Entry:
-        """Return the entry of a level, with its formula, unit and axes in words."""
+        """Return the entry of a level, with its formula, unit and axes as text."""
         values = [rounded(convert(value, self.rate)) for value in level.values]
         equals = f' = {formula}' if formula else ''
         words = f'[{unit}]{equals}: {"; ".join(map(level_words, level.levels))}'
         return Entry(path, values if self.target.three else values[0], words, level.levels)
 
     def level(self, sensor: str, term: str) -> SensorLevel:
-        """Return the level of a term of a sensor; N and K are those of the reduction."""
+        """Return the level of a term of a sensor; N and K come from the reduction."""
         levels = [self._axis_level(axis, term) for axis in self.axes_of(sensor)]
         return sensor_level(levels, self.rule, self.options.inflate)
 
@@ -231,7 +232,7 @@ class FilterNoise:
 
     @cached_property
     def common_tau(self) -> float:
-        """The correlation time in s that suits all axes."""
+        """Correlation time in s for all axes together."""
         models = [self._drifting(name) for name in self.results.axes]
         return common_correlation_time(models, self.horizons)
 
@@ -242,7 +243,7 @@ class FilterNoise:
         model = self.results.axes[axis].fit.selected
         model = model if model.gauss_markov else self._drifting(axis)
         pair = closest_process(model, self.horizons, tau, self.target.bound)
-        assert pair is not None  # both drift
+        assert pair is not None  # both sensors drift
         return pair
 
     def reduction_lines(self) -> list[str]:
@@ -271,7 +272,7 @@ class FilterNoise:
 
 
 def level_words(level: Level) -> str:
-    """Return the axis of a number, its measured value and its interval, in SI."""
+    """Return the axis of a number, its measured value and its interval, in SI, as text."""
     unit = SI_UNITS[sensor_of(level.axis)]['B' if level.term == 'sigma' else level.term]
     words = f'{level.term} of {level.axis}'
     if level.is_limit:
@@ -290,14 +291,14 @@ def level_words(level: Level) -> str:
 
 
 def _origin(walk: Level | None) -> str:
-    """Return which K a process is made from, if it is a limit or has no interval."""
+    """Return the K from which a process is computed, if it is a limit or has no interval."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
 
 
 def clamped(entry: Entry, low: float, high: float) -> Entry:
-    """Return the entry with its number within the range that the target accepts."""
+    """Return the entry with its number clamped to the range that the target accepts."""
     value = min(max(entry.value, low), high)
     if value == entry.value:
         return entry
@@ -313,11 +314,11 @@ def divided(factor: float) -> Convert:
 
 
 NAMED_SOURCES = 3
-"""Number of recordings that are named; the rest are counted."""
+"""Number of recordings that are named; further ones are only counted."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
-"""Earlier stamps count from the start of a machine or a simulation and are no dates."""
+"""Earlier stamps are not dates, but count from the start of a machine or a simulation."""
 
 RULE_WORDS = {
     'worst': 'worst (the largest of x, y, z)',

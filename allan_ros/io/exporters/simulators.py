@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Targets that take the complete process model, and simulators.
+"""Targets with the complete process model, and simulators.
 
 The schema ``allan_ros/state_space/1`` has under ``axes``, for each axis, the levels ``white``,
 ``walk`` and ``gauss_markov`` in SI, the matrices of `allan_ros.core.filters.reductions.StateSpace`
-at one rate under ``discrete``, and under ``reductions`` what filters with fewer states should be
-given. A simulator with a single Gauss-Markov bias gets the process whose error growth follows that
-of the model, as far above as below it.
+at one rate under ``discrete``, and under ``reductions`` the parameters for filters with fewer
+states. A simulator with a single Gauss-Markov bias gets the process whose error growth follows that
+of the model, with equal deviations above and below.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
         unit = SI_UNITS[sensor]['B']
         white = noise.row_entry(Row('stddev', sensor, 'N', 'std'))
         bias = noise.process(sensor)
-        # the words are about all three axes
+        # these texts refer to all three axes
         white_words = f'of {sensor} {white.words}'
         driving_words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
         for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
@@ -229,8 +229,8 @@ AIRSIM_ROWS = {
     'gyro': ('AngularRandomWalk', 'deg/sqrt(h)', 'GyroBiasStability', 'deg/h', 500.0),
     'accel': ('VelocityRandomWalk', 'mg/sqrt(Hz)', 'AccelBiasStability', 'ug', 800.0),
 }
-"""Keys and units of N and of the bias, and the default time constant tau of AirSim in s: only
-stability / sqrt(tau) matters."""
+"""Keys and units of N and of the bias, and the default time constant tau of AirSim in s; only
+stability / sqrt(tau) has an effect."""
 
 
 def _airsim(noise: FilterNoise) -> Iterator[Entry]:
@@ -350,4 +350,4 @@ SIMULATORS = {
         three=True,
     ),
 }
-"""Name -> target."""
+"""Name -> simulator."""

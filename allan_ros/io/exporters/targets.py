@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The table of filters and calibration tools: keys, convention and form of each file.
+"""The table of filters and calibration tools: keys, convention and format of each file.
 
-Each convention was read from the source file that it names. N and K in formulas are the continuous
-densities, f the rate in Hz. `simulators` has the other targets.
+Each convention was verified in the source file that it names. N and K in formulas are the
+continuous densities, f the rate in Hz. The other targets are in `simulators`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .forms import JsonForm, LineForm, YamlForm, matlab_literal
 from .model import FilterNoise, clamped, divided, rounded
 
 ANY_NODE = ('/**', 'ros__parameters')
-"""Parameters of whatever node the file is loaded into by --params-file."""
+"""Top-level key for parameters of any node that loads the file by --params-file."""
 
 OPENCV = YamlForm(opencv=True)
 
@@ -44,7 +44,7 @@ OPENVINS_NOT_MEASURED: dict[str, Value] = {
     'R_IMUtoACC': np.eye(3).tolist(),
     'Tg': [[0.0] * 3] * 3,
 }
-"""Required keys: an IMU without errors of scale, axes and time."""
+"""Required keys that are not measured, for an IMU without errors of scale, axes and time."""
 
 GTSAM_CODE = '''
 # Error of the numerical integration, not of the IMU; the default is the identity.
@@ -78,13 +78,13 @@ gbstd     gyro   sigma       deg/h
 abstd     accel  sigma       mGal
 corrtime  -      common_tau  h
 """)
-"""Of KF-GINS, OB_GINS and IC-GVINS: the noise of the bias is 2 sigma^2 / corrtime."""
+"""Note for KF-GINS, OB_GINS and IC-GVINS: the noise of the bias is 2 sigma^2 / corrtime."""
 
 
 def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
     """Yield the gain, and zeta from the ramp if every axis has one, else from the random walk.
 
-    zeta is sqrt(3/4) times the drift: R, or K / sqrt(h) because a random walk moves by K sqrt(h).
+    zeta is sqrt(3/4) times the drift: R, or K / sqrt(h), because a random walk moves by K sqrt(h).
     """
     horizon, axes = noise.horizons.high, noise.axes_of('gyro')
     white = noise.level('gyro', 'N')
@@ -138,10 +138,10 @@ TARGETS = {
             'identity unless your file has them',
         ),
     ),
-    # The midpoint rule halves two samples and gives each a noise of its own: V noise V' adds
+    # The midpoint rule averages two samples and assumes independent noise in each: V noise V' adds
     # gyr_n^2 dt^2 / 2 to the variance of the angle, although white noise adds N^2 dt. The customary
-    # N sqrt(f) thus propagates half the variance; N sqrt(2f) propagates all of it. The bias block
-    # of V is dt, so K^2 dt needs gyr_w = K sqrt(f).
+    # N sqrt(f) thus propagates half of the variance; N sqrt(2f) propagates all of it. The bias
+    # block of V is dt, so K^2 dt needs gyr_w = K sqrt(f).
     'vins_fusion': Target(
         'vins_fusion_imu.yaml',
         'standard deviation per sample (vins_estimator/src/factor/integration_base.h)',
@@ -238,7 +238,8 @@ TARGETS = {
         horizon_s=INS_HORIZON_S,
     ),
     # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity and (dt bias_noise)^2 to
-    # that of the bias, with dt the step of the filter; samples are averaged to it before.
+    # the variance of the bias, where dt is the step of the filter; samples are averaged to this
+    # step before.
     'px4': Target(
         'px4_imu.params',
         'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
@@ -288,7 +289,7 @@ TARGETS = {
         'ob_gins_imu.yaml', 'src/ob_gins.cc, src/preintegration/preintegration_normal.cc'
     ),
     'ic_gvins': _imumodel('ic_gvins_imu.yaml', 'config/gvins.yaml, the preintegration of OB_GINS'),
-    # ins_gnss.m takes gb_psd and ab_psd for the density of the noise that drives the bias.
+    # ins_gnss.m uses gb_psd and ab_psd as the density of the noise that drives the bias.
     'navego': _ins(
         'navego_imu.m',
         'SI fields of the structure that ins_gnss.m takes: Q of arw, vrw, gb_psd, ab_psd '

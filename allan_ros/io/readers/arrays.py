@@ -3,7 +3,7 @@
 """Samples in memory, and numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
 
 ``imu`` is float64 with columns t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2). ``stamps_ns`` (int64)
-replaces t; ``record_ns`` (int64) and ``frame_id`` (one text) are optional. Arrays are read in
+replaces t; ``record_ns`` (int64) and ``frame_id`` (one string) are optional. Arrays are read in
 blocks, never as a whole.
 """
 
@@ -38,14 +38,14 @@ COLUMNS = 't, gx, gy, gz, ax, ay, az'
 SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 MAX_FRAME_BYTES = 4096
-"""Size of the longest frame_id that is accepted."""
+"""Longest frame_id that is accepted, in bytes."""
 
 MAX_HEADER_BYTES = 1 << 16
-"""Size in which the header of an array ends."""
+"""Number of bytes within which the header of an array ends."""
 
 
 class _Column:
-    """One array of a numpy file, read forward in blocks of rows."""
+    """One array of a numpy file, read sequentially in blocks of rows."""
 
     def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
         self.where = f'{path}: array {name!r}' if name else f'{path}'
@@ -55,7 +55,7 @@ class _Column:
             raise AllanError(f'{self.where} is of type {self.dtype}: save it as float64 or int64')
         self._by_column: list[IO[bytes]] = []
         if fortran and len(self.shape) == 2:
-            # Column after column: one file handle each keeps the memory constant.
+            # Column by column: with one file handle each, memory stays constant.
             start = self._file.tell()
             for column in range(self.shape[1]):
                 file = stack.enter_context(_opened(path, name))
@@ -96,10 +96,10 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
 
 _LIBRARY_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
-    RuntimeError,  # encrypted, and NotImplementedError for other compressions
+    RuntimeError,  # encrypted; NotImplementedError for other compressions
     *(OverflowError, MemoryError, SyntaxError, TokenError, TypeError),
 )
-"""What zipfile and numpy raise on damaged files."""
+"""Exceptions of zipfile and numpy for damaged files."""
 
 
 def _unreadable(path: Path, error: Exception) -> AllanError:
@@ -198,7 +198,7 @@ def _read(path: Path, members: tuple[str, ...], options: ReadOptions) -> Iterato
 def _to_nanoseconds(
     times: NDArray[np.float64], unit: int, where: str, first: int
 ) -> NDArray[np.int64]:
-    with np.errstate(over='ignore'):  # refused below
+    with np.errstate(over='ignore'):  # rejected below
         times = times * unit
     bad = ~(np.abs(times) < np.iinfo(np.int64).max)
     if bad.any():
@@ -218,7 +218,7 @@ def _frame_id(path: Path) -> str:
 
 
 def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
-    """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, where known, ``record_ns``.
+    """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, if known, ``record_ns``.
 
     Column t is in seconds, for readers without support of ``stamps_ns``. Memory stays constant: the
     arrays are collected in temporary files, because their length is known only at the end.
@@ -270,10 +270,10 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
 # --- samples in memory --------------------------------------------------------------------------
 
 NAME = 'array'
-"""Name of samples that do not come from a file."""
+"""Name of samples that are not from a file."""
 
 DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
-"""Number of columns -> the axes they are assumed to be when none are named."""
+"""Number of columns -> axes that are assumed if none are named."""
 
 
 def recording_in_memory(
@@ -282,10 +282,10 @@ def recording_in_memory(
     """Return an ImuBatch, array, DataFrame or mapping of column name to array as a recording.
 
     Columns of a DataFrame are recognized by their names, as in a table file; its times are its
-    DatetimeIndex or a column such as ``t`` or ``time``. A rate in the options is used instead; the
-    units are those of columns that do not name theirs. ``axes`` are as in `allan_ros.analyze`.
-    Raises AllanError when the shape, a name, a unit or the rate is impossible, or a time is
-    missing.
+    DatetimeIndex or a column such as ``t`` or ``time``. A rate in the options takes precedence;
+    units in the options apply to columns that do not name theirs. ``axes`` are as in
+    `allan_ros.analyze`. Raises AllanError when the shape, a name, a unit or the rate is impossible,
+    or a time is missing.
     """
     if isinstance(samples, ImuBatch):
         return _recording(samples)
@@ -338,7 +338,7 @@ def _recording(
 
 
 def without_absent(findings: Sequence[Finding], axes: tuple[str, ...]) -> tuple[Finding, ...]:
-    """Return the findings without those on sensors and axes that an array never had."""
+    """Return the findings without those about sensors and axes that an array never had."""
     return tuple(
         f
         for f in findings
@@ -366,7 +366,7 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 
 
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
-    """Return the axes by name; ``columns`` is their number (0: any)."""
+    """Return the axes by name; ``columns`` is their number (0: any number)."""
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of a bag, and which of them has the Imu: by its type, or inside other messages."""
+"""The topics of a bag, and the selection of the Imu topic: by its type, or inside other
+messages."""
 
 from __future__ import annotations
 
@@ -17,18 +18,18 @@ from .open import BagFiles, bag_files, open_storage
 from .storage import Cut, Topic, optional_package
 
 ENCODINGS = ('cdr', 'ros1')
-"""Serializations that can be read."""
+"""Supported serializations."""
 
 LISTED = 10
-"""At most this many topics are listed in a message."""
+"""Largest number of topics that a message lists."""
 
 Key = tuple[str, str]
-"""Topic name and type, which identify a topic in all splits of a bag."""
+"""Topic name and type, which identify a topic in all files of a bag."""
 
 
 @dataclass
 class Survey:
-    """The topics of all files of a bag, and how many messages each has."""
+    """The topics of all files of a bag, and their numbers of messages."""
 
     topics: dict[Key, Topic] = field(default_factory=dict)
     counts: Counter[Key] = field(default_factory=Counter)
@@ -46,7 +47,8 @@ class Survey:
         return ', '.join(shown[:LISTED]) + more
 
     def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
-        """Return the Imu topics among these (by default all), else the Imus in other messages."""
+        """Return the Imu topics among these (by default among all), else the Imus in other
+        messages."""
         keys = self.topics if keys is None else list(keys)
         plain = [ImuSource(key) for key in keys if key[1] == IMU_TYPE]
         return plain or [ImuSource(key, p) for key in keys for p in imu_fields(self.topics[key])]
@@ -54,24 +56,25 @@ class Survey:
 
 @dataclass(frozen=True)
 class ImuSource:
-    """The topic that is read, and the path of the Imu in its messages (() for the message)."""
+    """The topic that is read, and the path of the Imu in its messages (() for the message
+    itself)."""
 
     key: Key
     field: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
-        """The name for users: the topic, or topic:field."""
+        """Name for users: the topic, or topic:field."""
         return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
 
 
 def imu_topics(path: Path) -> list[str]:
-    """Return the Imu topics with messages of a bag, as `ReadOptions.topic` names them."""
+    """Return the Imu topics of a bag with messages, in the notation of `ReadOptions.topic`."""
     return [source.label for source in _candidates(survey_bag(bag_files(path)))]
 
 
 def survey_bag(bag: BagFiles) -> Survey:
-    """Open the files until every topic that has messages was found."""
+    """Open the files until every topic with messages is found."""
     survey = Survey()
     described = bag.described
     expected = None if described is None else {k for k, d in described.items() if d.messages}
@@ -93,7 +96,7 @@ def survey_bag(bag: BagFiles) -> Survey:
 
 
 def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
-    """Return the Imu source that the user asks for, or the only one."""
+    """Return the Imu source that the user selected, or the only one."""
     candidates = [_named(path, survey, wanted)] if wanted else _candidates(survey)
     if not candidates:
         raise _no_imu(path, survey)
@@ -115,7 +118,7 @@ def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
 
 
 def _candidates(survey: Survey) -> list[ImuSource]:
-    """Return all Imus; those with messages if any."""
+    """Return all Imus; only those with messages, if there are any."""
     sources = survey.imus()
     return [source for source in sources if survey.counts[source.key]] or sources
 
@@ -171,7 +174,7 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
 
 
 MAX_DEPTH = 8
-"""Messages nested deeper than this are not searched."""
+"""Largest depth of nested messages that is searched."""
 
 STANDARD_PACKAGES = re.compile(
     '(actionlib|diagnostic|geometry|map|nav|rosgraph|sensor|shape|std|stereo|tf2|trajectory|'
@@ -185,7 +188,7 @@ IDL_SEPARATOR = '=' * 80 + '\n'
 def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
     """Return the path of every Imu field in the topic's type; none without a usable schema.
 
-    Raises AllanError when the schema mentions an Imu, but ``rosbags`` is not installed.
+    Raises AllanError when the schema contains an Imu, but ``rosbags`` is not installed.
     """
     definitions = definitions_of(topic)
 

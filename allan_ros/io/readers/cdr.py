@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized `sensor_msgs/Imu` messages: whole batches to arrays and back, and covariances.
+"""Serialized `sensor_msgs/Imu` messages: conversion of batches to arrays and back, and covariances.
 
 After ``header.frame_id`` the message has a fixed layout, so payloads of equal length are one numpy
 array of records. Two serializations are supported:
@@ -30,7 +30,7 @@ IMU_TYPE = 'sensor_msgs/msg/Imu'
 Encoding = Literal['cdr', 'ros1']
 
 Rows = slice | NDArray[np.intp]
-"""Positions of messages in their batch; a slice where these are all messages."""
+"""Positions of messages in their batch; a slice if these are all messages."""
 
 ABSENT = -1.0
 """covariance[0] of an absent sensor (sensor_msgs/Imu.msg)."""
@@ -42,7 +42,8 @@ _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 """The first two bytes of the encapsulation -> byte order."""
 
 _FRAME_AT = 16
-"""Offset of frame_id: after encapsulation (ROS 1: seq), sec, nanosec and its length."""
+"""Offset of frame_id: after the encapsulation (ROS 1: seq), sec, nanosec and the length of
+frame_id."""
 
 _DOUBLE = 8
 
@@ -74,9 +75,9 @@ class DecodedImus:
     samples : (n, 6) float64 array
         rad/s and m/s^2 in the order of `AXES`; NaN where the sensor is absent.
     frame_ids, frames : list of str, (n,) integer array
-        The distinct frames, and the index of that of each message.
+        The distinct frame_ids, and the index of the frame_id of each message.
     kept : dict of str to int
-        Sensor -> number of messages that declare it absent by covariance[0] = -1 or NaN, and yet
+        Sensor -> number of messages that declare it absent by covariance[0] = -1 or NaN, but
         contain valid data, which are kept.
     """
 
@@ -87,7 +88,7 @@ class DecodedImus:
     kept: dict[str, int] = field(default_factory=dict)
 
     def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
-        """Yield the messages, which were recorded at these times, in batches of one frame."""
+        """Yield the messages, recorded at the given times, in batches of one frame_id."""
         edges = [0, len(self.frames)]
         if len(self.frame_ids) > 1:
             edges[1:1] = (np.flatnonzero(np.diff(self.frames)) + 1).tolist()
@@ -100,9 +101,9 @@ class DecodedImus:
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
     """Return the record layout of an Imu message in byte order '<' or '>'.
 
-    The size of the frame_id is that in the length field: with the final NUL in CDR, without in
-    ROS 1. An ``itemsize`` above the size of the message means padding at the end; a smaller one
-    raises ValueError.
+    The size of the frame_id equals the length field: with the final NUL in CDR, without it in ROS
+    1. An ``itemsize`` above the size of the message means padding at the end; a smaller one raises
+    ValueError.
     """
     start = 4
     if encoding == 'cdr':
@@ -128,7 +129,7 @@ def decode_imus(
     encoding: Encoding,
     trust_covariance: bool = False,
 ) -> DecodedImus:
-    """Decode serialized Imu messages, all at once where their layout is the same.
+    """Decode serialized Imu messages; messages of one layout are decoded together.
 
     With ``trust_covariance`` a sensor with covariance[0] = -1 or NaN is absent even if its data are
     valid. Raises MalformedMessage for the first payload that is not an Imu message.
@@ -142,7 +143,7 @@ def decode_imus(
             for i, axis in enumerate(range(len(AXES))[axes]):
                 decoded.samples[rows, axis] = records[sensor][:, i]
             first = records[f'{sensor}_covariance'][:, 0].copy()
-            if not first.min() >= 0.0:  # NaN is neither
+            if not first.min() >= 0.0:  # false for NaN, too
                 absent = np.arange(n)[rows][(first == ABSENT) | np.isnan(first)]
                 _drop_absent(decoded, sensor, absent, trust_covariance)
         distinct, which = _distinct(records['frame_id'])
@@ -161,8 +162,8 @@ def _drop_absent(
 ) -> None:
     """Set a sensor to NaN in messages that declare it absent.
 
-    Many drivers do not know what -1 means, so unless ``trust_covariance``, valid data (finite
-    numbers of which one is not zero) are kept.
+    Many drivers set -1 by mistake. So valid data (finite numbers, not all zero) are kept unless
+    ``trust_covariance`` is set.
     """
     if not trust_covariance:
         values = decoded.samples[absent, SENSORS[sensor]]
@@ -184,7 +185,7 @@ def _of_one_layout(
             head = equal.view(imu_dtype(encoding, '<', 0, length))
         except ValueError as error:
             raise _too_few(first, length) from error
-        # byte order and raw length field, which decide the layout, as one integer
+        # byte order and raw length field, which determine the layout, as one integer
         kind = head['frame_bytes'].astype(np.int64)
         if encoding == 'cdr':
             kind += head['representation'].astype(np.int64) << 32
@@ -226,7 +227,7 @@ class _Layout(NamedTuple):
 
 
 def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
-    """Return the layout of an Imu message; ``index`` is its position, for an error."""
+    """Return the layout of an Imu message; ``index`` is its position, for error messages."""
     order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
     try:
         return _layout(encoding, order, frame_bytes, len(payload))
@@ -237,7 +238,7 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 
 @lru_cache(maxsize=256)
 def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
-    """Return the layout of a message of ``length`` bytes (0: of the shortest)."""
+    """Return the layout of a message of ``length`` bytes (0: of the shortest message)."""
     if frame_bytes > MAX_NAME:
         raise ValueError(f'{frame_bytes} bytes are more than {MAX_NAME}')
     dtype = imu_dtype(encoding, order, frame_bytes, length)
@@ -271,14 +272,14 @@ def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -
 
 
 def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
-    """Return the distinct items of an array, and for each item its index among them."""
+    """Return the distinct items of an array, and the index of each item among them."""
     if not names.itemsize:
         return [b''], np.zeros(len(names), np.intp)
     size, flat = names.itemsize, names.copy().view(np.uint8)
     if (flat[size:] == flat[: len(flat) - size]).all():
         return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
     distinct, which = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
-    # numpy 2.0 returned it as a column
+    # numpy 2.0 returned a column
     return [name.tobytes() for name in distinct], which.reshape(-1)
 
 
@@ -316,7 +317,7 @@ def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDA
 def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
     """Return header stamp in ns, frame_id and degC of a serialized sensor_msgs/Temperature.
 
-    Raises MalformedMessage when the payload is no such message.
+    Raises MalformedMessage when the payload is not such a message.
     """
     order, frame_bytes = _order_and_frame_bytes(payload, encoding)
     if frame_bytes > len(payload):
@@ -324,7 +325,7 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
     dtype, offsets = _layout(encoding, order, frame_bytes)[1:3]
     if len(payload) < offsets['orientation'] + _DOUBLE:
         raise _too_few(0, len(payload))
-    # the number follows the header as the orientation does in an Imu message
+    # the value follows the header, like the orientation in an Imu message
     record = np.frombuffer(payload.ljust(dtype.itemsize, b'\0'), dtype, 1)[0]
     stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])
     frame_id = record['frame_id'].tobytes().rstrip(b'\0').decode(errors='replace')
@@ -342,9 +343,9 @@ _NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 class CovariancePatch:
     """Writes known variances, in (rad/s)^2 and (m/s^2)^2, into the covariances of CDR payloads.
 
-    A covariance that begins with -1 or NaN marks an absent sensor and is never changed. One that
-    is not all zeros comes from the driver and is changed only with ``overwrite``. Messages with
-    another frame_id are not changed, unless that is ''.
+    A covariance that begins with -1 or NaN marks an absent sensor and is never changed. A
+    covariance that is not all zeros was set by the driver and is changed only with ``overwrite``.
+    Messages with another frame_id are not changed, unless ``frame_id`` is ''.
     """
 
     def __init__(
@@ -364,7 +365,7 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with its covariances filled; the same object if none was filled.
+        """Return the message with its covariances filled in; the same object if none was filled in.
 
         Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """
@@ -395,10 +396,10 @@ class CovariancePatch:
 def without_gyro_bias(
     payload: bytes, bias: tuple[float, float, float], rate_limit: float, first_ns: int, last_ns: int
 ) -> bytes:
-    """Return an Imu message in CDR with a bias in rad/s taken off the angular velocity.
+    """Return an Imu message in CDR with a bias in rad/s subtracted from the angular velocity.
 
-    The bias is valid for stamps from ``first_ns`` to ``last_ns``. The payload itself is returned
-    for other stamps, and where an angular velocity is NaN or differs from the bias by more than
+    The bias is valid for stamps from ``first_ns`` to ``last_ns``. The payload is returned unchanged
+    for other stamps, or if an angular velocity is NaN or differs from the bias by more than
     ``rate_limit`` in rad/s.
 
     Raises MalformedMessage when the payload is not an Imu message in plain CDR.

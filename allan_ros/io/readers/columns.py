@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the columns of a table or DataFrame are, from their names.
+"""Meaning of the columns of a table or DataFrame, from their names.
 
-Names are recognized by how they end, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
+Names are recognized by their ends, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
 ``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. A unit in brackets takes
 precedence over the unit in the options.
 """
@@ -37,10 +37,10 @@ _KINDS = {
         'temperature': '(?:^|_)(?:temp|temperature)(?:_(c|degc|celsius))?$',
     }.items()
 }
-"""What a column is -> names of such columns, and the group that states its axis or unit."""
+"""Kind of a column -> its names, and the group that contains axis or unit."""
 
 _STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',))
-"""Columns that a stamp is the sum of; a stamp of the sensor has precedence over other times."""
+"""Columns whose sum is a stamp; a stamp of the sensor takes precedence over other times."""
 
 _UNIT_SPELLINGS = {
     'rads^-1': 'rad/s', 'degs^-1': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'rad/sec': 'rad/s',
@@ -49,7 +49,7 @@ _UNIT_SPELLINGS = {
 
 
 class Meaning(NamedTuple):
-    """What one column is: a key of `_KINDS` or '', its axis or unit of time, and its unit."""
+    """Meaning of one column: a key of `_KINDS` or '', its axis or unit of time, and its unit."""
 
     kind: str
     detail: str
@@ -59,19 +59,19 @@ class Meaning(NamedTuple):
 
 @dataclass(frozen=True)
 class Columns:
-    """What the columns of a table are.
+    """Meaning of the columns of a table.
 
     Attributes
     ----------
     axes : dict
         Index of the axis in `AXES` -> (column, factor to SI).
     stamp, record : tuple of (column, factor to nanoseconds)
-        Columns whose sum is the stamp (``sec`` and ``nanosec``, or one); empty if there is none.
+        Columns whose sum is the stamp (``sec`` and ``nanosec``, or a single one); may be empty.
     temperature : int or None
         Column of the temperature in degC.
     units, assumed : dict
-        Sensor -> unit of its columns; and sensor -> name of a column, where neither the names nor
-        the options state a unit.
+        Sensor -> unit of its columns; and sensor -> name of a column, if neither the names nor the
+        options state a unit.
     """
 
     axes: dict[int, tuple[int, float]]
@@ -83,9 +83,9 @@ class Columns:
 
 
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
-    """Return what the columns of these names are; the first of several alike counts.
+    """Return the meaning of the columns with these names; of equal ones, the first is used.
 
-    Raises AllanError, with the table ``where``, when the unit of a column is unknown.
+    Raises AllanError, which names the table ``where``, when the unit of a column is unknown.
     """
     axes: dict[int, tuple[int, float]] = {}
     units: dict[str, str] = {}
@@ -149,13 +149,13 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
 
 
 def listed(names: tuple[str, ...], most: int = 10) -> str:
-    """Return the first names, and how many more there are."""
+    """Return the first names, and the number of further ones."""
     text = ', '.join(names[:most])
     return f'{text} and {len(names) - most} more' if len(names) > most else text
 
 
 def _meaning(name: str) -> Meaning:
-    """Return what a column is, by the end of its name.
+    """Return the meaning of a column, from the end of its name.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def _meaning(name: str) -> Meaning:
     unit = unit.replace(' ', '').replace('°', 'deg')
     unit = _UNIT_SPELLINGS.get(unit, unit)
     base = re.sub(r'[^a-z0-9]+', '_', base).strip('_')
-    # these names are those of `write_table` and of the ROS messages, which are SI
+    # these names are used by `write_table` and the ROS messages, which are in SI
     is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
     for kind, pattern in _KINDS.items():
         if match := pattern.search(base):

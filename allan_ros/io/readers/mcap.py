@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """An mcap file, with or without its summary (https://mcap.dev/spec).
 
-The summary at the end lists the chunks. The rest of the file is searched too: for messages outside
-chunks, for chunks the summary does not list, and, where a killed recorder left no summary, for
-everything. One chunk is decompressed at a time, so memory does not grow with the file.
+The summary at the end lists the chunks. The rest of the file is also searched for messages outside
+chunks and for chunks that the summary does not list. Without a summary, because the recorder was
+killed, the complete file is searched. One chunk is decompressed at a time, so memory does not grow
+with the file.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from .storage import (
 MESSAGE, MESSAGE_INDEX = 0x05, 0x07
 
 RECORD = struct.Struct('<BQ')
-"""Opcode and length at the start of every record."""
+"""Opcode and length at the start of each record."""
 
 MESSAGE_HEAD = struct.Struct('<HIQQ')
 """Channel, sequence, log time, publish time."""
@@ -50,14 +51,14 @@ HEAD = np.dtype(
 """A message record up to its payload."""
 
 MAX_GAPS = 64
-"""With more stretches of other records than messages in a chunk, reading record by record is as
-fast."""
+"""Largest number of stretches of other records, relative to the messages of a chunk: with more,
+reading record by record is as fast."""
 
 
 def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:
     """Return the messages of these channels in decompressed records, in their order.
 
-    ``index`` returns the MessageIndex records of the chunk, empty where there are none.
+    ``index`` returns the MessageIndex records of the chunk, which may be empty.
     Raises struct.error when a record extends beyond the end of the data.
     """
     start = _of_one_length(data)
@@ -85,7 +86,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _of_one_length(data: bytes) -> NDArray[np.int64] | None:
-    """Return where the messages begin if all records after the first message have its length."""
+    """Return the start of each message if all records after the first message have its length."""
     message = next((record for record in records(data) if record[0] == MESSAGE), None)
     if message is None:
         return np.empty(0, np.int64)
@@ -100,7 +101,7 @@ def _of_one_length(data: bytes) -> NDArray[np.int64] | None:
 
 
 def _listed(data: bytes, index: bytes) -> NDArray[np.int64] | None:
-    """Return where the messages begin according to the index; None if it is wrong."""
+    """Return the start of each message according to the index; None if the index is wrong."""
     found = [np.empty(0, np.int64)]
     for opcode, at, _ in records(index):
         if opcode == MESSAGE_INDEX:
@@ -114,7 +115,7 @@ def _listed(data: bytes, index: bytes) -> NDArray[np.int64] | None:
     end = start + (RECORD.size + head['length'].astype(np.int64))
     if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
         return None
-    # The index is complete if there is no message between those it lists.
+    # The index is complete if there are no messages between the listed ones.
     before, behind = np.append(0, end), np.append(start, len(data))
     gaps = np.flatnonzero(before != behind)
     if (before > behind).any() or len(gaps) > MAX_GAPS:
@@ -125,7 +126,7 @@ def _listed(data: bytes, index: bytes) -> NDArray[np.int64] | None:
 
 
 def _searched(data: bytes) -> NDArray[np.int64]:
-    """Return where the messages begin, record by record."""
+    """Return the start of each message, found record by record."""
     found = [(at, end - at) for opcode, at, end in records(data) if opcode == MESSAGE]
     if any(length < MESSAGE_HEAD.size for _, length in found):
         raise struct.error('a message record is too short')
@@ -133,7 +134,7 @@ def _searched(data: bytes) -> NDArray[np.int64]:
 
 
 def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the records at these offsets, without a copy where they are evenly spaced."""
+    """Return the records at these offsets, without a copy if they are evenly spaced."""
     step = np.diff(start)
     if len(step) and (step == step[0]).all():
         return np.ndarray((len(start),), dtype, data, int(start[0]), (int(step[0]),))
@@ -141,7 +142,7 @@ def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> 
 
 
 def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64]) -> Payloads:
-    """Return the payloads of message records: one array where they have one length."""
+    """Return the payloads of message records: one array if they have the same length."""
     head = HEAD.itemsize
     if len(length) and (length == length[0]).all() and length[0] > MESSAGE_HEAD.size:
         dtype = _message_dtype(int(length[0]))
@@ -163,7 +164,7 @@ FOOTER, SCHEMA, CHANNEL, CHUNK = 0x02, 0x03, 0x04, 0x06
 CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
 FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
-"""Opcode -> length of a record that has only one. Another length is another, damaged record."""
+"""Opcode -> fixed length of a record. With another length, the record is damaged."""
 
 CHUNK_HEAD = struct.Struct('<QQQI')
 """First and last log time, uncompressed size, CRC-32 (0: none)."""
@@ -178,7 +179,7 @@ size of the map channel -> messages that follows."""
 FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 
 LOOSE_BYTES = 1 << 20
-"""Messages outside chunks are read in stretches of about this size."""
+"""Messages outside chunks are read in stretches of about this many bytes."""
 
 
 class McapStorage(ChunkStorage):
@@ -189,7 +190,8 @@ class McapStorage(ChunkStorage):
 
     def _survey(self) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}
-        self._indexed: Counter[int] = Counter()  # messages by MessageIndex records, and loose ones
+        # messages by MessageIndex records, and messages outside chunks
+        self._indexed: Counter[int] = Counter()
         if self._read(0, len(MAGIC)) != MAGIC:
             raise damaged(self._path, 'it is not an mcap file', 'give a recording')
         listed, end = self._read_summary()
@@ -224,10 +226,10 @@ class McapStorage(ChunkStorage):
         return self._unpacked(stretch.offset, packed, compression, size, checksum)
 
     def _read_summary(self) -> tuple[list[Chunk], int]:
-        """Take schemas, channels and counts from the summary.
+        """Read schemas, channels and counts from the summary.
 
-        Returns the chunks it lists, in the order of the file, and where the summary begins; no
-        chunks and the end of the file where it cannot be used.
+        Returns the listed chunks in the order of the file and the start of the summary; no chunks
+        and the end of the file if the summary cannot be used.
         """
         unusable: tuple[list[Chunk], int] = ([], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
@@ -249,14 +251,14 @@ class McapStorage(ChunkStorage):
         return [chunks[offset] for offset in sorted(chunks)], start if chunks else self._size
 
     def _scan(self, at: int, stop: int) -> int:
-        """Read the records from one offset to another, and return where that ended.
+        """Read the records from one offset to another, and return the offset of the end.
 
-        It ends early at a record that extends beyond ``stop``.
+        Reading ends at a record that extends beyond ``stop``.
         """
         skipped = 0
         while at + RECORD.size <= stop:
             head = self._read(at, RECORD.size)
-            if head.startswith(MAGIC):  # behind the footer
+            if head.startswith(MAGIC):  # after the footer
                 at += len(MAGIC)
                 continue
             opcode, length = RECORD.unpack(head)

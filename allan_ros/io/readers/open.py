@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Open any recording of an IMU: bags (the files of a folder too), tables, arrays and PX4 logs.
+"""Open any recording of an IMU: bags (also the files of a folder), tables, arrays and PX4 logs.
 
-Each family has a module (`rosbag2`, `tables`, `arrays`, `ulog`) that is imported when such a
+Each family has a module (`rosbag2`, `tables`, `arrays`, `ulog`), which is imported when such a
 recording is opened. All readers yield `ImuBatch` in SI units, in constant memory.
 """
 
@@ -30,12 +30,12 @@ _MAGICS = {
     b'\x89MCAP0\r\n': ('bag', 'mcap'),
     b'SQLite format 3\0': ('bag', 'sqlite3'),
     b'#ROSBAG': ('bag', 'ros1'),
-    b'\x28\xb5\x2f\xfd': ('bag', ''),  # zstd: a compressed split
+    b'\x28\xb5\x2f\xfd': ('bag', ''),  # zstd: a compressed file of a bag
     b'ULog\x01\x12\x35': ('ulog', ''),
     b'PK\x03\x04': ('array', ''),
     b'\x93NUMPY': ('array', ''),
 }
-"""First bytes of a file -> family, and storage of a bag."""
+"""First bytes of a file -> family, and storage format of a bag."""
 
 _FAMILIES = {
     **dict.fromkeys(('.db3', '.mcap', '.bag', '.zstd', '.zst', '.active'), 'bag'),
@@ -51,13 +51,13 @@ _OPENERS = {
     'array': ('.arrays', 'open_array'),
     'ulog': ('.ulog', 'open_ulog'),
 }
-"""Family -> module, which is imported for such a recording, and function that opens it."""
+"""Family -> module that is imported for such a recording, and function that opens it."""
 
 
 def open_recordings(
     paths: Iterable[str | os.PathLike[str]], options: ReadOptions | None = None
 ) -> list[Recording]:
-    """Open each path as one recording; the splits of a bag are one recording.
+    """Open each path as one recording; the split files of a bag are one recording.
 
     Raises AllanError for the first path that cannot be read.
     """
@@ -86,7 +86,7 @@ def _open(path: Path, options: ReadOptions) -> Recording:
 
 
 def _family(path: Path) -> str:
-    """Return the reader for a path, by its first bytes and, failing that, its suffix."""
+    """Return the reader for a path, by its first bytes or else by its suffix."""
     if path.is_dir():
         return 'bag'
     family = _by_magic(first_bytes(path))[0] or _FAMILIES.get(path.suffix.lower())
@@ -99,7 +99,7 @@ def _family(path: Path) -> str:
 
 
 def _by_magic(head: bytes) -> tuple[str, str]:
-    """Return the family and storage of a file by its first bytes; '' where unknown."""
+    """Return the family and storage of a file by its first bytes; '' if unknown."""
     return next((form for magic, form in _MAGICS.items() if head.startswith(magic)), ('', ''))
 
 
@@ -132,22 +132,22 @@ def first_bytes(path: Path) -> bytes:
 METADATA_KEY = 'rosbag2_bagfile_information'
 
 MAX_METADATA = 16 * 2**20
-"""Largest metadata.yaml that is read; one of 50,000 splits is smaller."""
+"""Largest metadata.yaml in bytes that is read; a bag of 50,000 files has a smaller one."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 
 
 class Described(NamedTuple):
-    """Number of messages of a topic and their encoding, as metadata.yaml states."""
+    """Number of messages of a topic and their encoding, as stated in metadata.yaml."""
 
     messages: int
     encoding: str
 
 
 class BagFiles(NamedTuple):
-    """The storage files of one bag in order, and what metadata.yaml states about its topics.
+    """The storage files of one bag in order, and the topics that metadata.yaml states.
 
-    ``described`` maps (topic, type) to that; None without metadata.
+    ``described`` maps (topic, type) to `Described`; None without metadata.
     """
 
     path: Path
@@ -176,7 +176,7 @@ def bag_files(path: Path) -> BagFiles:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key that puts split 10 after split 9."""
+    """Return a sort key that puts file 10 after file 9."""
     parts = re.split(r'(\d+)', path.name)
     return [(int(part), '') if part.isdigit() else (-1, part) for part in parts]
 
@@ -199,7 +199,7 @@ def _no_bag_in(path: Path) -> AllanError:
 
 
 def _described(path: Path) -> BagFiles:
-    """Return what metadata.yaml states."""
+    """Return the topics that metadata.yaml states."""
     import yaml
 
     from ..files import parse_yaml
@@ -207,12 +207,12 @@ def _described(path: Path) -> BagFiles:
     first_bytes(path / METADATA)
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     described: dict[tuple[str, str], Described] = {}
-    # each error that another content than that of rosbag2 leads to
+    # all exceptions that content other than that of rosbag2 can cause
     errors = (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError)
     with translated(path / METADATA, errors, remedy):
         text = read_bounded(path / METADATA, MAX_METADATA).decode()
         info: dict[str, Any] = parse_yaml(text)[METADATA_KEY]
-        # Older bags include the folder that they were recorded to in the file names.
+        # Older bags include the recording folder in the file names.
         files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
         for entry in info.get('topics_with_message_count') or []:
             topic, count = entry['topic_metadata'], entry['message_count']

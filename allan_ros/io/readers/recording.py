@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of all readers: the options, and a recording of an IMU as a stream of `ImuBatch`."""
+"""Types used by all readers: the options, and a recording of an IMU as a stream of `ImuBatch`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from ...core.settings import check, parameter
 from ..signal import TemperatureTrace
 
 BATCH = 32768
-"""Samples per batch: enough to make the cost of a batch negligible, few enough for the cache."""
+"""Samples per batch: so many that the cost per batch is negligible, and so few that they fit into
+the cache."""
 
 Report = Callable[[Finding], None]
-"""Takes the findings of a reader."""
+"""Receives the findings of a reader."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How to read what the recording itself does not state."""
+    """Options for reading, which state what the recording itself does not."""
 
     topic: str = parameter('', 'Imu topic of a bag, or instance of a log; empty: the only one')
     columns: tuple[str, ...] = parameter(
@@ -53,7 +54,7 @@ class ReadOptions:
         check(self)
 
     def in_si(self, batch: ImuBatch) -> ImuBatch:
-        """Return samples that are in these units in SI."""
+        """Return samples, given in the units of the options, in SI."""
         known = self.with_units()
         factors = sample_factors(known.gyro_unit, known.accel_unit)
         if (factors == 1.0).all():
@@ -61,7 +62,7 @@ class ReadOptions:
         return replace(batch, samples=batch.samples * factors)
 
     def with_units(self, found: Mapping[str, str] = {}) -> ReadOptions:
-        """Return the options with the units found, by sensor, else those given, else SI."""
+        """Return the options with units per sensor: those found, else those given, else SI."""
         gyro = found.get('gyro') or self.gyro_unit or SAMPLE_SI['gyro']
         accel = found.get('accel') or self.accel_unit or SAMPLE_SI['accel']
         return replace(self, gyro_unit=gyro, accel_unit=accel)
@@ -69,7 +70,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """Source of samples: the path as given, and the topic, message type and storage format."""
+    """Source of samples: the given path, and the topic, message type and storage format."""
 
     path: str
     topic: str
@@ -78,7 +79,7 @@ class SourceInfo:
 
 
 def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
-    """Yield the samples, at most `BATCH` at a time (views)."""
+    """Yield the samples in parts of at most `BATCH` (views)."""
     for first in range(0, len(whole), BATCH):
         yield whole[first : first + BATCH]
 
@@ -86,8 +87,8 @@ def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
 class Recording:
     """One recording, which can be read any number of times.
 
-    ``messages`` is the number of samples that it states, or None; ``options`` are those in effect:
-    with the units that were found in the recording, or assumed. ``axes`` are those it can have.
+    ``messages`` is the number of samples that the recording states, or None. ``options`` are the
+    options in effect, with the units that were found or assumed. ``axes`` are the possible axes.
     """
 
     def __init__(
@@ -116,9 +117,9 @@ class Recording:
         yield from self._read(self._findings.append)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU with that frame_id, or None where there is none.
+        """Return the temperature of the IMU with the given frame_id, or None if there is none.
 
-        This reads the recording once more.
+        This reads the recording again.
         """
         return self._read_temperature(frame_id)
 

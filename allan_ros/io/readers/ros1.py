@@ -27,16 +27,17 @@ LENGTH = struct.Struct('<I')
 TIME = struct.Struct('<II')
 
 INDEX_ENTRY = np.dtype([('sec', '<u4'), ('nanosec', '<u4'), ('offset', '<u4')])
-"""Record time of a message, and its offset in the chunk."""
+"""Layout of an index entry: record time of a message, and its offset in the chunk."""
 
 CHUNK_COUNT = struct.Struct('<II')
-"""Connection, and its messages in a chunk."""
+"""Layout of a count: connection, and its number of messages in a chunk."""
 
 NO_INDEX = np.iinfo(np.int64).max
-"""Start time of a chunk without an index."""
+"""Marks the start time of a chunk without an index."""
 
 MAX_HEADER = 1 << 20
-"""Record headers are far shorter; a longer one means that the file is damaged."""
+"""Longest record header in bytes; real headers are far shorter, so a longer one indicates
+damage."""
 
 
 class Ros1Storage(ChunkStorage):
@@ -103,7 +104,7 @@ class Ros1Storage(ChunkStorage):
         return None if end > self._size else (_fields(raw[:header_length]), start, end)
 
     def _take_index(self, header: dict[str, bytes], entries: bytes) -> None:
-        """Count the messages of one connection in the last chunk, and note when it begins."""
+        """Count the messages of one connection in the last chunk, and store its first time."""
         index = np.frombuffer(entries, INDEX_ENTRY)
         times = index['sec'].astype(np.int64) * NANOSECONDS + index['nanosec']
         self._counts[_number(header['conn'])] += len(times)
@@ -112,7 +113,9 @@ class Ros1Storage(ChunkStorage):
             self._chunks[-1] = replace(last, start_ns=int(times.min(initial=last.start_ns)))
 
     def _searched(self, chunk: Chunk, ended: bool) -> Chunk:
-        """Read what the records behind a chunk would state: its index, and the connections."""
+        """Read the content of the records after a chunk from the chunk: its index, and the
+        connections.
+        """
         if ended and chunk.start_ns != NO_INDEX:
             return chunk
         data, start_ns = self._data(chunk), chunk.start_ns

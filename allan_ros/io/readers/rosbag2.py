@@ -54,11 +54,11 @@ def _read(
 ) -> Iterator[ImuBatch]:
     """Yield the samples of the chosen topic in all files, in order."""
     extract = extractor(topic, source.field) if source.field else None
-    kept: Counter[str] = Counter()  # messages per sensor whose covariance was ignored
+    kept: Counter[str] = Counter()  # number of messages per sensor whose covariance was ignored
     total = 0
 
     def decoded(file: Path, blocks: Iterable[Block]) -> Iterator[ImuBatch]:
-        done = 0  # messages of this file
+        done = 0  # number of messages of this file
         for block in blocks:
             at = 0
             try:
@@ -95,7 +95,7 @@ def _read(
 
 
 def _compare(stated: int, read: int, where: Path, report: Report) -> None:
-    """Report where another number of messages was read than stated."""
+    """Report if the number of read messages differs from the stated number."""
     if stated != read:
         report(finding('count_differs', path=where, stated=stated, read=read))
 
@@ -105,7 +105,7 @@ def _encoding(topic: Topic) -> Encoding:
 
 
 def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
-    """Join the batches of one frame to about `BATCH` samples, and split longer ones."""
+    """Join the batches of one frame_id to about `BATCH` samples, and split longer ones."""
     held: list[ImuBatch] = []
     count = 0
     for batch in batches:
@@ -119,9 +119,9 @@ def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
 
 
 def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iterator[Payloads]:
-    """Yield the Imu messages: decompressed if necessary, and taken out of other messages.
+    """Yield the Imu messages, decompressed or extracted from other messages if necessary.
 
-    Those that have to be converted are yielded in groups of limited total size.
+    Converted messages are yielded in groups of limited total size.
     """
     compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
     if not compression and extract is None:
@@ -144,7 +144,7 @@ def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iter
 
 
 def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
-    """Return a function that takes the serialized Imu out of a field of the topic's messages."""
+    """Return a function that extracts the serialized Imu from a field of the topic's messages."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -157,7 +157,7 @@ def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
         try:
             message = deserialize(payload, topic.type)
             return bytes(serialize(reduce(getattr, field, message), IMU_TYPE))
-        except Exception as error:  # the generated code may raise anything
+        except Exception as error:  # the generated code may raise any exception
             raise ValueError(f'it does not match its schema: {error}') from error
 
     return extract
@@ -172,7 +172,7 @@ Message = tuple[int, bytes]
 def bag_temperature(
     files: Sequence[Path], topics: Sequence[Topic], imu_topic: str, frame_id: str
 ) -> TemperatureTrace | None:
-    """Return the temperature of an IMU, or None where the bag has none or it is ambiguous.
+    """Return the temperature of an IMU, or None if the bag has none or it is ambiguous.
 
     A topic belongs to the IMU when it is the only one of its type, the only one in the namespace
     of the Imu topic, or, among several of these, the only one with the frame_id of the IMU.
@@ -192,7 +192,7 @@ def bag_temperature(
 
 
 def _nearest(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
-    """Return the topics that share most of their namespace with the Imu topic."""
+    """Return the topics that share the longest part of their namespace with the Imu topic."""
 
     def shared(topic: Topic) -> int:
         pairs = list(zip(topic.name.strip('/').split('/'), imu_topic.strip('/').split('/')))
@@ -214,7 +214,7 @@ def _messages(files: Sequence[Path], topic: Topic) -> Iterator[Message]:
 def _temperature(
     topic: Topic, record_ns: int, payload: bytes
 ) -> tuple[tuple[int, int, float], str] | None:
-    """Return (header stamp, record time, degC) and the frame_id; None of a damaged message."""
+    """Return (header stamp, record time, degC) and the frame_id; None for a damaged message."""
     with suppress(MalformedMessage, ValueError):
         plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
         header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))

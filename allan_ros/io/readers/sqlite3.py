@@ -22,43 +22,44 @@ from .sqlite3_pages import MessagePages, Rows, Unusual
 from .storage import Block, Cut, Topic, damaged, normal_type, translated
 
 ROWS = 2048
-"""Rows fetched at a time where SQLite returns them one by one."""
+"""Rows fetched at a time when SQLite returns them one by one."""
 
 _COLUMNS = ('id', 'topic_id', 'timestamp', 'data')
-"""Columns of the table ``messages``, in all versions of the schema."""
+"""Columns of the table ``messages`` in all versions of the schema."""
 
 _TIME_INDEX = """
 SELECT list.name FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS part
 WHERE NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
 """
-"""Names the indexes of the record times."""
+"""Query for the names of the indexes of the record times."""
 
 _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
-"""What reading raises on a damaged database: errors of SQLite, and cells of another type."""
+"""Exceptions while reading a damaged database: errors of SQLite, and cells of another type."""
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
 HEAD = struct.Struct('>16xH6xII60xI')
-"""Start of a database (file format, section 1.3): page size, where 1 stands for 65536; change
-counter, pages, and the change counter when they were counted."""
+"""Start of a database (file format, section 1.3): page size (1 stands for 65536), change counter,
+number of pages, and the change counter when they were counted."""
 
 
 class Sqlite3Storage:
     """An open .db3 file; ``path`` is its name for messages.
 
-    ``pages`` is the file itself; None where its pages are not the whole content, because of a log.
+    ``pages`` reads the file directly; it is None if a log contains a part of the content.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, pages: BinaryIO | None) -> None:
         self._path = path
         self._connection = connection
         self._pages = pages
-        self._rows_seen: int | None = 0  # rows of the pages that were read; None: by SQLite
+        # number of rows read from the pages; None if SQLite read them
+        self._rows_seen: int | None = 0
         self.cut = _truncation(pages) if pages else None
         self.topics = self._read_topics()
 
     def _read_topics(self) -> list[Topic]:
-        # A view instead of a table may run arbitrary computations without end.
+        # A view instead of a table could run an endless computation.
         self._query('PRAGMA trusted_schema = OFF')
         tables = {n for (n,) in self._query("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if missing := {'topics', 'messages'} - tables:
@@ -80,12 +81,13 @@ class Sqlite3Storage:
         ]
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages (reads the whole table)."""
+        """Return topic id -> number of messages (reads the complete table)."""
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return ``read``, plus the messages of any topic that are in the index of times only.
+        """Return ``read`` plus the number of messages of any topic that are only in the index of
+        times.
 
         SQLite counts the index in a few milliseconds per million messages.
         """
@@ -97,7 +99,7 @@ class Sqlite3Storage:
             seen = self._rows_seen
             if seen is None:
                 name = index[0].replace('"', '""')
-                # counts the rows found by the index; count(*) would count the index alone
+                # counts the rows found by the index; count(*) would count only the index
                 sql = f'SELECT count(topic_id) FROM messages INDEXED BY "{name}"'
                 (seen,) = next(self._query(f'{sql} WHERE timestamp >= ?', -(2**63)))
         return read + max(0, int(listed) - int(seen or 0))
@@ -108,7 +110,7 @@ class Sqlite3Storage:
             yield from self._blocks(ids)
 
     def _blocks(self, ids: set[int]) -> Iterator[Block]:
-        # two queries: for one with both, SQLite reads the whole table
+        # two queries: for a single query with both, SQLite reads the complete table
         (first,), (last,) = (
             next(self._query(f'SELECT {which}(id) FROM messages')) for which in ('min', 'max')
         )
@@ -119,11 +121,13 @@ class Sqlite3Storage:
             done = yield from self._batches(ids, done, self._pages)
         if done < last:
             self._rows_seen = None
-            # the plus keeps SQLite from sorting the whole table instead of using the time index
+            # the plus sign prevents SQLite from sorting the complete table instead of using the
+            # time index
             yield from self._rows(ids, '+id > ? ORDER BY timestamp, id', done)
 
     def _is_usual(self) -> bool:
-        """Return whether the table is as recorders create it: ids are row ids, times indexed."""
+        """Return whether the table is as recorders create it: ids are row ids, and times are
+        indexed."""
         columns = list(
             self._query("SELECT name, upper(type), pk FROM pragma_table_xinfo('messages')")
         )
@@ -134,14 +138,14 @@ class Sqlite3Storage:
     def _batches(self, ids: set[int], done: int, file: BinaryIO) -> Generator[Block, None, int]:
         """Yield messages by ranges of ids as long as these are in the order of time.
 
-        The id up to which all messages have been yielded is returned.
+        Returns the id up to which all messages have been yielded.
         """
         (root,) = next(self._query("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"))
         end_ns, seen_ns = -(2**63), np.empty(0, np.int64)
         with suppress(Unusual):
             for rows in MessagePages(file, root).rows():
                 if rows.first_id <= done:
-                    return done  # a damaged tree leads to the same pages twice
+                    return done  # in a damaged tree, the same pages occur twice
                 self._rows_seen = (self._rows_seen or 0) + len(rows.topics)
                 blocks = self._blocks_of(rows, ids, done)
                 times = [block.record_ns for block in blocks if len(block.record_ns)]
@@ -157,7 +161,7 @@ class Sqlite3Storage:
         return done
 
     def _blocks_of(self, rows: Rows, ids: set[int], done: int) -> list[Block]:
-        """Return the messages in rows that begin after the id ``done``."""
+        """Return the messages in rows after the id ``done``."""
         try:
             return [rows.block(ids)]
         except Unusual:
@@ -169,10 +173,10 @@ class Sqlite3Storage:
     ) -> bool:
         """Return whether a message after ``last_id`` was recorded before ``end_ns``.
 
-        None was recorded before ``start_ns``, and ``known`` rows are between these two times.
+        No message was recorded before ``start_ns``, and ``known`` rows are between the two times.
         """
         # SQLite skips entries of the index in a fifth of the time it takes to read them. If there
-        # are no more entries up to the end than the known ones, nothing else has to be checked.
+        # are not more entries up to the end than the known ones, no further check is needed.
         behind = 'SELECT timestamp FROM messages WHERE timestamp >= ? ORDER BY timestamp LIMIT 1'
         following = next(self._query(f'{behind} OFFSET ?', start_ns, known), None)
         if following is None or following[0] > end_ns:
@@ -202,7 +206,7 @@ def _topics(ids: set[int]) -> str:
 
 
 def _truncation(file: BinaryIO) -> Cut | None:
-    """Return how much of the database is there, if it has fewer pages than its header states."""
+    """Return the part of the database that exists, if it has fewer pages than its header states."""
     file.seek(0)
     head = file.read(HEAD.size)
     if len(head) < HEAD.size:
@@ -216,11 +220,11 @@ def _truncation(file: BinaryIO) -> Cut | None:
 def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     """Open a .db3 file for reading only, without creating a file next to it.
 
-    The name for messages is ``shown``, which differs for a decompressed copy.
-    Raises AllanError when it is not a rosbag2 database or damaged.
+    ``shown`` is the name in messages, which differs for a decompressed copy. Raises AllanError when
+    it is not a rosbag2 database or damaged.
     """
-    # A write-ahead log contains the last messages of a recorder that was killed. Without one the
-    # file is opened as immutable, which works on read-only media too.
+    # A write-ahead log contains the last messages of a recorder that was killed. Without a log, the
+    # file is opened as immutable, which also works on read-only media.
     log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
     with translated(shown, _LIBRARY_ERRORS, REMEDY):
         file = open_regular(path)
@@ -231,7 +235,7 @@ def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
         elif shared.is_file():
             with _opened(path, shown, 'mode=ro', None) as storage:
                 yield storage
-        else:  # SQLite would create the -shm file and leave it there
+        else:  # SQLite would create the -shm file and not remove it
             with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
                 with translated(shown, (OSError,), 'check the space for temporary files'):
                     size = path.stat().st_size + log.stat().st_size

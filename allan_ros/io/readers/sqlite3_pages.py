@@ -5,7 +5,8 @@
 SQLite returns one row at a time, which takes three times as long as decoding the messages. The
 file format is documented and stable (https://www.sqlite.org/fileformat2.html; the sections are
 given below): a table is a tree of pages whose leaves contain the rows in the order of their ids.
-Anything but a plain row of such a table raises `Unusual`, and SQLite reads it instead.
+For anything but a plain row of such a table, `Unusual` is raised, and SQLite reads the rows
+instead.
 """
 
 from __future__ import annotations
@@ -24,19 +25,20 @@ LEAF, INTERIOR = 13, 5
 """Page types of a table (section 1.6)."""
 
 PAGE_SIZE = slice(16, 18)
-"""Place of the page size in the first page; 1 stands for 65536 (section 1.3.2)."""
+"""Offset of the page size in the first page; 1 stands for 65536 (section 1.3.2)."""
 
 RESERVED = 20
-"""Place of the number of bytes at the end of each page that are reserved (section 1.3.4)."""
+"""Offset of the number of reserved bytes at the end of each page (section 1.3.4)."""
 
 FILE_HEAD = 100
 """Size of the file header (section 1.3)."""
 
 LEAF_HEAD = np.dtype([('kind', 'u1'), ('free', '>u2'), ('cells', '>u2'), ('content', 'V3')])
-"""Header of a leaf; the offsets of its cells follow, two bytes each (section 1.6)."""
+"""Size of the header of a leaf; the offsets of its cells follow, two bytes each (section 1.6)."""
 
 INTERIOR_HEAD = np.dtype([*LEAF_HEAD.descr, ('last', '>u4')])
-"""Header of an interior page, which has the number of its last child too (section 1.6)."""
+"""Size of the header of an interior page, which also has the number of its last child (section
+1.6)."""
 
 OVERFLOW_MARGIN = 35
 """Rows larger than a page minus this many bytes continue in other pages (section 1.6)."""
@@ -45,7 +47,7 @@ MAX_DEPTH = 20
 """Largest depth of a tree that SQLite allows."""
 
 WORD = 8
-"""Bytes of a cell in which its first two varints end: the size of the row, and its id."""
+"""Bytes of a cell that contain its first two varints: the size of the row, and its id."""
 
 LAST_BYTES = np.uint64(0x8080808080808080)
 """Bits of a word that are clear in the last byte of a varint (section 1.6)."""
@@ -57,13 +59,13 @@ FIRST_BLOB = 12
 """Serial types from 12 are blobs (even) and texts (odd) of (type - 12) / 2 bytes (section 2.1)."""
 
 KIND_BYTES = 4
-"""Header of a row up to the serial type of the blob: its own size, id, topic, time."""
+"""Bytes of a row header up to the serial type of the blob: header size, id, topic, time."""
 
 READ_BYTES = 1 << 20
-"""Leaves are read in parts of about this size, which stay in the processor cache."""
+"""Leaves are read in parts of about this many bytes, which stay in the processor cache."""
 
 CELL_HEAD = 4 * WORD
-"""Bytes of a cell that contain all but the message: size and id, row header, topic, time."""
+"""Bytes of a cell without the message: size and id, row header, topic, time."""
 
 PADDING = CELL_HEAD
 """Bytes allocated after the pages, so that a full cell head can be read from the last cell."""
@@ -72,12 +74,12 @@ Bytes = NDArray[np.uint8]
 
 
 class Unusual(Exception):
-    """The pages contain something else than plain rows of messages."""
+    """The pages contain anything other than plain rows of messages."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Consecutive rows in the order of their ids; valid until the next ones are read."""
+    """Consecutive rows in the order of their ids; valid until the next rows are read."""
 
     first_id: int
     last_id: int
@@ -86,7 +88,7 @@ class Rows:
     _data: Bytes
     _start: NDArray[np.int64]
     _length: NDArray[np.int64]
-    _page_end: NDArray[np.int64]  # 0 where a row continues in other pages
+    _page_end: NDArray[np.int64]  # 0 if a row continues in other pages
 
     def block(self, ids: set[int]) -> Block:
         """Return the messages of these topics in the order of their record time.
@@ -115,7 +117,7 @@ class Rows:
 
 
 class MessagePages:
-    """The pages of the table ``messages`` of a database that nobody writes, from ``root`` on.
+    """The pages of the table ``messages``, from ``root`` on, of a database that nobody writes.
 
     Raises Unusual when the file is not an SQLite database.
     """
@@ -136,7 +138,7 @@ class MessagePages:
     def rows(self) -> Iterator[Rows]:
         """Yield the rows in the order of their ids.
 
-        Raises Unusual when the next row is not a plain one.
+        Raises Unusual when the next row is not a plain row.
         """
         at_a_time = max(1, READ_BYTES // self._page_bytes)
         waiting = np.empty(0, np.int64)
@@ -171,7 +173,8 @@ class MessagePages:
         yield children
 
     def _read(self, first: int, count: int = 1) -> Bytes:
-        """Return ``count`` pages from ``first`` on, and `PADDING`; valid until the next call."""
+        """Return ``count`` pages from ``first`` on and `PADDING` bytes; valid until the next
+        call."""
         size = count * self._page_bytes
         if len(self._buffer) < size + PADDING:
             self._buffer = np.zeros(size + PADDING, np.uint8)
@@ -183,16 +186,16 @@ class MessagePages:
         return self._buffer[: size + PADDING]
 
     def _rows_of(self, leaves: NDArray[np.int64]) -> Rows:
-        """Return the rows of some leaves."""
+        """Return the rows of the given leaves."""
         try:
             return self._parsed(*self._pages(leaves))
         except IndexError as error:
             raise Unusual('a cell lies outside its page') from error
 
     def _parsed(self, data: Bytes, pages: NDArray[np.int64]) -> Rows:
-        """Return the rows of the leaves that begin at these bytes."""
+        """Return the rows of the leaves that begin at the given offsets."""
         start, page_end, counts = self._cells(data, pages)
-        # copied to one place, because they are read several times
+        # copied to contiguous memory, because they are read several times
         heads = gathered(data, start, np.dtype((np.void, CELL_HEAD))).view(np.uint8)
         cell = np.arange(len(start)) * CELL_HEAD
         header = cell + _varints_bytes(heads, cell)
@@ -216,7 +219,7 @@ class MessagePages:
         """Return the bytes of leaves, and the offset of each."""
         first, last = int(leaves.min()), int(leaves.max())
         size = self._page_bytes
-        if last - first < 2 * len(leaves):  # few other pages are between them
+        if last - first < 2 * len(leaves):  # there are few other pages between them
             return self._read(first, last - first + 1), (leaves - first) * size
         parts = [self._read(number).copy() for number in leaves.tolist()]
         return np.concatenate(parts), np.arange(len(leaves)) * len(parts[0])
@@ -224,7 +227,8 @@ class MessagePages:
     def _cells(
         self, data: Bytes, pages: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return the offset of each cell and of the usable end of its page, and cells per page."""
+        """Return the offset of each cell and of the usable end of its page, and the cells per
+        page."""
         head = gathered(data, pages, LEAF_HEAD)
         counts = head['cells'].astype(np.int64)
         if (head['kind'] != LEAF).any() or not counts.all():
@@ -239,7 +243,7 @@ class MessagePages:
 def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the size of the first two varints of each cell (section 1.6).
 
-    The last byte of a varint is the one whose highest bit is clear.
+    In the last byte of a varint, the highest bit is clear.
     """
     last = ~gathered(data, start, np.dtype('<u8')) & LAST_BYTES
     second = last & (last - 1)  # the lowest bit ends the first varint
@@ -256,8 +260,8 @@ def _columns(
 ) -> tuple[Any, ...]:
     """Return topics, record times, and start and length of the blobs of rows of one layout.
 
-    The rows begin at the offsets ``header`` with the eight bytes ``head``, the first `KIND_BYTES`
-    of which are ``kind`` in all rows: they decide the layout (section 2.1).
+    The rows begin at the offsets ``header`` with the eight bytes ``head``. Their first `KIND_BYTES`
+    are ``kind`` in all rows and determine the layout (section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all storage formats of bags share: topics, blocks of messages, chunks, decompression."""
+"""Common parts of all storage formats of bags: topics, blocks of messages, chunks,
+decompression."""
 
 from __future__ import annotations
 
@@ -25,19 +26,22 @@ from ...core.errors import AllanError
 from ..files import open_regular
 
 MAX_CHUNK_BYTES = 128 * 2**20
-"""Largest chunk or record that is read, stored or decompressed. Recorders write about 1 MB."""
+"""Largest chunk or record in bytes that is read, stored or decompressed. Recorders write about 1
+MB."""
 
 MAX_MESSAGE_BYTES = 4 * 2**20
-"""Largest message that is decompressed on its own."""
+"""Largest single message in bytes that is decompressed."""
 
 MAX_FILE_RATIO = 250
-"""A compressed storage file may expand by this factor, and by `MAX_CHUNK_BYTES` in any case."""
+"""Largest expansion of a compressed storage file; expansion by `MAX_CHUNK_BYTES` is always
+allowed."""
 
 MAX_HELD_BYTES = 512 * 2**20
-"""Messages of overlapping chunks that are kept in memory until they can be sorted."""
+"""Largest size in bytes of the messages of overlapping chunks that are kept in memory for
+sorting."""
 
 MAX_FRAME_HEADER = 18
-"""Size of the longest header of a zstd frame (RFC 8878, section 3.1.1)."""
+"""Longest header of a zstd frame in bytes (RFC 8878, section 3.1.1)."""
 
 _COPY_BYTES = 1 << 20
 
@@ -49,8 +53,8 @@ class Topic:
     """One topic of one storage file: number, name, message type (``package/msg/Name``).
 
     The ``encoding`` of the messages is 'cdr', 'ros1', or one that cannot be read. The ``schema`` of
-    the type has the format 'ros2msg', 'ros2idl' or 'ros1msg', or '' where the file has none.
-    Raises ValueError when a name contains control characters, which means that the file is damaged.
+    the type has the format 'ros2msg', 'ros2idl' or 'ros1msg', or '' if the file has none. Raises
+    ValueError when a name contains control characters, which means that the file is damaged.
     """
 
     id: int
@@ -66,7 +70,7 @@ class Topic:
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]
-"""Serialized messages; one array where all have the same length."""
+"""Serialized messages; one array if all have the same length."""
 
 
 @dataclass
@@ -79,7 +83,8 @@ class Block:
 
 @dataclass(frozen=True)
 class Cut:
-    """How many bytes of a truncated file could be read, and its size (or the size it should be)."""
+    """Number of bytes of a truncated file that could be read, and its size (or its intended
+    size)."""
 
     read: int
     size: int
@@ -98,7 +103,8 @@ class Storage(Protocol):
         """Yield the messages of these topics in the order of their record time."""
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return how many messages of these topics the file's index states, or else ``read``.
+        """Return the number of messages of these topics that the file's index states, or else
+        ``read``.
 
         Call it after `blocks`, with the number of messages that were read.
         """
@@ -113,7 +119,7 @@ def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArr
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return a mask of the numbers that are in ``ids``, which has one or two members."""
+    """Return a mask of the numbers that are in ``ids``, which contains one or two ids."""
     mask = np.zeros(len(numbers), bool)
     for number in ids:
         mask |= numbers == number
@@ -126,7 +132,8 @@ def as_list(payloads: Payloads) -> list[bytes | memoryview]:
 
 
 def normal_type(name: str) -> str:
-    """Return a type in the spelling of ROS 2: ``sensor_msgs/Imu`` is ``sensor_msgs/msg/Imu``."""
+    """Return a type in the notation of ROS 2: ``sensor_msgs/Imu`` becomes
+    ``sensor_msgs/msg/Imu``."""
     package, *rest = name.split('/')
     return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
 
@@ -139,7 +146,7 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Translate what a library raises on a damaged file into an `AllanError`."""
+    """Convert exceptions of a library for a damaged file into an `AllanError`."""
     try:
         yield
     except AllanError:
@@ -149,11 +156,12 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
 
 
 DEBIAN_PACKAGES = {name: f' or "apt install python3-{name}"' for name in ('lz4', 'zstandard')}
-"""Packages that a ROS installation on Ubuntu gets from apt, where pip is refused (PEP 668)."""
+"""Packages that a ROS installation on Ubuntu installs with apt, because pip is blocked (PEP
+668)."""
 
 
 def optional_package(module: str, purpose: str) -> Any:
-    """Import a module; where it is missing, raise AllanError with the command that installs it."""
+    """Import a module; if it is missing, raise AllanError with the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -175,8 +183,8 @@ def frame_compression(head: bytes | memoryview) -> str:
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the bytes of a chunk or message compressed by 'zstd', 'lz4', 'bz2', 'none' or ''.
 
-    Raises ValueError when the compression is unknown, or the data are damaged or expand beyond the
-    limit, at which decompression stops.
+    Raises ValueError when the compression is unknown, or the data are damaged or exceed the limit,
+    at which decompression stops.
     """
     if compression in ('', 'none'):
         return bytes(data)
@@ -202,7 +210,7 @@ def _stated_size(head: bytes | memoryview, compression: str) -> int:
 
 
 def _expanding(file: BinaryIO, compression: str) -> Any:
-    """Return a file with the decompressed content of another."""
+    """Return a file with the decompressed content of another file."""
     if compression == 'zstd':
         return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
     if compression == 'lz4':
@@ -256,8 +264,8 @@ def _zstd_decompressor() -> Any:
 class Chunk:
     """A stretch of the file that contains messages, the first recorded at ``start_ns``.
 
-    In mcap, the records of ``index_length`` bytes behind it list its messages, or it has ``loose``
-    messages of no chunk.
+    In mcap, the records of ``index_length`` bytes after it list its messages; ``loose`` marks
+    messages outside chunks.
     """
 
     start_ns: int
@@ -275,7 +283,7 @@ class Chunk:
 class ChunkStorage(ABC):
     """An open file that consists of chunks; subclasses implement the format.
 
-    `DAMAGE` is what reading a damaged file raises, `REMEDY` what the user can do about it.
+    `DAMAGE` contains the exceptions for a damaged file, `REMEDY` the advice to the user.
     """
 
     DAMAGE: ClassVar[tuple[type[Exception], ...]]
@@ -297,7 +305,7 @@ class ChunkStorage(ABC):
     @classmethod
     @contextmanager
     def open(cls, path: Path, shown: Path) -> Iterator[Storage]:
-        """Open a file; ``shown`` is its name for messages, another for a decompressed copy.
+        """Open a file; ``shown`` is the name in messages, which differs for a decompressed copy.
 
         Raises AllanError when the file is of another format or damaged.
         """
@@ -313,7 +321,7 @@ class ChunkStorage(ABC):
         return dict(self._counts)
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return how many messages of these topics the file states, or ``read``."""
+        """Return the number of messages of these topics that the file states, or ``read``."""
         if not self._stated:
             return read
         stated = sum(self._stated[number] for number in ids)
@@ -346,7 +354,8 @@ class ChunkStorage(ABC):
     def _unpacked(
         self, offset: int, stored: bytes | memoryview, compression: str, size: int, crc: int = 0
     ) -> bytes:
-        """Return the records of the chunk at ``offset``, decompressed; CRC-32 0 is not checked."""
+        """Return the records of the chunk at ``offset``, decompressed; a CRC-32 of 0 is not
+        checked."""
         try:
             data = decompress(stored, compression, min(size, MAX_CHUNK_BYTES))
             if len(data) != size:
@@ -370,7 +379,7 @@ class InOrder:
         self._held = Block(np.empty(0, np.int64), [])
 
     def add(self, block: Block, until: int | None) -> Block:
-        """Add one chunk and return all messages recorded before ``until`` (None: all)."""
+        """Add one chunk, and return all messages recorded before ``until`` (None: all messages)."""
         held, times = self._held, block.record_ns
         complete = until is None or not len(times) or times[-1] < until
         if complete and not len(held.record_ns) and (times[1:] >= times[:-1]).all():
@@ -389,7 +398,7 @@ class InOrder:
 
 
 def _joined(first: Payloads, second: Payloads) -> Payloads:
-    """Return the messages of both, as one array where all have the same length."""
+    """Return the messages of both, as one array if all have the same length."""
     if not len(first):
         return second
     if isinstance(first, list) or isinstance(second, list) or first.dtype != second.dtype:
@@ -398,7 +407,7 @@ def _joined(first: Payloads, second: Payloads) -> Payloads:
 
 
 def _copied(payloads: Payloads, rows: NDArray[np.intp]) -> Payloads:
-    """Return some messages, without keeping the memory of their chunk alive."""
+    """Return a copy of the messages, so that the memory of their chunk can be released."""
     if isinstance(payloads, np.ndarray):
         return payloads[rows]
     return [bytes(payloads[row]) for row in rows.tolist()]

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""CSV and TSV files: read row by row, and written without loss of precision.
+"""CSV and TSV files, read row by row and written without loss of precision.
 
 The files written here have int64 nanosecond stamps, shortest round-trip floats in SI, and the
 frame_id in a comment::
@@ -47,7 +47,7 @@ EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
 @dataclass(frozen=True)
 class _Table:
-    """The form of a table.
+    """The layout of a table.
 
     ``delimiter`` is ',', ';', tab, or '' for white space, ``width`` the number of columns of every
     row. The names are in the line ``header_line``, 0 without a header.
@@ -136,7 +136,7 @@ def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
 def _check_complete(
     path: Path, names: tuple[str, ...], columns: Columns, options: ReadOptions
 ) -> None:
-    """Raise AllanError unless there are all axes of a sensor, and times."""
+    """Raise AllanError unless all axes of each sensor, and times, are present."""
     for sensor, place in SENSORS.items():
         have = [AXES[axis] for axis in range(place.start, place.stop) if axis in columns.axes]
         if have and len(have) < 3:
@@ -157,7 +157,7 @@ def _check_complete(
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
-    """Write the batches in the form above and return the number of rows.
+    """Write the batches as described above, and return the number of rows.
 
     Raises AllanError when only some of the batches have record times.
     """
@@ -193,7 +193,7 @@ def _write_frame(file: TextIO, frame_id: str) -> None:
 
 
 def _text(path: Path) -> TextIO:
-    # an invalid byte becomes a cell that is not a number, reported with its line and column
+    # an invalid byte becomes a cell that is not a number, which is reported with line and column
     return TextIOWrapper(open_regular(path), encoding='utf-8-sig', errors='replace', newline=None)
 
 
@@ -221,7 +221,7 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
 
 
 def _is_number(cell: str) -> bool:
-    """Return whether a cell is a number, NaN and infinity included."""
+    """Return whether a cell is a number, including NaN and infinity."""
     try:
         float(cell)
     except ValueError:
@@ -232,7 +232,8 @@ def _is_number(cell: str) -> bool:
 class _Lines:
     """The lines of a table after its header, without comments and empty lines.
 
-    The last line has the ``number``, from 1, and the last comment that states one the ``frame_id``.
+    ``number`` is the number of the last line read, from 1, and ``frame_id`` the one in the last
+    comment with a frame_id.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -254,7 +255,7 @@ class _Lines:
 
 @dataclass
 class _Rows:
-    """Consecutive rows of one frame: their line numbers and cells."""
+    """Consecutive rows of one frame_id: their line numbers and cells."""
 
     table: _Table
     first: int = 0
@@ -296,7 +297,7 @@ class _Rows:
         return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
 
     def _nanoseconds(self, cells: tuple[str, ...], column: int, scale: int) -> NDArray[np.int64]:
-        """Return one column of times in ns, exactly: a float has too few digits for a stamp."""
+        """Return one column of times in ns, exactly (a float has too few digits for a stamp)."""
         if scale == 1:
             with suppress(ValueError, OverflowError):
                 return np.array(list(map(int, cells)), dtype=np.int64)
@@ -325,7 +326,7 @@ class _Rows:
 
 
 def _rows(table: _Table, file: TextIO, report: Report) -> Iterator[_Rows]:
-    """Yield the rows, about `BATCH` at a time; a comment with another frame_id begins new ones.
+    """Yield the rows, about `BATCH` at a time; another frame_id in a comment begins a new part.
 
     The last line is not used if it has no line end, because its last number may be truncated.
     """

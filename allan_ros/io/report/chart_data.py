@@ -40,16 +40,16 @@ CHART_DIGITS = 5
 """Significant digits of a point of a chart: a tenth of a pixel on any screen."""
 
 MEANS = 129
-"""The means of a recording are fewer than this."""
+"""Largest number of means of a recording."""
 
 LONGEST_NOISE_S = 1.0
-"""The noise over time is shown at the longest averaging time below this."""
+"""Averaging times below this are candidates for the noise over time; the longest is shown."""
 
 LEAST_COUNT, LEAST_POINTS = 16, 4
-"""Fewest differences of a period, and fewest points of a chart."""
+"""Smallest number of differences of a period, and smallest number of points of a chart."""
 
 LEAST_RANGE_C = 0.5
-"""A bias is shown against a temperature that changes by more."""
+"""The bias is shown against the temperature if its range in degC is larger than this."""
 
 
 def sensor_charts(
@@ -79,10 +79,10 @@ def sensor_charts(
 
 
 def to_script(data: object) -> str:
-    """Return plain values as JSON that may stand inside a ``<script>`` element.
+    """Return plain values as JSON that is safe inside a ``<script>`` element.
 
-    ``<`` would let a frame_id end the element, and the two line separators end a line in older
-    JavaScript; inside JSON strings, the only place where they can be, all have an escape.
+    With ``<``, a frame_id could end the element, and the two line separators end a line in older
+    JavaScript. All of them only occur in JSON strings, where they are escaped.
     """
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
     for character in '<>&\u2028\u2029':
@@ -142,7 +142,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 def _datasheet_curves(
     axes: Mapping[str, AxisResult], comparison: DatasheetComparison | None, tau: Sequence[float]
 ) -> Iterable[dict[str, Any]]:
-    """Yield the curve that the stated terms of a datasheet make."""
+    """Yield the curve of the terms that a datasheet states."""
     stated = comparison.datasheet.values() if comparison else {}
     for name, axis in axes.items():
         limits = stated.get(name, {})
@@ -155,7 +155,7 @@ def _datasheet_curves(
 def _former_curves(
     axes: Mapping[str, AxisResult], former: Mapping[str, Results], tau: Sequence[float]
 ) -> Iterable[dict[str, Any]]:
-    """Yield the curve of each earlier run, read off at the averaging times of this one."""
+    """Yield the curve of each earlier run, interpolated at the averaging times of this one."""
     for run, results in former.items():
         for name in axes:
             curve = results.axes[name].curve if name in results.axes else None
@@ -169,7 +169,7 @@ def _former_curves(
 
 
 def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
-    """Return the root of the density of each axis, and that of its fit."""
+    """Return the root of the spectral density of each axis, and of its fit."""
     for spectrum in spectra:
         columns = [name for name in axes if name in spectrum.axes]
         if not columns:
@@ -186,7 +186,7 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
-    """Return the raw signal of each axis about its middle."""
+    """Return the raw signal of each axis, relative to its middle."""
     shown = []
     for name in axes:
         i = AXES.index(name)
@@ -211,7 +211,7 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str,
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the temperature over the time of the signals, or None where none was recorded."""
+    """Return the temperature over the time of the signals; None if none was recorded."""
     if summary is None or summary.temperature is None:
         return None
     temperature = summary.temperature
@@ -220,7 +220,7 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def _short(values: ArrayLike) -> list[float | None]:
-    """Return numbers to three digits, None for what is not finite."""
+    """Return numbers with three digits; None for values that are not finite."""
     return [
         float(f'{v:.3g}') if math.isfinite(v) else None for v in np.asarray(values, float).tolist()
     ]
@@ -232,7 +232,7 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     Twice the two-sided densities of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C for
     samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
     K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
-    ramp has none (the mean of a block is subtracted), and a sinusoid is a line without width.
+    ramp has no density (the mean of a block is subtracted), and a sinusoid is a line without width.
     """
     terms = axis.fit.selected.terms
     omega = 2.0 * np.pi * frequency
@@ -249,7 +249,7 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
 
 
 class Course(NamedTuple):
-    """Times in s, values (times, axes), and the averaging time in s that the values have."""
+    """Times in s, values (times, axes), and the averaging time of the values in s."""
 
     time: Floats
     values: Floats
@@ -257,7 +257,7 @@ class Course(NamedTuple):
 
 
 def rounded(values: ArrayLike) -> list[float | None]:
-    """Return numbers to `CHART_DIGITS` digits, None for what is not finite."""
+    """Return numbers with `CHART_DIGITS` digits; None for values that are not finite."""
     return [
         float(f'{v:.{CHART_DIGITS}g}') if math.isfinite(v) else None
         for v in np.asarray(values, float).tolist()
@@ -267,7 +267,7 @@ def rounded(values: ArrayLike) -> list[float | None]:
 def courses(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
     """Return the charts of bias and noise over time, and of the bias against temperature.
 
-    The summary gives the time axis of the page; without it the recordings follow one another.
+    The summary defines the time axis of the page; without it, the recordings follow one another.
     """
     where = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     known_sums = () if results.recorded is None else results.recorded.sums
@@ -310,7 +310,7 @@ def _placed(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Record
 
 
 def _bias(recording: Recording, start: float, tau0: float) -> Course:
-    """Return the means of cells of which more than half the samples are used."""
+    """Return the means of cells in which more than half of the samples are used."""
     cells = recording.coarser(MEANS, recording.period_begin)
     span = cells.step * tau0
     known = cells.cell_samples[:, None] > cells.step / 2
@@ -320,7 +320,9 @@ def _bias(recording: Recording, start: float, tau0: float) -> Course:
 
 
 def _noise(recording: Recording, start: float, tau0: float) -> Course:
-    """Return the Allan deviation of every period at `LONGEST_NOISE_S` or less."""
+    """Return the Allan deviation of every period, at the longest averaging time below
+    `LONGEST_NOISE_S`.
+    """
     level = int(np.searchsorted(recording.level_m * tau0, LONGEST_NOISE_S, side='right')) - 1
     begins = recording.period_begin
     if level < 0 or not len(begins):
@@ -333,7 +335,7 @@ def _noise(recording: Recording, start: float, tau0: float) -> Course:
 
 
 def _joined(parts: Sequence[Course], columns: Sequence[int]) -> Course:
-    """Return some columns of all recordings one after the other, with a NaN between two."""
+    """Return columns of all recordings one after the other, separated by NaN."""
     times, values = [np.zeros(0)], [np.zeros((0, len(columns)))]
     for part in parts:
         if len(part.time):
@@ -344,7 +346,7 @@ def _joined(parts: Sequence[Course], columns: Sequence[int]) -> Course:
 
 
 def _against_temperature(bias: Course, summary: SignalSummary | None) -> Course | None:
-    """Return the bias by temperature in degC; None where it was not recorded or hardly changes."""
+    """Return the bias against temperature in degC; None if unknown or nearly constant."""
     if summary is None or summary.temperature is None:
         return None
     trace = summary.temperature
