@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`report.html`: verdict and headline numbers, findings, curves and tables in one file.
 
-The page fetches nothing: its Content-Security-Policy forbids every request and lists its scripts
-by their hashes, so that nothing in a recording can run as a script.
+The page makes no requests: its Content-Security-Policy forbids them. The policy also lists the
+scripts by their hashes, so that no text of a recording can run as a script.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SCRIPTS = (
     'other_charts.js',
     'page.js',
 )
-"""Files of this folder, in their order in the page."""
+"""Script files of this folder, in their order in the page."""
 
 ICONS = {
     'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
@@ -58,10 +58,10 @@ ICONS = {
     'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
-"""Level -> its symbol, which repeats the meaning of the colour."""
+"""Level -> symbol, which has the same meaning as the colour."""
 
 EARLIEST_S = 978_307_200
-"""2001-01-01: an earlier first stamp is no date, but the time since a machine was started."""
+"""2001-01-01. An earlier first stamp is not a date, but the time since a machine was started."""
 
 FOLDED, STEPS = 3, 4
 """Most notes that are not folded away under their number, and most next steps that are shown."""
@@ -69,16 +69,16 @@ FOLDED, STEPS = 3, 4
 
 @dataclass(frozen=True)
 class ReportContext:
-    """What the page shows in addition to the results."""
+    """Additional content of the page besides the results."""
 
     signal: SignalSummary | None = None
     spectra: Sequence[Spectrum] = ()
-    method: Mapping[str, str] = field(default_factory=dict)  # what repeats the analysis
-    files: Sequence[str] = ()  # names of those in the same folder
+    method: Mapping[str, str] = field(default_factory=dict)  # command that repeats the analysis
+    files: Sequence[str] = ()  # names of the files in the same folder
 
 
 def render_report(results: Results, context: ReportContext, units: str) -> str:
-    """Return the HTML of the report, which shows these units first."""
+    """Return the HTML of the report, which initially shows the given units."""
     name = results.identity.label or 'IMU'
     sensors = {
         sensor: axes
@@ -195,7 +195,7 @@ def _text(text: str) -> str:
 
 
 def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of inputs, sample counts and what is needed to repeat the analysis."""
+    """Yield the tables of inputs, sample counts and the settings needed to repeat the analysis."""
     known, counts = results.provenance, results.provenance.counts
     inputs = {
         s.path: ', '.join(filter(None, (s.topic, s.type, s.storage, _size(Path(s.path)))))
@@ -251,7 +251,7 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def _findings_section(results: Results) -> Iterator[str]:
-    """Yield one block for each cause; many notes are folded."""
+    """Yield one block for each cause; if there are many notes, they are folded."""
     findings = grouped(results.findings)
     if not findings:
         return

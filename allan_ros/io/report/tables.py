@@ -44,7 +44,7 @@ WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
 """Sensor -> quantities whose random walks are N and K in IEEE Std 952 and 1293."""
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
-"""Verdict -> its symbol, which repeats the meaning of word and colour."""
+"""Verdict -> symbol, which has the same meaning as word and colour."""
 
 ERRORS = {
     'gyro': {'datasheet': ShownUnit('°', 180.0 / math.pi), 'si': ShownUnit('rad', 1.0)},
@@ -57,7 +57,7 @@ COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return the HTML of both systems of units, of which the page shows the chosen one."""
+    """Return the HTML of both systems of units; the page shows the selected one."""
     return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
 
 
@@ -68,7 +68,7 @@ def headline_table(sensor: str, axes: Axes) -> str:
 
 
 def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[str]:
-    """Yield the table of the five terms, one column per axis; a note where none is known."""
+    """Yield the table of the five terms, one column per axis; a note if no term is known."""
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
         yield _note('Nothing could be measured: neither a value nor a limit.')
@@ -147,7 +147,7 @@ def _size(
 
 
 def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) -> Iterator[str]:
-    """Yield the comparison with a datasheet; nothing where it states nothing about the sensor."""
+    """Yield the comparison with a datasheet; nothing if it has no figures of the sensor."""
     stated, notes = {}, []
     for term in TERMS:
         checks = [c for axis in axes if (c := comparison.of(axis, term)) is not None]
@@ -164,7 +164,7 @@ def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) ->
 def baseline_table(
     sensor: str, axes: Axes, name: str, baseline: Results, comparisons: Sequence[Comparison]
 ) -> Iterator[str]:
-    """Yield the comparison with an earlier run; nothing where the two share no term."""
+    """Yield the comparison with an earlier run; nothing without common terms."""
     notes = [
         '"Within" is not significantly above the earlier run; "beyond" is significantly above it '
         'and its margin.'
@@ -200,7 +200,7 @@ def _checks_table(
 
 
 def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
-    """Return the value, its share of the limit or what it was, and the verdict."""
+    """Return the value, its ratio to the limit or to the earlier value, and the verdict."""
     axis, term = check.axis, check.term
 
     def shown(c: Coefficient) -> str:
@@ -231,7 +231,7 @@ def _coefficient_rows(
             unit = shown_unit(axis, term, units)
             value = value_text(c, unit)
             low, _, high = interval_text(c, unit).partition('..')
-            # an interval may be broken at its dots where the column is narrow
+            # an interval may be broken at its dots in a narrow column
             ends = f'<small>{low}<wbr>..{high}</small>' if high else ''
             return f'<b>{"–" if value == NOTHING_KNOWN else escape(value)}</b>{ends}'
 
@@ -288,7 +288,7 @@ def _letter(axis: str) -> str:
 def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
     """Return the coefficients of some axes as tab-separated values, Markdown and YAML.
 
-    Units are in ASCII here, so that they survive wherever the text is pasted.
+    Units are in ASCII, so that the text can be pasted anywhere.
     """
     lines, table = ['\t'.join(COLUMNS)], []
     tree: dict[str, dict[str, dict[str, object]]] = {}
