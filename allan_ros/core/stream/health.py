@@ -10,9 +10,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..allan.engine import RunningAllan
 from ..allan.spectrum import SpectrumSums
 from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..errors import AllanError
@@ -87,32 +86,6 @@ class Counts:
             if f.name != 'cuts':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
         self.cuts.update(other.cuts)
-
-
-class SampleCounter(RunningAllan):
-    """Counts samples in place of an engine, for a copy of a stream that needs no sums."""
-
-    def __init__(self, engine: RunningAllan) -> None:
-        super().__init__()
-        self._ended, self._open_samples = engine.samples - engine.open_samples, engine.open_samples
-
-    @property
-    def samples(self) -> int:
-        """Number of samples so far."""
-        return self._ended + self._open_samples
-
-    @property
-    def open_samples(self) -> int:
-        """Number of samples in the open segment."""
-        return self._open_samples
-
-    def update(self, samples: ArrayLike, first_ns: int, last_ns: int) -> None:
-        """Add the samples to the count."""
-        self._open_samples += len(np.asarray(samples))
-
-    def end_segment(self) -> None:
-        """End the segment."""
-        self._ended, self._open_samples = self.samples, 0
 
 
 class FilledGaps:

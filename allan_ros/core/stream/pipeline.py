@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 from bisect import insort
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,6 @@ from .health import (
     FilledGaps,
     Means,
     RunningMeans,
-    SampleCounter,
     Segment,
     State,
     StreamHealth,
@@ -116,13 +115,14 @@ class ImuStream:
         )
 
     def outlook(self, sums: tuple[AllanSums, ...]) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return health and findings of `result` from its earlier sums, at a tenth of the cost."""
-        light: dict[int, Any] = {}
-        for frame in self._frames.values():
-            for sensor in frame.sensors:
-                light |= sensor.without_sums()
-        now = copy.deepcopy(self, light)
-        state = now._present.state
+        """Return health and findings without the cost of `result`, with sums of an earlier one.
+
+        The latest samples, on which nothing is decided yet, count as buffered.
+        """
+        state = self._present.state
+        if state not in ('waiting', 'learning'):
+            return self._health(state, sums)
+        now = copy.deepcopy(self)  # all samples are buffered, and there are few
         now.end()
         return now._health(state, sums)
 
@@ -336,11 +336,6 @@ class SensorStream:
     def means(self) -> Means | None:
         """The latest means of static samples over a second, if they are kept."""
         return None if self._means is None else self._means.means
-
-    def without_sums(self) -> dict[int, Any]:
-        """Return replacements of the sums by object id, for a copy that only counts samples."""
-        light = {id(self._engine): SampleCounter(self._engine), id(self._means): None}
-        return {**light, id(self._spectrum): None, id(self._former): [], id(self._segments): []}
 
     def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
         """Process samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""

@@ -144,16 +144,20 @@ def test_looking_at_the_result_disturbs_nothing():
 
 
 @pytest.mark.parametrize('fault', FAULTS)
-def test_the_outlook_is_the_health_and_the_findings_of_the_result(fault):
+def test_the_outlook_is_the_health_of_the_result_but_for_buffered_samples(fault):
     t, x = FAULTS[fault](*still(12_000), np.random.default_rng(0))
     stream = ImuStream(with_means=True, with_spectra=True)
     for at in range(0, len(t), 1500):
-        frame_id = 'a' if at < 6000 else 'b'
-        stream.update(ImuBatch(t[at : at + 1500], x[at : at + 1500], frame_id=frame_id))
+        stream.update(ImuBatch(t[at : at + 1500], x[at : at + 1500]))
         known = stream.result()
-        assert stream.outlook(known.sums) == (known.health, known.findings)
+        health, _ = stream.outlook(known.sums)
+        assert (health.state, health.frame_id) == (known.health.state, known.health.frame_id)
+        assert health.counts.received == known.health.counts.received
+        assert 0 <= known.health.counts.used - health.counts.used < 2000
+    stream.update(ImuBatch(t, x, frame_id='another'))
     stream.end()
-    assert stream.outlook(stream.result().sums)[0] == stream.result().health
+    known = stream.result()
+    assert stream.outlook(known.sums) == (known.health, known.findings)
 
 
 @pytest.mark.parametrize(
