@@ -160,12 +160,13 @@ class ImuWatch:
         """Return the health and the findings of the stream, and publish sums that were replaced.
 
         The sums are expensive. They are computed if no message arrived since the last call, or if
-        anything but the addition of data at rest happened since they were computed.
+        anything but the addition of data at rest happened since then.
         """
         quiet, self._counted = self._input.received == self._counted, self._input.received
         if self._outdated:
             health, findings = self._stream.outlook(self._known.sums)
-            if not quiet and _events(health) == _events(self._known.health):
+            before, self._events = self._events, _events(health)
+            if not quiet and self._events == before:
                 return health, findings
             total = self._total()
             if replaced_share(self._published, total[0]) > REPLACED_SHARE:
@@ -190,6 +191,7 @@ class ImuWatch:
         self._known = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()
         self._outdated = True  # whether samples were taken since these were computed
+        self._events: tuple[object, ...] = ()  # at the last status
 
     def _update(self) -> None:
         """Accumulate the drained messages."""
