@@ -78,6 +78,7 @@ class ImuWatch:
         self._published: tuple[AllanSums, ...] = ()
         self._published_imu: tuple[str, tuple[str, ...]] = '', ()
         self._counted = 0  # messages received at the last status
+        self._events: tuple[object, ...]
         self._begin(self._checkpoint.last_stamp_ns)
 
         home = f'~/{imu.label}/' if imu.label else '~/'
@@ -191,7 +192,7 @@ class ImuWatch:
         self._known = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()
         self._outdated = True  # whether samples were taken since these were computed
-        self._events: tuple[object, ...] = ()  # at the last status
+        self._events = ()  # at the last status
 
     def _update(self) -> None:
         """Accumulate the drained messages."""
