@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of IMUs by Allan variance: coefficients with confidence intervals.
+"""Measure the noise of IMUs by the Allan variance: coefficients with confidence intervals.
 
 >>> import allan_ros as ar
 >>> recording = ar.simulate(hours=0.2, rate=50, preset='paper')
@@ -51,10 +51,10 @@ _HOME = {
 
 
 def keep_to_one_thread() -> None:
-    """Keep linear algebra to one thread: entry points call this before numpy is imported.
+    """Limit linear algebra to one thread; entry points call this before numpy is imported.
 
-    Matrices have a hundred rows: spread over threads, which wait for each other by spinning, a fit
-    takes three times the CPU and no less time. What the user has set stays.
+    Matrices have about a hundred rows. With several threads, which spin while they wait for each
+    other, a fit takes three times the CPU and is not faster. Settings of the user are kept.
     """
     for library in ('OPENBLAS', 'OMP', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')

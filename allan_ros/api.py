@@ -1,9 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The public functions, and the only path from a recording to `Results`.
-
-The command line, the scripts and notebooks call these functions.
-"""
+"""The public functions, which are the only path from a recording to `Results`."""
 
 from __future__ import annotations
 
@@ -50,12 +47,12 @@ from .io.results import Results, analyse_recorded, judged_as_before
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
-"""Terms in datasheet units: for all axes of a sensor, by its axes, or for x, y and z."""
+"""Terms in datasheet units: for all axes of a sensor, by axis, or for x, y and z."""
 
 
 @dataclass(frozen=True)
 class ResultSettings(CheckedSettings):
-    """How sums are fitted, compared and shown."""
+    """Settings of the fit, the comparisons and the units of results."""
 
     method: str = parameter(
         'gls',
@@ -91,9 +88,10 @@ class ResultSettings(CheckedSettings):
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
     """Fit the sums and compare them with the datasheet and the earlier run of the settings.
 
-    Without a datasheet there, it is the one that the recordings were compared with before.
+    Without a datasheet in the settings, the datasheet of earlier comparisons of the recordings is
+    used.
 
-    Raises AllanError when there is too little data, or the datasheet or the earlier run cannot be
+    Raises AllanError when there are too few data, or the datasheet or the earlier run cannot be
     read.
     """
     results = analyse_recorded(recorded, settings.method)
@@ -108,7 +106,7 @@ def results_of(
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> Results:
-    """Return results, those of a document as `load` does, or those of a recording."""
+    """Return results unchanged, the results of a document as `load` does, or of a recording."""
     expect((Results, *PATH), 'results or a path', source=path)
     if isinstance(path, Results):
         return path
@@ -148,8 +146,8 @@ def analyze(
         The axis of each column of an array, such as ``'gyro_z'``, ``'accel'`` or a list. By
         default one column is ``gyro_x``, three are the gyro, six are gyro and accelerometer.
     gyro_unit, accel_unit : str
-        Units of the samples where they do not name theirs: 'deg/s', 'g' ... By default rad/s and
-        m/s^2.
+        Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
+        rad/s and m/s^2.
     method : str
         'gls', 'relative' or 'paper'.
     sensor : str
@@ -159,9 +157,9 @@ def analyze(
     margin : float
         Fraction by which a complete interval must exceed the datasheet or the earlier run.
     hardware_id : str
-        Serial number; only sums with equal ones can be merged.
+        Serial number of the IMU; only sums with equal serial numbers can be merged.
     processes : int
-        How many recordings are read at a time.
+        Number of recordings that are read at the same time.
     **options
         Further fields of `SegmenterSettings` and `ReadOptions`: ``skip``, ``motion_gate``,
         ``topic``, ``columns`` ...
@@ -185,7 +183,7 @@ def analyze(
     reading, segmenter = _options_of(options)
     reading = replace(reading, rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit)
     segmenter = replace(segmenter, declared_rate=rate)
-    ResultSettings(method=method, margin=margin)  # checks them before hours are read
+    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
     if axes is not None:
@@ -205,9 +203,9 @@ def analyze(
 
 
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:
-    """Return the results of several recordings of one IMU together, by adding their sums.
+    """Return the common results of several recordings of one IMU, by adding their sums.
 
-    If all that were compared with a datasheet were compared with the same one, so is the result.
+    If all earlier comparisons were with the same datasheet, the result is compared with it, too.
 
     Parameters
     ----------
@@ -219,7 +217,7 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Re
     Raises
     ------
     AllanError
-        When they are of different IMUs, overlap, or have no sums.
+        When the IMUs differ, the recordings overlap, or the sums are missing.
 
     Examples
     --------
@@ -242,20 +240,20 @@ def compare(
     method: str = 'gls',
     observer: Observer = Silent(),
 ) -> RunComparison:
-    """Return which differences between runs are significant; the first run is the reference.
+    """Return the significant differences of recordings from the first one.
 
     Parameters
     ----------
     *sources : Results or path
         Results of `analyze` or `load`, documents, folders of an analysis, or recordings.
     labels : sequence of str
-        Names of the runs; by default their paths, or A, B, C ...
+        Names of the recordings; by default their paths, or A, B, C ...
     sensor : str or sequence of str
-        Datasheets to compare each run with.
+        Datasheets with which each recording is compared.
     margin : float
         Fraction by which a complete interval must exceed the limit of a datasheet.
     method : str
-        How sums and recordings are fitted; results are not fitted again.
+        Method of the fit of sums and recordings; results are not fitted again.
     observer : Observer
         Receives the progress of reading.
 
@@ -301,14 +299,14 @@ def inflate(
     horizon: float = 30.0,
     observer: Observer = Silent(),
 ) -> Inflation:
-    """Return what running motors add to the noise of a robot at rest.
+    """Return the increase of the noise of a robot at rest due to running motors.
 
     Parameters
     ----------
     rest : Results or path
         The robot at rest with its motors off: results, a document, a folder, or a recording.
     running : Results or path
-        The same with its motors on. Vibration of a recording does not count as motion.
+        The same with its motors on. Vibration in a recording does not count as motion.
     horizon : float
         Longest time in s that the filter integrates without correction.
     observer : Observer
@@ -413,7 +411,7 @@ def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping
 
 
 def _paths(source: Any) -> list[str]:
-    """Return the paths of a source; none where it is samples."""
+    """Return the paths of a source; an empty list if it is samples."""
     if isinstance(source, (str, os.PathLike)):
         return [str(source)]
     if not isinstance(source, (list, tuple)):

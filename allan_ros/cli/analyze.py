@@ -4,7 +4,8 @@
 
 An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
 recordings of the same IMU: their sums are added. A folder of separate recordings is a batch: each
-has its own results, with a summary of all; so has each IMU topic of a bag with several.
+recording gets its own results, and a summary lists all. The same applies to the IMU topics of a bag
+with several.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
@@ -41,7 +42,7 @@ from .tables import LEVEL_COLOURS, findings_lines, print_results
 EXIT_UNKNOWN, EXIT_FAILED = 1, 3
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
-"""Exit code -> what it means, besides those of every verb."""
+"""Exit code -> meaning, in addition to the exit codes of every verb."""
 
 
 FAIL_ON = f"""
@@ -88,7 +89,7 @@ def read_jobs(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, fit, show and write."""
+    """Read, fit, print and write."""
     from .batch import by_topic, recordings_in, run_batch
 
     check_result_arguments(args)
@@ -113,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_result_arguments(args: argparse.Namespace) -> None:
-    """Raise AllanError for a wrong output option before hours of recordings are read."""
+    """Raise AllanError for a wrong output option before recordings are read."""
     from ..io.exporters import target_of
 
     settings_of(ResultSettings, args)
@@ -131,7 +132,7 @@ def check_result_arguments(args: argparse.Namespace) -> None:
 def fitted(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit the sums, write the files into the folder, if any; return the results and file names."""
+    """Fit the sums and write the files if a folder is given; return the results and file names."""
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
         results = fit_recorded(recorded, settings)
@@ -154,7 +155,7 @@ def fitted(
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """Fit the sums, write the files to ``--output``, and print the results.
 
-    The exit code is 3 where ``--fail-on`` applies, 1 where nothing could be computed, else 0.
+    The exit code is 3 if ``--fail-on`` applies, 1 if nothing could be computed, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fitted(recorded, args, args.output)
@@ -188,7 +189,7 @@ def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
 def _spread(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
-    """Read the recordings in this process, in several, or on a cluster."""
+    """Read the recordings in this process, in several processes, or on a cluster."""
     if args.scheduler:
         from .batch import on_cluster
 
@@ -205,7 +206,7 @@ def _settings_text(*settings: Any) -> str:
 
 
 def _read_text(recorded: RecordingSums) -> str:
-    """Return what was read of one recording, and how."""
+    """Return the source of one recording and the settings of reading."""
     (source,) = recorded.provenance.sources
     what = ' '.join(word for word in (source.topic, source.type) if word)
     used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}  # alike is shown once
@@ -220,7 +221,7 @@ def check(args: argparse.Namespace) -> int:
     """Read, fit, check, and print one line."""
     settings = settings_of(ResultSettings, args)
     if settings.sensor:
-        load_sensor(settings.sensor)  # a wrong name is reported before hours are read
+        load_sensor(settings.sensor)  # a wrong name is reported before recordings are read
     if settings.baseline:
         load(settings.baseline)
     console = Console.of(args)
@@ -243,7 +244,7 @@ def check(args: argparse.Namespace) -> int:
 
 
 def _checked(args: argparse.Namespace, settings: ResultSettings, console: Console) -> Results:
-    """Return the results of a document, or of recordings, which are read and fitted."""
+    """Return the results of a document, or of recordings, which are read and fitted first."""
     first = Path(args.inputs[0])
     if len(args.inputs) == 1 and (first.suffix == '.json' or (first / RESULTS).is_file()):
         results = load(first, settings.method)
@@ -253,7 +254,7 @@ def _checked(args: argparse.Namespace, settings: ResultSettings, console: Consol
 
 
 def merge(args: argparse.Namespace) -> int:
-    """Read, add, fit, show and write."""
+    """Read, add, fit, print and write."""
     check_result_arguments(args)
     return show_results(add_recordings(map(load_sums, args.inputs)), args)
 

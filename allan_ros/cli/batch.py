@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Analyze separate recordings or topics: results for each, and a summary of all.
 
-They are read in this process, in several, or on a Dask cluster.
+They are read in this process, in several processes, or on a Dask cluster.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from .main import RECORDINGS
 METADATA = 'metadata.yaml'
 
 STORAGES = ('.mcap', '.db3')
-"""Suffixes of files that can be splits of one bag."""
+"""Suffixes of files that can be parts of one bag."""
 
 SPLIT = re.compile(r'^(.*)_\d+$')
-"""Name of a split without its suffix: rosbag2 numbers them."""
+"""Name of a part of a bag without its suffix: rosbag2 numbers them."""
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,21 @@ class Outcome:
     """The results of one recording, or the reason why there are none."""
 
     path: str
-    name: str  # of the file, with the topic where the recording has several
+    name: str  # name of the file, with the topic if the recording has several
     results: Results | None = None
     verdict: Verdict | None = None
     error: str = ''
 
     @property
     def folder(self) -> str:
-        """Name of the folder of its files."""
+        """Name of the folder for its files."""
         return folder_name(self.name)
 
 
 def recordings_in(path: str) -> list[str]:
     """Return the separate recordings of a folder; else the path itself, as one recording.
 
-    A folder with metadata.yaml is one recording, and so are files that are numbered as the splits
+    A folder with metadata.yaml is one recording, and so are files that are numbered like the parts
     of one bag.
     """
     folder = Path(path)
@@ -103,7 +103,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 
 
 def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Run the jobs in this process, in several, or on a Dask cluster, in their order."""
+    """Run the jobs in this process, in several processes, or on a Dask cluster, in their order."""
     names = names_of(jobs)
     if args.scheduler:
         read = on_cluster(jobs, args.scheduler, Console.of(args))
@@ -126,7 +126,8 @@ def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outco
 def analyze_one(
     job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
-    """Read (unless it was read) and fit one recording, and write its files into its folder."""
+    """Read and fit one recording (unless it is read already), and write its files into its
+    folder."""
     outcome = Outcome(job.path, name)
     folder = Path(args.output) / outcome.folder if args.output else None
     try:
@@ -137,7 +138,7 @@ def analyze_one(
 
 
 def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
-    """Return the jobs, one for each Imu topic of a bag unless the options name the topic."""
+    """Return one job for each Imu topic of a bag, or one job if the options name the topic."""
     separate = []
     for job in jobs:
         topics = [] if job.reading.topic else topics_of(job.path)
@@ -147,7 +148,7 @@ def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
 
 
 def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a name for each job whose folder no other job has."""
+    """Return a unique name for each job."""
     names: list[str] = []
     for job in jobs:
         several = sum(other.path == job.path for other in jobs) > 1
@@ -194,7 +195,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
 
 
 def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
-    """Yield the rows of the summary: N, B and K of each sensor, of all its axes."""
+    """Yield the rows of the summary: N, B and K of each sensor, for all its axes."""
     for outcome in outcomes:
         results, cells = outcome.results, [one_line(outcome.name)]
         if results is None or outcome.verdict is None:
@@ -255,13 +256,13 @@ def _document(outcome: Outcome) -> dict[str, object]:
 
 
 CONNECT_S = 10.0
-"""Seconds to wait for a scheduler."""
+"""Time in s to wait for a scheduler."""
 
 ASK_S = 30.0
-"""Seconds between two checks that the cluster has workers."""
+"""Time in s between two checks that the cluster has workers."""
 
 ALONE_S = 120.0
-"""Seconds without any worker after which the job fails: a cluster restarts dead workers within
+"""Time in s without any worker after which the job fails. A cluster restarts dead workers within
 seconds, on a busy machine within a minute."""
 
 
@@ -273,10 +274,10 @@ def on_cluster(
 ) -> Iterator[RecordingSums | Finding]:
     """Run the jobs on a Dask cluster, and yield the sums of each, or a finding.
 
-    The workers need this package and the same paths. Jobs of a worker that dies are repeated by
-    another. A job that kills several workers
-    (``distributed.scheduler.allowed-failures``) yields a finding. Raises
-    AllanError when Dask is not installed, or no scheduler with workers answers at the address.
+    The workers need this package and the same paths. If a worker dies, another one repeats its
+    jobs. A job at which several workers die (``distributed.scheduler.allowed-failures``) yields a
+    finding. Raises AllanError when Dask is not installed, or no scheduler with workers answers at
+    the address.
     """
     try:
         from distributed import Client, KilledWorker
@@ -292,7 +293,8 @@ def on_cluster(
         ) from error
     outcomes: dict[ReadJob, RecordingSums | Finding] = {}
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
-        # a result of an earlier analysis is no answer: the recording may have changed
+        # a cached result of an earlier analysis must not be used, because the recording may have
+        # changed
         futures = client.map(work, jobs, pure=False)
         interrupted: list[ReadJob] = []
         for job, future in zip(jobs, futures):
@@ -303,7 +305,8 @@ def on_cluster(
                 continue
             outcomes[job] = recorded
             progress.advance(recorded.provenance.counts.received)
-        # a dying worker also loses its queued jobs: running alone shows which job is the cause
+        # a dying worker also loses its queued jobs; if each job runs alone, the cause becomes
+        # apparent
         for job in interrupted:
             try:
                 outcomes[job] = _made(client, client.submit(work, job, pure=False))
@@ -322,7 +325,8 @@ def _made(client: Any, future: Any) -> RecordingSums:
             made: RecordingSums = future.result(timeout=ASK_S)
             return made
         except Unfinished:
-            if future.status == 'error':  # a timeout of the job itself, such as a remote disk
+            # a timeout of the job itself, for example of a remote disk
+            if future.status == 'error':
                 raise
             alone = 0.0 if client.nthreads() else alone + ASK_S
     raise AllanError(

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compare runs, or runs with a datasheet: which differences are significant.
+"""List significant differences between recordings, or from a datasheet.
 
 An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
-a datasheet. The first run is what the others are compared with. --method is for recordings and
+a datasheet. All other inputs are compared with the first one. --method applies to recordings and
 sums; a results.json is not fitted again.
 
   allan compare monday tuesday
@@ -39,7 +39,7 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, compare, show and write."""
+    """Read, compare, print and write."""
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
     check_pictures(pictures, bool(args.output))
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def inflate(args: argparse.Namespace) -> int:
-    """Read both, show the factors, and write the files."""
+    """Read both recordings, print the factors, and write the files."""
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
         raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
@@ -96,7 +96,7 @@ def inflate(args: argparse.Namespace) -> int:
 
 
 def fit(args: argparse.Namespace) -> int:
-    """Fit all curves of the file, and show coefficients, processes and inconsistencies."""
+    """Fit all curves of the file, and print coefficients, processes and inconsistencies."""
     from ..io.user_files import doubts, read_curves, read_published
 
     console = Console.of(args)

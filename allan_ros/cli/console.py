@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Output of all verbs: results to stdout, everything else to stderr, as much as asked for."""
+"""Output of all verbs: results to stdout, everything else to stderr, as much as requested."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from typing import Any, TextIO
 from ..core.errors import one_line
 
 WIDTH = 100
-"""Columns where there is no terminal and ``COLUMNS`` is not set."""
+"""Width in columns if there is no terminal and ``COLUMNS`` is not set."""
 
 LABEL = 30
-"""Most characters of the label of a progress bar; a longer one loses its beginning."""
+"""Largest number of characters of the label of a progress bar; a longer label loses its
+beginning."""
 
 
 class Progress:
-    """A progress bar on stderr with the time left; silent where stderr is no terminal.
+    """A progress bar on stderr with the remaining time; silent if stderr is not a terminal.
 
-    ``total`` is the number of units of work, None when it is not known in advance.
+    ``total`` is the number of units of work, or None if unknown.
     """
 
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
@@ -68,10 +69,10 @@ def _bar(total: int | None) -> Any:
 
 
 NARROWEST = 40
-"""Columns below which text is not squeezed: the terminal breaks the lines then."""
+"""Width in columns below which text is not wrapped here, but by the terminal."""
 
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colours (ECMA-48): cyan, yellow, red. They only emphasize the severity word."""
+"""ANSI colours (ECMA-48): cyan, yellow, red. They only emphasize the word of the severity."""
 
 
 OPTIONS = """
@@ -95,7 +96,7 @@ class Console:
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> Console:
-        """Return the console that the arguments ask for."""
+        """Return the console that the arguments select."""
         return cls(args.verb, args.json, args.quiet, args.verbose)
 
     def document(self, document: Mapping[str, Any]) -> None:
@@ -113,12 +114,12 @@ class Console:
             self.say(text)
 
     def progress(self, label: str, total: int | None) -> Progress:
-        """Return a progress bar, which ``--quiet`` leaves out."""
+        """Return a progress bar; ``--quiet`` suppresses it."""
         return Progress(label, total, shown=not self.quiet)
 
     @contextmanager
     def timed(self, what: str) -> Iterator[None]:
-        """Report the duration of a step when it has ended."""
+        """Report the duration of a step after its end."""
         began = time.monotonic()
         yield
         self.detail(f'{what}: {time.monotonic() - began:.2f} s')
@@ -132,8 +133,8 @@ def width() -> int:
 def coloured(stream: TextIO) -> bool:
     """Return whether to write colours: on a terminal, unless the environment overrides it.
 
-    ``NO_COLOR`` forbids and ``FORCE_COLOR`` demands them where they are not empty, as
-    no-color.org and force-color.org have it.
+    A non-empty ``NO_COLOR`` turns colours off, a non-empty ``FORCE_COLOR`` turns them on
+    (no-color.org, force-color.org).
     """
     if os.environ.get('NO_COLOR'):
         return False
@@ -143,11 +144,12 @@ def coloured(stream: TextIO) -> bool:
 
 
 def painted(line: str, word: str, colour: str, colours: bool) -> str:
-    """Return the line with its first such word in an ANSI colour, if colours are wanted."""
+    """Return the line with the first occurrence of the word in an ANSI colour, if colours are
+    on."""
     return line.replace(word, f'\x1b[{colour}m{word}\x1b[0m', 1) if colours else line
 
 
 def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
-    """Return the text in lines that leave the last column free; later ones are indented."""
+    """Return the text in lines that leave the last column free; all but the first are indented."""
     room = max(columns, NARROWEST) - 1
     return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)

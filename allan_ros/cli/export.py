@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the measured noise as the file of a filter or simulator.
+"""Write the measured noise to a file for a filter or simulator.
 
 The input is a results.json of `allan analyze` or `allan merge`, or its folder. Without -o or
 --merge-into the file goes to the standard output. Warnings about its numbers are in its header and
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _text(path: str) -> str:
-    """Return the text of a user's file, line ends unchanged."""
+    """Return the text of a user's file with unchanged line ends."""
     try:
         return read_bounded(path, MAX_BYTES).decode('utf-8')
     except OSError as error:
@@ -87,7 +87,7 @@ DIGITS = 3
 """Significant digits of a limit."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
-"""The columns of the list: accelerometers are listed as their datasheets state them."""
+"""Columns of the list; figures of accelerometers are in the units of their datasheets."""
 
 
 def sensors(args: argparse.Namespace) -> int:
@@ -109,7 +109,7 @@ def sensors(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield one line per sensor: upper limits of N and B, of its worst axis.
+    """Yield one line per sensor: upper limits of N and B of its worst axis.
 
     Columns that do not fit the width are omitted, from the right.
     """
@@ -134,7 +134,7 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 
 
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
-    """Yield the figures of one datasheet, the limits of N and B that follow, and the sources."""
+    """Yield the figures of one datasheet, the resulting limits of N and B, and the sources."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
         yield f'carries {sheet.carries}; the figures are those of that sensor'
@@ -155,7 +155,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
 
 
 def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
-    """Return a datasheet as plain values, limits in SI."""
+    """Return a datasheet as plain values, with limits in SI."""
     return {
         'id': name,
         'name': sheet.name,
@@ -175,7 +175,7 @@ def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
 
 
 def _worst(sheet: Datasheet, header: str) -> str:
-    """Return the largest limit of a term among the axes of a sensor; '-' where there is none."""
+    """Return the largest limit of a term among the axes of a sensor; '-' if there is none."""
     sensor, term, unit = header.split()
     limits = [
         terms[term].value
@@ -186,7 +186,7 @@ def _worst(sheet: Datasheet, header: str) -> str:
 
 
 def _grouped(sheet: Datasheet) -> list[tuple[list[str], str, Limit]]:
-    """Return the limits, axes that share one together."""
+    """Return the limits, grouped by axes with equal limits."""
     groups: dict[tuple[str, str, Limit], list[str]] = {}
     for axis, terms in sheet.limits.items():
         for term, limit in terms.items():

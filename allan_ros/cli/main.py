@@ -1,7 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON_ARGCOMPLETE_OK
-"""`allan`: the offline tool. Each verb is a module that is imported when it is called.
+"""`allan`: the command line tool. The module of a verb is imported when the verb is called.
 
 The parser has a short usage, help with groups, suggestions for misspelled words, and shell
 completion by argcomplete, which is imported only for a completion request.
@@ -30,7 +30,7 @@ from .console import OPTIONS
 from .options import Command, add_options, words_with_config
 
 HELP_COLUMN = 26
-"""Where the explanations of options begin."""
+"""Column at which the explanations of options begin."""
 
 NUMBERS: dict[str | int | None, str] = {
     '+': '{0} [{0} ...]',
@@ -38,10 +38,10 @@ NUMBERS: dict[str | int | None, str] = {
     '?': '[{0}]',
     None: '{0}',
 }
-"""``nargs`` of a positional argument -> how the usage shows it."""
+"""``nargs`` of a positional argument -> its notation in the usage."""
 
 CLOSE = 0.6
-"""Similarity (difflib's ratio) above which a word counts as a misspelling of another."""
+"""Similarity (ratio of difflib) above which a word counts as a misspelling of another one."""
 
 VERBS = {
     'analyze': 'compute coefficients, curves, plots and a report from recordings',
@@ -54,7 +54,7 @@ VERBS = {
     'inflate': 'measure how much running motors raise the noise of a robot at rest',
     'simulate': 'write a recording of an IMU with known noise',
 }
-"""Verb -> what it does."""
+"""Verb -> description."""
 
 MODULES = {
     'check': 'analyze',
@@ -63,7 +63,7 @@ MODULES = {
     'fit': 'compare',
     'sensors': 'export',
 }
-"""Verb -> its module in this package, where that has another name."""
+"""Verb -> its module in this package, if the module has another name."""
 
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
@@ -89,18 +89,19 @@ EXITS = {
     EXIT_FAULT: 'a bug in allan: please report the line',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
 }
-"""Exit code -> what it means."""
+"""Exit code -> meaning."""
 
 
 class AllanParser(argparse.ArgumentParser):
-    """An argparse parser whose errors are two lines: the usage, and what is wrong with a hint."""
+    """An argparse parser whose errors have two lines: the usage, and the error with a hint."""
 
     def __init__(self, **given: Any) -> None:
         given.setdefault('formatter_class', HelpFormatter)
         super().__init__(**given)
 
     def shorten_usage(self) -> None:
-        """Leave the options out of the usage; the help lists them. Call it when all are added."""
+        """Remove the options from the usage, since the help lists them; call it after adding them
+        all."""
         arguments = [
             NUMBERS.get(action.nargs, '{0}').format(action.metavar or action.dest)
             for action in self._get_positional_actions()
@@ -130,7 +131,9 @@ class AllanParser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f'{self.prog}: {message}{hint}\n')
 
     def _meant(self, message: str) -> str:
-        """Return the known option or choice closest to the wrong one in the message, or ''."""
+        """Return the known option or choice that is most similar to the wrong one in the message,
+        or ''.
+        """
         wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: ([^\s=]*)", message)
         if wrong is None:
             return ''
@@ -141,7 +144,7 @@ class AllanParser(argparse.ArgumentParser):
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Fills the paragraphs of descriptions, keeps their indented lines as they are."""
+    """Wraps the paragraphs of descriptions, and keeps their indented lines unchanged."""
 
     def __init__(self, prog: str, **given: Any) -> None:
         super().__init__(prog, **{**given, 'max_help_position': HELP_COLUMN})
@@ -200,14 +203,14 @@ def build_parser(verb: str = '') -> AllanParser:
 
 
 def command_of(verb: str) -> Command:
-    """Return the command of a verb, whose module is imported."""
+    """Return the command of a verb; its module is imported."""
     module = importlib.import_module(f'.{MODULES.get(verb, verb)}', __package__)
     command: Command = module.COMMANDS[verb]
     return command
 
 
 def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
-    """Return the parser of one verb within that of the whole command line."""
+    """Return the parser of one verb from the main parser."""
     (verbs,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     found: argparse.ArgumentParser = verbs.choices[verb]
     return found
@@ -235,14 +238,14 @@ RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the files that `analyze` reads."""
 
 DOCUMENTS = ('.json',)
-"""Suffix of what `merge` and `export` read."""
+"""Suffix of the inputs of `merge` and `export`."""
 
 INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
-"""Verb -> suffixes of its inputs, where they are not recordings."""
+"""Verb -> suffixes of its inputs, if they are not recordings."""
 
 
 def registration(shell: str) -> str:
-    """Return the code that a shell evaluates to complete ``allan``."""
+    """Return the shell code that registers the completion of ``allan``."""
     try:
         from argcomplete import shellcode
     except ImportError as error:
@@ -292,7 +295,7 @@ def _attach(parser: argparse.ArgumentParser) -> None:
 
 
 def _quiet(words: Callable[..., Iterable[str]]) -> Callable[..., list[str]]:
-    """Return a completer that offers nothing when the words cannot be determined."""
+    """Return a completer that offers nothing if the words cannot be determined."""
 
     def completer(**asked: Any) -> list[str]:
         try:
@@ -322,7 +325,7 @@ def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
 
 
 def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
-    """Return the Imu topics of the bags that are named already, or all topics of them."""
+    """Return the Imu topics of the bags on the command line, or all their topics."""
     from ..io.readers.cdr import IMU_TYPE
     from ..io.readers.open import bag_files, open_storage
 
@@ -335,7 +338,7 @@ def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code; the only place where an `AllanError` is caught."""
+    """Run one verb and return the exit code. Only this function catches `AllanError`."""
     words = list(sys.argv[1:] if argv is None else argv)
     name = f'allan {words[0]}' if words and words[0] in VERBS else 'allan'
     try:
@@ -347,7 +350,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _stopped(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader (head, less) has closed the pipe; writing at exit must not fail either.
+        # The reader (head, less) has closed the pipe; writing at exit must not fail, either.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -383,14 +386,14 @@ def _run(words: Sequence[str]) -> int:
     try:
         args = parser.parse_args(configured)
     except SystemExit:
-        sys.stdout.flush()  # a closed pipe raises here, where it is caught
+        sys.stdout.flush()  # a closed pipe raises an exception here, where it is caught
         raise
     args.command_line = shlex.join(['allan', *configured])
     return command_of(args.verb).run(args)
 
 
 def _fault_text(error: Exception) -> str:
-    """Return one line that names an internal error and its place, for a bug report."""
+    """Return one line that names an internal error and its location, for a bug report."""
     ours = Path(__file__).parents[1]
     frames = traceback.extract_tb(error.__traceback__)
     inner = [frame for frame in frames if ours in Path(frame.filename).parents]
@@ -407,13 +410,13 @@ def _stopped(line: str, code: int) -> int:
 
 
 def console() -> None:
-    """Exit with the code of `main`: the entry point of ``allan``."""
+    """Exit with the exit code of `main`: the entry point of ``allan``."""
     for stream in (sys.stdout, sys.stderr):
         # a file name may contain characters outside the encoding of the terminal
         stream.reconfigure(errors='backslashreplace')  # type: ignore[union-attr]
     if '_ARGCOMPLETE' in os.environ:
         complete()
-    # asked to end, it cleans up as after Ctrl-C
+    # on SIGTERM, clean up as after Ctrl-C
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())
 

@@ -38,10 +38,11 @@ class Settings(NamedTuple):
 class Command:
     """One verb of the command line."""
 
-    description: str  # the start of its help text, with examples
+    description: str  # the first part of its help text, with examples
     options: Sequence[str | Settings]  # as for `add_options`, or from a settings class
     run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
-    exits: Mapping[int, str] = field(default_factory=dict)  # exit codes of its own
+    # exit codes in addition to the common ones
+    exits: Mapping[int, str] = field(default_factory=dict)
 
     def declare(self, parser: argparse.ArgumentParser) -> None:
         """Add the options to the parser of the verb."""
@@ -130,10 +131,10 @@ def add_settings(
     kind: type[Any],
     without: Collection[str] = (),
 ) -> None:
-    """Add an option for every field of a settings class but those ``without``, in their own group.
+    """Add an option for every field of a settings class, except ``without``, in a group.
 
     A field ``max_bridge`` becomes ``--max-bridge``; one that is true by default becomes a switch
-    ``--no-...``; a tuple is given as words joined by commas.
+    ``--no-...``; a tuple is given as words separated by commas.
     """
     group = parser.add_argument_group(title)
     infos = describe(kind)
@@ -226,7 +227,7 @@ def words_with_config(
 
 
 def find_config(folder: Path) -> tuple[Path, Mapping[str, Any]]:
-    """Return the config file of a folder and its settings; none where there is no file."""
+    """Return the config file of a folder and its settings; nothing if there is no file."""
     for name in (FILE, PROJECT):
         path = folder / name
         if not path.is_file():
@@ -250,7 +251,7 @@ def _parsed(path: Path, text: str) -> Mapping[str, Any]:
         ) from error
     try:
         tree: Mapping[str, Any] = toml.loads(text)
-    except ValueError as error:  # TOMLDecodeError is one
+    except ValueError as error:  # includes TOMLDecodeError
         raise AllanError(f'{path}: is not TOML ({error}): correct the file') from error
     return tree
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a recording of an IMU with known noise, and a file of the true values next to it.
 
-The five noises are exact in level. Set them by a preset, a datasheet or a file, and change single
-ones with --gyro, --accel, --gyro-x ..., in datasheet units:
+The levels of the five noise terms are exact. Select them by a preset, a datasheet or a file, and
+change single terms with --gyro, --accel, --gyro-x ..., in datasheet units:
 
   gyro   Q urad   N deg/sqrt(h)   B deg/h   K deg/h^1.5   R deg/h^2
   accel  Q um/s   N m/s/sqrt(h)   B ug      K ug/sqrt(h)  R ug/h
@@ -66,7 +66,7 @@ faults in periods of time:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate, write the recording and then its truth."""
+    """Simulate, and write the recording and then its true values."""
 
     from ..io.user_files import stated_noise, write_truth
     from ..io.writing import write_recording
@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _watched(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
-    """Yield the batches under a progress bar."""
+    """Yield the batches and show their progress."""
     with console.progress('writing', samples) as progress:
         for batch in batches:
             yield batch

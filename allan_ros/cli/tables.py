@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `analyze`, `merge`, `compare` and `fit` print: verdict, tables, findings and next steps."""
+"""Text output of `analyze`, `merge`, `compare` and `fit`: verdict, tables, findings, next steps."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ LIMIT_DIGITS = 3
 def datasheet_lines(
     comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
 ) -> Iterator[str]:
-    """Yield a headline, and a line for each limit: the stated value, and the verdict on each
+    """Yield a headline, and a line for each limit: the stated value, and the verdict for each
     axis."""
     sheet = comparison.datasheet
     found = HEADLINES[comparison.verdict] if judged else 'not judged'
     headline = f'compared with the datasheet of {sheet.name}: {found}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Comparison]] = {}
-    for c in comparison.comparisons:  # axes of one sensor that share a limit of a term
+    for c in comparison.comparisons:  # axes of one sensor with the same limit of a term
         groups.setdefault((sensor_of(c.axis), c.term, c.limit), []).append(c)
     for group in groups.values():
         stated = comparison.limit(group[0]).stated
@@ -79,17 +79,17 @@ def _line(group: list[Comparison], stated: str, units: str) -> str:
 
 
 LABEL, GAP = 16, 2
-"""Characters of the first column, and between the columns of two axes."""
+"""Width of the first column, and space between the columns of two axes, in characters."""
 
 DEVIATION, NOTHING = 'deviation', '-'
-"""Label of the last row, which is left out where the model describes every curve well."""
+"""Label of the last row, which is omitted if the model describes every curve well."""
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
-"""Lines of findings that are shown unless all are asked for, and next steps."""
+"""Largest number of findings that are shown by default, and of next steps."""
 
 
 def print_results(results: Results, verdict: Verdict, units: str, complete: bool = False) -> None:
-    """Print the results as wide as the terminal is; ``complete`` with every finding."""
+    """Print the results in the width of the terminal; ``complete`` includes every finding."""
     for line in results_lines(results, verdict, units, width(), coloured(sys.stdout), complete):
         print(line)
 
@@ -128,7 +128,7 @@ def results_lines(
 
 
 def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list[str]:
-    """Return the verdict in a line, its level in front."""
+    """Return the verdict in one line, beginning with its level."""
     word = WORDS[verdict.level].lower()
     lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
     return [painted(lines[0], word, LEVEL_COLOURS[verdict.level], colours), *lines[1:]]
@@ -137,7 +137,7 @@ def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list
 def findings_lines(
     results: Results, units: str, columns: int, colours: bool, complete: bool
 ) -> Iterator[str]:
-    """Yield one line for each cause, five at most; all of them with their remedies on demand."""
+    """Yield one line for each cause: five at most, or on demand all with their remedies."""
     findings = grouped(results.findings)
     if not findings:
         return
@@ -189,7 +189,7 @@ def axis_cells(axis: str, noise: Mapping[str, Coefficient], units: str) -> list[
 
 
 def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
-    """Return the value and the interval, each in a column."""
+    """Return the value and the interval, each in its own column."""
     return f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}'
 
 
@@ -202,7 +202,7 @@ def _deviation(results: Results, axis: str) -> str:
 def table_lines(
     labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
 ) -> Iterator[str]:
-    """Yield the columns side by side, as many at a time as fit the width."""
+    """Yield the columns side by side, as many at a time as fit into the width."""
     if not columns:
         return
     label = max(LABEL, *(len(text) + GAP for text in labels))
@@ -225,7 +225,8 @@ def _region_lines(results: Results, columns: int) -> Iterator[str]:
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield the lines of the verdict, of a table per sensor, and of the datasheet comparisons."""
+    """Yield the lines of the verdict, of a table per sensor, and of the comparisons with
+    datasheets."""
     for sentence in comparison_headline(comparison):
         yield from wrapped(sentence, columns, '  ')
     for sensor, where in SENSORS.items():
@@ -256,7 +257,8 @@ def _run_labels(comparison: RunComparison, sensor: str, units: str) -> Iterator[
 
 
 def _run_cells(comparison: RunComparison, axis: str, units: str) -> Iterator[str]:
-    """Yield the cells of one axis: each term of each run and its ratio, then the deviations."""
+    """Yield the cells of one axis: each term of each recording and its ratio, then the
+    deviations."""
     for term in TERMS:
         unit = shown_unit(axis, term, units)
         for subject in comparison.runs:

@@ -43,11 +43,11 @@ LEVELS: Mapping[str, bytes] = {
 
 @dataclass(frozen=True)
 class InputView:
-    """What the status of one input shows.
+    """Content of the status of one input.
 
     ``noted`` are findings that do not change the level. ``received_age_s`` is None before the
-    first message; ``stamp_age_s`` is the ROS time since the last header stamp; ``path`` names how
-    messages are received.
+    first message; ``stamp_age_s`` is the ROS time since the last header stamp; ``path`` is the way
+    in which messages are received.
     """
 
     topic: str
@@ -164,7 +164,7 @@ def _state_text(view: InputView) -> str:
 
 
 RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
-"""Averaging times at which the recent deviation is compared with the earlier one."""
+"""Averaging times in s at which the recent deviation is compared with the earlier one."""
 
 NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
 """Findings of the fit that the status of an axis shows."""
@@ -172,11 +172,11 @@ NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes',
 
 @dataclass(frozen=True)
 class AxisView:
-    """What the status of one axis shows.
+    """Content of the status of one axis.
 
     ``sums`` is None before there are any, ``result`` before the first fit; ``problems`` are a
-    failed fit and a withdrawn model; ``changes`` are the differences of the recent noise from
-    the earlier; ``noted`` are findings of the fit that do not change the level.
+    failed fit or a withdrawn model; ``changes`` are the differences of the recent noise from the
+    earlier noise; ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -239,7 +239,8 @@ def _term_pairs(
 
 
 def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, object]]:
-    """Return the ends of the interval as bare numbers: plotters cannot draw ``low..high``."""
+    """Return the ends of the interval as plain numbers, because plotters cannot draw
+    ``low..high``."""
     low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
     ends = {'low': low, 'high': high}
     return [
@@ -250,7 +251,7 @@ def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, 
 
 
 def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
-    """Return the ratio of recent to earlier deviation at a few averaging times."""
+    """Return the ratios of recent to earlier deviation at a few averaging times."""
     pairs: list[tuple[str, object]] = []
     for tau in RECENT_TAUS_S:
         d = _nearest(view.changes, tau)
@@ -288,7 +289,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
         # N = sigma sqrt(tau) and Q = sigma tau / sqrt(3): IEEE Std 952-1997, C.1.1 and C.1.2
         factor = {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
         what, unit = term, shown_unit(view.axis, term, 'datasheet')
-    else:  # the window is too short for K and R, and B has no averaging time of its own
+    else:  # the window is too short for K and R, and B has no specific averaging time
         what, factor = f'the deviation at {significant(step.tau, 2)} s', 1.0
         unit = shown_unit(view.axis, 'B', 'datasheet')
     before = step.first * factor * unit.factor
@@ -311,7 +312,7 @@ def _dominant_term(view: AxisView, tau: float) -> str:
 
 
 def _summary(view: AxisView, static_s: float, upcoming: str) -> str:
-    """Return the known coefficients in the units of datasheets, and what comes next."""
+    """Return the known coefficients in datasheet units, and the next coefficient to be resolved."""
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU still for a minute'
     static = f'from {duration_text(static_s, 3)} of static data'
@@ -328,9 +329,9 @@ def _summary(view: AxisView, static_s: float, upcoming: str) -> str:
 
 
 def _next_term(view: AxisView) -> str:
-    """Return the time at rest that resolves the missing terms that matter; '' if there are none."""
+    """Return the time at rest that resolves the missing relevant terms; '' if there are none."""
     if view.result is None or view.method != 'gls':
-        return ''  # the prediction holds for that fit only
+        return ''  # the prediction is valid only for that fit
     limits = {c.term: c.limit for c in view.comparisons if c.tau is None}
     segments = view.sums.segments if view.sums else ()
     longest = max((s.samples for s in segments), default=0) * view.result.tau0

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Turns the sums of one IMU into coefficients: when to fit, what to publish, what to withdraw."""
+"""From the sums of one IMU to coefficients: when to fit, publish and withdraw them."""
 
 from __future__ import annotations
 
@@ -41,28 +41,29 @@ from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""A fit may keep a core busy for at most this share of the time."""
+"""Largest share of the time in which fits may keep a core busy."""
 
 LONGEST_WAIT_S = 20.0
-"""The next fit waits at most this long for its share: only short sums grow by 10 % meanwhile."""
+"""Longest time in s that the next fit waits for its share. In this time, only short sums grow by 10
+%."""
 
 STALE_PERIODS = 3.0
-"""Sums are reported as missing after this many of their periods."""
+"""Number of periods after which sums are reported as missing."""
 
 ALONE_S = 5.0
-"""Sums that nobody publishes are reported as missing after this time; less is discovery."""
+"""Time in s after which sums without a publisher are reported as missing; discovery takes less."""
 
 
 @dataclass(frozen=True)
 class References:
-    """What coefficients are compared with: a datasheet, and earlier results by name."""
+    """References for coefficients: a datasheet, and earlier results by name."""
 
     datasheet: Datasheet | None
     baselines: Mapping[str, Results]
 
 
 def load_references(settings: EstimatorSettings) -> References:
-    """Return the references; AllanError if one of them cannot be read."""
+    """Return the references; raises AllanError if one of them cannot be read."""
     path = settings.baseline and str(Path(settings.baseline).expanduser())
     return References(
         load_sensor(settings.sensor) if settings.sensor else None,
@@ -73,9 +74,9 @@ def load_references(settings: EstimatorSettings) -> References:
 class ImuEstimate:
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
-    Sums that lost samples invalidate the model: it is withdrawn at once (a noise model without axes
-    is published), a warning replaces the coefficients, and the sums are fitted again. The listener
-    is called with the results of every fit, and with results without axes at a withdrawal.
+    If sums lose samples, the model becomes invalid. It is withdrawn at once (a noise model without
+    axes is published), a warning replaces the coefficients, and the sums are fitted again. The
+    listener is called with the results of every fit, and with results without axes at a withdrawal.
     """
 
     def __init__(
@@ -95,7 +96,7 @@ class ImuEstimate:
         self._failed: Finding | None = None
         self._withdrawn: Finding | None = None
         self._fitting: Future[tuple[Results, float]] | None = None
-        self._outdated = False  # whether the fit in progress is of sums that were replaced
+        self._outdated = False  # whether the sums of the fit in progress have been replaced
         self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
         self._recent: dict[str, RecentNoise] = {}
@@ -107,7 +108,7 @@ class ImuEstimate:
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def take(self, snapshot: Snapshot) -> None:
-        """Take the latest sums; fit them if they have grown enough or were replaced."""
+        """Accept the latest sums; fit them if they have grown enough or were replaced."""
         self._snapshot = snapshot
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
@@ -137,7 +138,7 @@ class ImuEstimate:
         self._publish(self._results)
 
     def close(self) -> None:
-        """Do nothing: everything known is in the sums."""
+        """Do nothing, because all data are in the sums."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return one status per axis, from the first message on."""
@@ -205,7 +206,7 @@ class ImuEstimate:
         self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
 
     def _fail(self, error: Exception) -> None:
-        """Report a fit that failed; the sums go on accumulating and are fitted again."""
+        """Report a fit that failed; the sums continue to grow and are fitted again."""
         if not isinstance(error, AllanError):
             self._node.get_logger().error(''.join(traceback.format_exception(error)))
         reason = str(error) if isinstance(error, AllanError) else repr(error)
@@ -213,7 +214,7 @@ class ImuEstimate:
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _withdraw(self, lost: float) -> None:
-        """Withdraw the model of replaced sums, and fit the present ones as soon as possible."""
+        """Withdraw the model of replaced sums, and fit the present sums as soon as possible."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
@@ -280,7 +281,7 @@ class SumsInput:
         """Do nothing."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return whether sums arrive."""
+        """Return the status of the arrival of sums."""
         age = now - self._last
         patience = STALE_PERIODS * self._node.publish.value.sums_period
         if not self._node.count_publishers(self.topic):
@@ -300,7 +301,7 @@ class SumsInput:
         except AllanError as error:
             self._problem = f'these sums cannot be read: {error}'
             self._node.get_logger().warning(self._problem, throttle_duration_sec=60.0)
-        except Exception as error:  # a document must never end the node
+        except Exception as error:  # an invalid document must not end the node
             self._problem = f'these sums cannot be used: {one_line(repr(error))}'
             self._node.fault('sums', error)
         else:
@@ -308,7 +309,7 @@ class SumsInput:
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
-    """Return the results, and the CPU time in s that they took."""
+    """Return the results, and the CPU time in s of the fit."""
     began = time.thread_time()
     try:
         results = analyse_sums(*total, method)

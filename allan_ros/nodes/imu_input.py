@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Imu messages without a callback per message: a timer drains the queue of the subscription.
 
-One Python callback per message costs more than everything else. So the subscription is kept out
-of the executor's wait set, and `ImuInput.drain` empties its queue a few times a second with
-``take_message``, an undocumented method that rclpy's executors call. Where a client library lacks
-it, a plain raw callback receives the same bytes.
+One Python callback per message costs more than all other processing. Therefore the subscription is
+not in the executor's wait set, and `ImuInput.drain` empties its queue a few times a second with
+``take_message``, an undocumented method that rclpy's executors call. If a client library does not
+have it, a plain raw callback receives the same bytes.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ except ImportError:  # Humble
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
 DRAIN_LIMIT = 50_000
-"""Messages taken in one drain, so that a faster publisher cannot keep the node in it forever."""
+"""Largest number of messages per drain, so that a faster publisher cannot block the node."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
-"""Node name in the graph of an endpoint whose node is not known yet, or that has none."""
+"""Node name in the graph of an endpoint whose node is unknown or has no name."""
 
 SUGGESTED_TOPICS = 5
-"""Imu topics that are named where the topic given has another type."""
+"""Number of Imu topics that are named if the given topic has another type."""
 
 FIRST_NUMBER = 1
 """Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
@@ -77,7 +77,7 @@ NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 _EVENT_HANDLE: Any = getattr(
     rclpy_implementation, 'EventHandle', getattr(rclpy_implementation, 'QoSEvent', None)
 )
-"""rclpy's handle of an event; the second name is that of Humble."""
+"""Name of rclpy's handle of an event; the second name is used in Humble."""
 
 
 class DrainedGroup(CallbackGroup):
@@ -90,7 +90,7 @@ class DrainedGroup(CallbackGroup):
     beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing, because nothing is ever executed."""
+        """Do nothing, because nothing is executed."""
 
 
 def qos_text(qos: QoSProfile) -> str:
@@ -101,10 +101,10 @@ def qos_text(qos: QoSProfile) -> str:
 
 
 def _event_handles(subscription: Subscription) -> dict[str, Any]:
-    """Return the handles of the `EVENTS` that the middleware has, to be polled.
+    """Return the handles of the `EVENTS` that the middleware supports, for polling.
 
     With an event of a reader in its wait set, the executor wakes for every unread message in the
-    queue of that reader (Fast DDS), which is a busy loop where a timer drains the queue.
+    queue of that reader (Fast DDS). If a timer drains the queue, this becomes a busy loop.
     """
     handles: dict[str, Any] = {}
     for name, kind in EVENTS.items() if _EVENT_HANDLE is not None else ():
@@ -119,7 +119,7 @@ def _event_handles(subscription: Subscription) -> dict[str, Any]:
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
 ) -> Subscription:
-    """Subscribe Imu as raw bytes; unless ``plain``, outside the executor's wait set."""
+    """Subscribe Imu messages as raw bytes; outside the executor's wait set unless ``plain``."""
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
@@ -137,7 +137,7 @@ def subscribe_raw(
 
 
 class ImuInput:
-    """The Imu messages of one topic, to which remapping applies, as batches."""
+    """The Imu messages of one topic (which can be remapped) as batches."""
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
         self._statistics = TransportStatistics()
@@ -162,7 +162,7 @@ class ImuInput:
         """Empty the queue of the subscription."""
         if not self.lean:
             return
-        # The queue may still hold messages of a publisher that has gone, so a change counts until
+        # The queue may still contain messages of a publisher that is gone, so a change counts until
         # the next drain.
         count = self._node.count_publishers(self.topic)
         self._alone = max(count, self._publisher_count) <= 1
@@ -197,7 +197,9 @@ class ImuInput:
         return tuple(map(full_name, known)), self._mismatches(known)
 
     def _mismatches(self, known: Sequence[Any]) -> tuple[Finding, ...]:
-        """Return why publishers on the topic do not match this subscription, by the graph."""
+        """Return the reasons why publishers on the topic do not match this subscription, from the
+        graph.
+        """
         imus = [p for p in known if p.topic_type == IMU_TYPE]
         if known and not imus:
             types = ', '.join(sorted({p.topic_type for p in known}))
@@ -221,12 +223,12 @@ class ImuInput:
 
     @property
     def qos(self) -> str:
-        """Reliability and history of the subscription, overrides applied."""
+        """Reliability and history of the subscription, after overrides."""
         return qos_text(self._subscription.qos_profile)
 
     @property
     def received(self) -> int:
-        """Messages taken so far."""
+        """Number of messages taken so far."""
         return self._statistics.received
 
     def statistics(self) -> TransportStatistics:
@@ -249,10 +251,10 @@ class ImuInput:
         return True
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Keep one payload and count the messages missing before it."""
+        """Store one payload and count the messages missing before it."""
         self._statistics.received += 1
         self._payloads.append(payload)
-        if info is None:  # the plain callback
+        if info is None:  # used by the plain callback
             self._received_ns.append(time.time_ns())
             return
         self._received_ns.append(info['received_timestamp'])

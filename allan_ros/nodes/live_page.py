@@ -24,7 +24,7 @@ HOST = '127.0.0.1'
 """Only this machine can connect; a tunnel or a proxy opens it to others."""
 
 REFRESH_S = 10
-"""Seconds after which the browser asks for the page again."""
+"""Time in s after which the browser reloads the page."""
 
 SUMS = '/sums'
 """End of the names of the topics whose sums are shown."""
@@ -74,14 +74,14 @@ class LivePage:
         self.take(topic, message.data)
 
     def take(self, topic: str, text: str) -> None:
-        """Keep the latest sums of a topic."""
+        """Store the latest sums of a topic."""
         with self._lock:
             self._sums[topic] = (self._sums.get(topic, (0, ''))[0] + 1, text)
 
     def page(self, path: str) -> str | None:
-        """Return the page of a path: the report of one topic, or a list of topics; None for none.
+        """Return the page of a path: the report of one topic, or a list of topics; None if unknown.
 
-        The page of a single topic is also that of '/'.
+        With a single topic, '/' is also its page.
         """
         with self._lock:
             topics = sorted(self._sums)
@@ -131,10 +131,11 @@ def _notice(text: str, html: str = '') -> str:
 
 def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
-        """Answers GET with a page that the browser asks for again after a while."""
+        """Answers GET with a page that the browser reloads periodically."""
 
         def do_GET(self) -> None:
-            # a page of another site may not read it through a name that resolves to this machine
+            # prevents pages of other sites from reading it through a name that resolves to this
+            # machine
             if self.headers.get('Host', '').rsplit(':', 1)[0] not in (HOST, 'localhost'):
                 self.send_error(403)
                 return
@@ -151,10 +152,10 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
             self.end_headers()
             try:
                 self.wfile.write(body)
-            except OSError:  # the browser has left
+            except OSError:  # the browser has closed the connection
                 self.close_connection = True
 
         def log_message(self, format: str, *args: object) -> None:
-            """Do not print requests."""
+            """Suppress the log of requests."""
 
     return Handler

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes publish of one IMU: the document of its sums, its bias, and its Allan plots."""
+"""Publications of the nodes for one IMU: document of its sums, bias and Allan plots."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
 
 REPLACED_SHARE = 0.1
-"""Sums that lost more than this share of their samples make coefficients invalid. Less is normal:
-the last windows before a motion are at rest until the motion is recognized."""
+"""Largest share of lost samples with which coefficients stay valid. A small loss is normal: the
+last windows before a motion count as rest until the motion is recognized."""
 
 PLACES = {'gyro': 'angular', 'accel': 'linear'}
-"""Vector of the twist that holds the bias of a sensor."""
+"""Sensor -> vector of the twist that contains its bias."""
 
 ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Row of an axis in the covariance of a twist: linear x, y, z, then angular x, y, z."""
 
 UNKNOWN = -1.0
-"""Variance of an axis whose bias is not known, as in sensor_msgs/Imu."""
+"""Variance of an axis with unknown bias, as in sensor_msgs/Imu."""
 
 FORMAT = 'png'
 """Format name in `sensor_msgs/CompressedImage`; image_transport decodes it."""
@@ -50,10 +50,10 @@ Pictures = dict[str, bytes]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The sums at one time, and the IMU that is connected, whose sums these need not be.
+    """The sums at one time, and the connected IMU, which can differ from the IMU of the sums.
 
-    ``axes`` are those that messages had values for, also before there are sums. ``means`` are the
-    latest of static samples over a second, one value for each sensor.
+    ``axes`` are the axes with values in messages, even before there are sums. ``means`` are the
+    latest means of static samples over a second, one value for each sensor.
     """
 
     total: Total
@@ -64,7 +64,7 @@ class Snapshot:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """One with all axes, or one per sensor where the sensors have different rates."""
+        """One `AllanSums` with all axes, or one per sensor if the sensors have different rates."""
         return self.total[0]
 
     def to_document(self) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class Snapshot:
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
-        """Return the snapshot of a message on ``~/sums``; AllanError names what is wrong in it."""
+        """Return the snapshot in a message on ``~/sums``; AllanError names an invalid field."""
         document = parse_json(text, 'sums')
         total = sums_file_from_document(document, 'sums')
         imu = Fields(document, 'sums').optional_fields('imu')
@@ -99,7 +99,7 @@ class Snapshot:
 
 
 def _means(documents: Any) -> tuple[Means, ...]:
-    """Return the means of a document; AllanError if they are not rows of finite numbers."""
+    """Return the means of a document; AllanError unless they are rows of finite numbers."""
     try:
         means = tuple(
             Means(
@@ -117,7 +117,7 @@ def _means(documents: Any) -> tuple[Means, ...]:
 
 
 def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> float:
-    """Return the largest share of the samples in ``before`` that ``after`` does not hold.
+    """Return the largest share of the samples in ``before`` that ``after`` does not contain.
 
     Sums only grow, unless they are discarded, reset or start again from zero. Growing sums keep
     the start of each segment; of more than 32 segments the longest are listed.
@@ -132,7 +132,9 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
 
 
 def _lost(old: AllanSums, new: AllanSums) -> int:
-    """Return how many samples of the old sums the new ones lack, as far as segments are listed."""
+    """Return the number of samples of the old sums that are missing in the new sums, as far as
+    segments are listed.
+    """
     held = _samples_by_start(new)
     shortest = min(held.values()) if len(new.segments) >= KEPT_SEGMENTS else 0
     lost = sum(
@@ -165,7 +167,7 @@ class BiasPublisher:
         self._turn_on: dict[str, TurnOnBias] = {}
 
     def take(self, snapshot: Snapshot) -> None:
-        """Take the means of a snapshot, and publish the bias if some are new."""
+        """Process the means of a snapshot, and publish the bias if there are new ones."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.take(axis, means.end_ns.tolist(), means.values[:, i].tolist())
@@ -176,7 +178,7 @@ class BiasPublisher:
             self._publisher.publish(bias_message(known, snapshot.frame_id))
 
     def use(self, results: Results | None) -> None:
-        """Use the models of these results."""
+        """Replace the models by those of these results."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.use({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
@@ -217,7 +219,8 @@ class BiasPublisher:
 
 
 def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
-    """Return the message of these biases: the gyro as angular, the accelerometer as linear part."""
+    """Return the message with these biases: the gyro as angular, the accelerometer as linear
+    part."""
     message = TwistWithCovarianceStamped()
     message.header.frame_id = frame_id
     latest = max(bias.end_ns for bias in known.values())
@@ -236,7 +239,7 @@ def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarian
 class AllanPlot:
     """Publishes ``<home>allan_plot/<sensor>/compressed``, the plot that `allan analyze` writes.
 
-    Nothing is drawn, and matplotlib is not loaded, before there is a subscriber. ``period`` returns
+    Nothing is drawn, and matplotlib is not loaded, until there is a subscriber. ``period`` returns
     the shortest time between two plots in s. The worker draws them, because a second of work must
     not delay a callback.
     """
@@ -256,7 +259,7 @@ class AllanPlot:
         self._able = True
 
     def take(self, results: Results | None) -> None:
-        """Take the results of the next plot; None for none."""
+        """Set the results of the next plot, or None."""
         self._results = results
 
     def tick(self, now: float) -> None:
@@ -292,7 +295,7 @@ class AllanPlot:
         for sensor, picture in pictures.items():
             message = CompressedImage(format=FORMAT)
             message.header.stamp = self._node.get_clock().now().to_msg()
-            message.data.frombytes(picture)  # an array.array: no copy into a list of ints
+            message.data.frombytes(picture)  # an array.array avoids a copy into a list of ints
             self._publishers[sensor].publish(message)
 
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`allan_monitor`, and the three nodes it combines: accumulator, estimator and relay.
 
-Each node is a list of parts; the monitor has all of them in one process, for one or several IMUs.
+Each node consists of parts; the monitor has all of them in one process, for one or several IMUs.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Monitor(AllanNode):
 
 
 def _executable(make: Callable[[], AllanNode], name: str, does: str) -> Callable[..., int]:
-    """Return the main function of a node that is configured by ROS arguments only."""
+    """Return the main function of a node that is configured only by ROS arguments."""
 
     def main(args: Sequence[str] | None = None) -> int:
         return run(name, lambda _stop, _options: make(), ros_parser(name, does), args)

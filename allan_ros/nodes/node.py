@@ -32,10 +32,10 @@ from .shell import STEADY
 T = TypeVar('T', bound=CheckedSettings)
 
 TICK_S = 0.1
-"""Default period of the timer that polls the parts of a node."""
+"""Default period in s of the timer that polls the parts of a node."""
 
 FAULT_SHOWN_S = 60.0
-"""How long an internal error stays on `/diagnostics` after it last happened."""
+"""Time in s for which an internal error stays on `/diagnostics` after its last occurrence."""
 
 MAX_INTEGER = 2**63 - 1
 """ROS integer parameters are int64."""
@@ -64,9 +64,9 @@ class ParameterGroup(Generic[T]):
 class Parameters:
     """The checked parameters of a node.
 
-    A value that makes no valid settings is refused with the settings' own message: at start by an
-    exception, at run time by the result of the service. A set of parameters that is set atomically
-    is taken over as a whole or not at all, also where it spans several groups.
+    An invalid value is rejected with the error message of the settings: at start by an exception,
+    at run time by the result of the service. A set of parameters that is set atomically is applied
+    as a whole or not at all, even across several groups.
     """
 
     def __init__(self, node: Node) -> None:
@@ -80,7 +80,7 @@ class Parameters:
         Raises
         ------
         AllanError
-            When the values given at start do not make valid settings.
+            When the values given at start are not valid settings.
         rclpy.exceptions.ParameterException
             When a value has the wrong type or lies outside its range.
         """
@@ -115,12 +115,12 @@ class Parameters:
         ]
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take over all parameters or none."""
+        """Apply all parameters or none."""
         try:
             changed = [(group, group.changed(parameters)) for group in self._groups]
         except AllanError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        for p in parameters:  # rclpy itself refuses this one after us
+        for p in parameters:  # rclpy itself rejects this one after this callback
             if p.name == 'use_sim_time' and p.type_ != Parameter.Type.BOOL:
                 return SetParametersResult(successful=False, reason='use_sim_time must be a bool')
         for group, value in changed:
@@ -149,7 +149,7 @@ def descriptor(info: ParameterInfo, default: Any) -> ParameterDescriptor:
 
 
 def to_ros(value: Any) -> Any:
-    """Return the value as a ROS parameter holds it (tuples are lists)."""
+    """Return the value as the value of a ROS parameter (tuples become lists)."""
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -158,7 +158,7 @@ def _from_ros(value: Any) -> Any:
 
 
 def _suggestion(name: str, known: list[str]) -> str:
-    """Return '; did you mean ...?' with the known names that resemble the name, or ''."""
+    """Return '; did you mean ...?' with the known names that are similar to the name, or ''."""
     ends = [full for full in known if full.endswith(f'.{name}')]
     starts = [f'{name}.{field}' for field in ('path', 'enabled', 'node')]
     found = [*ends, *(full for full in starts if full in known)]
@@ -167,9 +167,10 @@ def _suggestion(name: str, known: list[str]) -> str:
 
 
 class Periodic:
-    """Becomes due once per period; the period may change at run time.
+    """A task that is due once per period; the period may change at run time.
 
-    One timer that polls several of these costs a third of as many timers in the executor.
+    One timer that polls several of these costs a third of the same number of timers in the
+    executor.
     """
 
     def __init__(self, period: Callable[[], float]) -> None:
@@ -179,7 +180,7 @@ class Periodic:
         """Return whether a period has passed since it was last due (steady clock, s)."""
         if now - self._last < self._period():
             return False
-        # Less than one period late: keep the phase. More: restart it.
+        # Less than one period late: keep the phase; otherwise restart it.
         self._last = max(self._last + self._period(), now - self._period())
         return True
 
@@ -194,14 +195,14 @@ class Part(Protocol):
         """Return the diagnostic statuses of this part."""
 
     def close(self) -> None:
-        """Finish before the node is destroyed."""
+        """Finish the work before the node is destroyed."""
 
 
 class AllanNode(Node):
-    """A node that is made of parts.
+    """A node that consists of parts.
 
-    An exception that nothing else catches is logged once with its traceback and reported as ERROR
-    on `/diagnostics`; the node and its other parts continue.
+    An exception that is not caught elsewhere is logged once with its traceback and reported as
+    ERROR on `/diagnostics`; the node and its other parts continue.
     """
 
     def __init__(self, name: str) -> None:
@@ -214,7 +215,7 @@ class AllanNode(Node):
         self._diagnostics_due = Periodic(lambda: self.publish.value.diagnostics_period)
 
     def begin(self, parts: Sequence[Part], does: str, period: float = TICK_S) -> None:
-        """Start the timer that polls the parts, and log what the node does in one line."""
+        """Start the timer that polls the parts, and log the purpose of the node in one line."""
         self._parts = parts
         settings = ', '.join(self.parameters.changes()) or 'all defaults'
         self.get_logger().info(f'{does}; settings: {settings}')
@@ -256,7 +257,7 @@ class AllanNode(Node):
                 statuses += part.statuses(now)
             except Exception as error:
                 self.fault(f'{type(part).__name__} diagnostics', error)
-        faults = list(self._faults.values())  # a thread of a part may add one meanwhile
+        faults = list(self._faults.values())  # a thread of a part may add one at the same time
         if recent := [f for at, f in faults if now - at <= FAULT_SHOWN_S]:
             statuses.append(status_of(status_name(self, 'node'), recent, '', ()))
         array = DiagnosticArray(status=statuses)

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets parameters of another node from the noise model, through its parameter services.
 
-Before each update it reads the values of the node: to store the previous ones, to skip those that
-are already right, and to detect a restart of the node. If the node refuses a value, its reason is
-shown and the value is not sent again.
+Before each update it reads the values of the node, in order to store the previous values, to skip
+values that are already correct, and to detect a restart of the node. If the node rejects a value,
+its reason is shown and the value is not sent again.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ from .node import AllanNode
 from .settings import PushSettings
 
 ANSWER_S = 5.0
-"""A node that has not answered within this time is asked again a period later."""
+"""Time in s to wait for an answer of the node; then it is asked again a period later."""
 
 RETRY_S = 1.0
-"""How often a missing node is looked for."""
+"""Period in s of the search for a missing node."""
 
 
 class ParameterPush:
-    """Keeps parameters of the node ``push.node`` ('' for none) equal to those of the noise model.
+    """Keeps parameters of the node ``push.node`` ('' for none) equal to the values from the noise
+    model.
 
-    The owner gets the parameters ``push.*`` and the service ``~/restore``. AllanError is raised if
-    the mapping cannot be read.
+    The node that owns this object gets the parameters ``push.*`` and the service ``~/restore``.
+    AllanError is raised if the mapping cannot be read.
     """
 
     def __init__(self, owner: AllanNode) -> None:
@@ -63,19 +64,19 @@ class ParameterPush:
             self._set = owner.create_client(
                 SetParameters, f'{target}/set_parameters', callback_group=group
             )
-            # created last: a node that answers it has discovered the other client, too
+            # created last: a node that answers it has also discovered the other client
             self._get = owner.create_client(
                 GetParameters, f'{target}/get_parameters', callback_group=group
             )
 
     def offer(self, results: Results) -> None:
-        """Take the latest noise model; results without axes withdraw it."""
+        """Accept the latest noise model; results without axes withdraw it."""
         if not results.axes or self._results is None:
-            self._due_at = 0.0  # the first model, and the first after a withdrawal, is set at once
+            self._due_at = 0.0  # the first model, and the first after a withdrawal, is used at once
         self._results = results if results.axes else None
 
     def tick(self, now: float) -> None:
-        """Start to set parameters if it is due, and give up on late answers."""
+        """Start to set parameters if this is due, and stop waiting for late answers."""
         if self._asked is not None:
             if now - self._asked_at > ANSWER_S:
                 self._asked.cancel()
@@ -100,10 +101,10 @@ class ParameterPush:
         self._proceed()
 
     def close(self) -> None:
-        """Do nothing: the parameters stay as they are."""
+        """Do nothing: the parameters stay unchanged."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return the state of the parameters; no status where none are set."""
+        """Return the state of the parameters; no status if none are set."""
         if self._mapping is None:
             return []
         enabled = self._settings.value.enabled
@@ -125,7 +126,7 @@ class ParameterPush:
     def _proposals(
         self, mapping: FilterMapping, results: Results, settings: PushSettings
     ) -> list[Proposal]:
-        """Return the values that are to be set, and store the reason for each uncertain one."""
+        """Return the values to be set, and store the reason for each uncertain one."""
         fits = {name: axis.fit for name, axis in results.axes.items()}
         known = fits, results.rate_hz, mapping.constants, mapping.horizon
         made = []
@@ -147,7 +148,7 @@ class ParameterPush:
     def _proceed(self) -> None:
         """Read the next parameter, or set those that differ once all are read.
 
-        They are read one by one: where one of several is not declared, a node returns none.
+        They are read one by one: if one of several is not declared, a node returns none of them.
         """
         if self._unread:
             request = GetParameters.Request(names=[self._unread[0].name])
@@ -158,7 +159,7 @@ class ParameterPush:
             self._ask(self._set.call_async(request), self._on_set)
 
     def _on_read(self, future: Any) -> None:
-        """Keep the value that the node has, and whether it differs from the proposal."""
+        """Store the value of the node, and whether it differs from the proposal."""
         if future is not self._asked:
             return
         self._asked = None
@@ -172,7 +173,8 @@ class ParameterPush:
         self._proceed()
 
     def _fits(self, proposal: Proposal, value: ParameterValue) -> bool:
-        """Return whether the node's parameter can hold the proposal, and note why not."""
+        """Return whether the node's parameter can have the proposed value; store the reason if
+        not."""
         kind, wanted = 'a number with a point', ParameterType.PARAMETER_DOUBLE
         if len(proposal.values) > 1:
             kind, wanted = 'an array of numbers', ParameterType.PARAMETER_DOUBLE_ARRAY
@@ -185,7 +187,7 @@ class ParameterPush:
         return False
 
     def _on_set(self, future: Any) -> None:
-        """Log which values were accepted and refused."""
+        """Log the accepted and the rejected values."""
         if future is not self._asked:
             return
         self._asked = None
@@ -206,7 +208,7 @@ class ParameterPush:
             )
 
     def _note(self, name: str, note: str) -> None:
-        """Store the message on a parameter ('' for the node), and log it if it is new."""
+        """Store the message about a parameter ('' for the node), and log it if it is new."""
         if self._notes.get(name) != note:
             self._log.info(f'{name}: {note}' if name else note)
         self._notes[name] = note
@@ -234,7 +236,7 @@ class ParameterPush:
         request = SetParameters.Request(parameters=wanted)
         self._asked, self._asked_at = self._set.call_async(request), time.monotonic()
         answer = await self._asked
-        if answer is None:  # `tick` gave up
+        if answer is None:  # `tick` stopped waiting
             response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
             return response
         self._asked = None
@@ -254,13 +256,13 @@ class ParameterPush:
 
 
 def _numbers(value: ParameterValue) -> tuple[float, ...]:
-    """Return the values of a parameter of one or several numbers."""
+    """Return the values of a parameter with one or several numbers."""
     array = value.type == ParameterType.PARAMETER_DOUBLE_ARRAY
     return tuple(value.double_array_value) if array else (value.double_value,)
 
 
 def _message(proposal: Proposal, current: ParameterValue) -> ParameterMessage:
-    """Return the parameter with the proposed value, of the type it has."""
+    """Return the parameter with the proposed value, in its declared type."""
     value = ParameterValue(type=current.type)
     if current.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
         value.double_array_value = list(proposal.values)

@@ -38,13 +38,14 @@ from .imu_input import NAMELESS
 from .shell import STEADY, run
 
 CLOCK_PERIOD_S = 0.025
-"""Period of `/clock` in wall time: 40 Hz, as ``ros2 bag play`` has it."""
+"""Period of `/clock` in s of wall time: 40 Hz, as in ``ros2 bag play``."""
 
 POLL_S = 0.05
-"""Period at which a wait for subscribers or acknowledgements checks for the end."""
+"""Period in s at which a wait for subscribers or acknowledgements checks for the end."""
 
 LINGER_S = 0.5
-"""The publisher stays this long after the last answer: subscribers empty their queues."""
+"""Time in s for which the publisher stays after the last answer, while subscribers empty their
+queues."""
 
 SIMULATED = (
     NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
@@ -53,15 +54,15 @@ SIMULATED = (
 """Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU, a good MEMS device."""
 
 ASK_AGAIN_S = 1.0
-"""Period of repeated questions: an answer to a client not yet discovered is lost."""
+"""Period in s of repeated calls: an answer to a client that is not discovered yet is lost."""
 
 PATIENCE_S = 10.0
-"""A subscriber that has not answered by then has no parameter services, or hangs."""
+"""Time in s after which a subscriber without an answer has no parameter services, or hangs."""
 
 
 @dataclass
 class _Asked:
-    """State of the question to the node of one subscriber."""
+    """State of the call to the node of one subscriber."""
 
     since: float
     name: str = ''
@@ -74,10 +75,10 @@ class Handshake:
     """Waits until every subscriber has discovered a publisher.
 
     A publisher discovers a subscriber before that subscriber discovers it, and best effort
-    messages in between are lost. Endpoints are announced in order, so a node that answers a client
-    created after the publisher has discovered the publisher, too. Create the handshake after the
-    publisher, which is one of the node's, and call `update` from the thread that runs the node's
-    executor. At least ``wanted`` subscribers must be there.
+    messages in between are lost. Endpoints are announced in order. So a node that answers a client
+    created after the publisher has also discovered the publisher. Create the handshake after the
+    publisher of the same node, and call `update` from the thread that runs the node's executor.
+    There must be at least ``wanted`` subscribers.
     """
 
     def __init__(self, node: Node, publisher: Publisher, wanted: int = 1) -> None:
@@ -86,7 +87,7 @@ class Handshake:
         self._round = 0
 
     def update(self) -> bool:
-        """Return True once every subscriber has answered or timed out; ask the others again."""
+        """Return True once every subscriber has answered or timed out; call the others again."""
         now = time.monotonic()
         known = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
         done, gids = True, [bytes(subscriber.endpoint_gid) for subscriber in known]
@@ -102,14 +103,14 @@ class Handshake:
         return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
 
     def again(self) -> None:
-        """Ask all remaining subscribers again, except those that never answered."""
+        """Call all remaining subscribers again, except those that never answered."""
         self._wanted, self._round = 0, self._round + 1
         for asked in self._asked.values():
             if asked.answered:
                 asked.answered, asked.since, asked.last = False, time.monotonic(), float('-inf')
 
     def silent(self) -> tuple[str, ...]:
-        """Return the nodes that subscribe and have not answered."""
+        """Return the subscribing nodes that have not answered."""
         silent = (a.name or 'a nameless node' for a in self._asked.values() if not a.answered)
         return tuple(sorted(silent))
 
@@ -132,7 +133,7 @@ class Handshake:
             answer.add_done_callback(partial(self._on_answer, asked, self._round))
 
     def _on_answer(self, asked: _Asked, round_asked: int, _: Any) -> None:
-        """Record an answer, unless it belongs to a question before `again`."""
+        """Record an answer, unless it belongs to a call before `again`."""
         asked.answered = asked.answered or round_asked == self._round
 
 
@@ -159,7 +160,7 @@ class Player(Node):
         self._played = 0
         self._handshake = Handshake(self, self._publisher, options.wait)
         self._asking, self._answered = False, threading.Event()
-        self.create_timer(POLL_S, self._tick, clock=STEADY)  # signals are handled at wake-ups, too
+        self.create_timer(POLL_S, self._tick, clock=STEADY)  # signals are also handled at wake-ups
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
 
@@ -205,7 +206,7 @@ class Player(Node):
                 start_ns += length
 
     def _play_once(self, start_ns: int | None) -> int:
-        """Play the recording, its first stamp shifted to start_ns, and return its length in ns."""
+        """Play the recording with its first stamp shifted to start_ns; return its length in ns."""
         first_ns = last_ns = count = 0
         pace = None
         for batch in self._batches():
@@ -250,7 +251,7 @@ class Player(Node):
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
 
     def _wait_for_answers(self, unknown: str) -> None:
-        """Wait until all subscribers have answered, and warn of those that did not."""
+        """Wait until all subscribers have answered, and log a warning about the others."""
         self._answered.clear()
         self._asking = True
         while not (self._stop.is_set() or self._answered.wait(POLL_S)):
@@ -277,7 +278,7 @@ class Player(Node):
 
 
 class Schedule:
-    """Schedule of the samples by record time, or header time where there is none."""
+    """Times at which samples are due, from record times or, without them, header times."""
 
     def __init__(self, rate: float, first: ImuBatch) -> None:
         self._rate, self._origin, self._began = rate, int(_times(first)[0]), time.monotonic()

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Republishes one Imu topic with covariances filled in, as raw bytes.
 
-A separate thread waits for messages and republishes each at once: it takes half the CPU of an
-executor's callback, and nothing else in the node delays a message. It uses a wait set as rclpy's
-`wait_for_message` does. Where a client library lacks that, a plain callback does the same.
+A separate thread waits for messages and republishes each at once. It takes half the CPU of an
+executor's callback, and no other task of the node delays a message. It uses a wait set like
+`wait_for_message` of rclpy. If a client library does not have it, a plain callback is used.
 """
 
 from __future__ import annotations
@@ -39,25 +39,27 @@ from .settings import RelaySettings
 from .shell import LATCHED
 
 WAIT_NS = 100_000_000
-"""How long the thread waits for a message before it checks whether it should end."""
+"""Time in ns for which the thread waits for a message before it checks whether it should end."""
 
 POLL_S = 0.005
-"""How often messages are taken while the wait for them fails."""
+"""Period in s at which messages are polled while the wait for them fails."""
 
 SWITCH_INTERVAL_S = 0.0005
-"""How long other Python threads, such as a fit, may delay the relay (Python's default: 5 ms)."""
+"""Longest time in s for which other Python threads, such as a fit, delay the relay (Python's
+default is 5 ms)."""
 
 MODEL_GRACE_S = 120.0
-"""Time at start without a noise model that needs no warning: N takes a minute at rest."""
+"""Time in s after the start without a warning about a missing noise model: N takes a minute at
+rest."""
 
 DISCOVERY_S = 5.0
-"""Time at start in which a missing publisher of the noise model may only be undiscovered."""
+"""Time in s after the start in which a publisher of the noise model may still be undiscovered."""
 
 SHOWN_UNIT = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
 
 class RelayTopics(NamedTuple):
-    """Input, noise model, output and bias topics, and how diagnostics name the IMU."""
+    """Input, noise model, output and bias topics, and the name of the IMU in diagnostics."""
 
     source: str
     model: str
@@ -82,7 +84,7 @@ class RelayCounts:
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    """Return the variances to fill in, of each sensor that the noise model has."""
+    """Return the variances to fill in for each sensor of the noise model."""
     if settings.variance == 'sample':
         stds = {name: axis.sample_std for name, axis in results.axes.items()}
         return measured_variances(stds, settings.inflate)
@@ -130,7 +132,7 @@ class ImuRelay:
 
     @property
     def description(self) -> str:
-        """What is relayed, for the log at start."""
+        """Description of the relay, for the log at start."""
         source = self._subscription
         return (
             f'relays {source.topic_name} ({qos_text(source.qos_profile)}) to '
@@ -205,11 +207,11 @@ class ImuRelay:
             self._note_frame(payload)
         try:
             self._publisher.publish(handed_on)
-        except rclpy_implementation.RCLError:  # a reliable subscriber's queue stayed full
+        except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
             counts.unpublished += 1
 
     def _without_bias(self, payload: bytes) -> bytes:
-        """Return the message with the gyro bias subtracted, if that is asked for and allowed."""
+        """Return the message with the gyro bias subtracted, if this is enabled and allowed."""
         settings, bias = self._settings.value, self._bias
         if not settings.subtract_bias or bias is None or bias.twist.covariance[21] < 0.0:
             return payload
@@ -243,7 +245,7 @@ class ImuRelay:
         return subscribe_raw(self._node, topic, self._hand_on, depth, plain)
 
     def _start(self) -> bool:
-        """Start the thread; return False where this client library has no wait set."""
+        """Start the thread; return False if this client library has no wait set."""
         try:
             wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
             wait_set.clear_entities()
@@ -295,7 +297,8 @@ class ImuRelay:
         self.tick(time.monotonic())
 
     def _without_model(self, now: float) -> Finding:
-        """Return why there is no noise model, and what happens to the messages meanwhile."""
+        """Return the reason why there is no noise model, and the treatment of messages
+        meanwhile."""
         topic, seconds = self._model.topic_name, now - self._began
         passed = self._settings.value.until_model == 'pass'
         done = 'passed on unchanged' if passed else 'held back'

@@ -18,7 +18,7 @@ from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter,
 
 
 class WatchedImu(NamedTuple):
-    """One IMU: topic, label where there are several, serial number and checkpoint if given."""
+    """One IMU: topic, label if there are several, serial number and checkpoint if given."""
 
     topic: str
     label: str
@@ -87,9 +87,9 @@ class InputSettings(CheckedSettings):
             )
 
     def imus(self, checkpoint: str = '') -> list[WatchedImu]:
-        """Return the IMUs; several have their checkpoints in one folder, '' is none.
+        """Return the IMUs; the checkpoints of several IMUs are in one folder, '' for none.
 
-        Missing labels are made from the topics.
+        Missing labels are derived from the topics.
         """
         count = len(self.topics)
         made = [t.strip('~/').replace('/', '_') if count > 1 else '' for t in self.topics]

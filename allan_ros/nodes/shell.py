@@ -29,16 +29,16 @@ from ..core.errors import AllanError, one_line
 T = TypeVar('T')
 
 _TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linux' else None
-"""Returns freed heap memory to the system (glibc only): a fit leaves about 20 MB of free blocks
+"""Returns freed heap memory to the system (glibc only). A fit leaves about 20 MB of free blocks
 below memory that is still in use."""
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Reliable, and late subscribers receive the last message: for sums and noise model."""
+"""QoS of sums and noise model: reliable, and late subscribers receive the last message."""
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Clock of all timers: neither a paused ``/clock`` nor a wall-clock step stops them."""
+"""Clock of all timers, which neither a paused ``/clock`` nor a wall-clock step stops."""
 
 
 class Worker:
@@ -61,23 +61,23 @@ class Worker:
                 future.set_result(task())
             except BaseException as error:  # raised again by future.result()
                 future.set_exception(error)
-            del task, future  # release what they refer to before the next task
+            del task, future  # release the objects of the task before the next one
             if _TRIM is not None:
                 _TRIM(0)
 
 
 class Runnable(Protocol):
-    """What `run` needs of a node."""
+    """Methods that `run` requires of a node."""
 
     def close(self) -> None:
-        """Finish work before the node is destroyed; called once, not interrupted by signals."""
+        """Finish the work before the node is destroyed; called once, not interrupted by signals."""
 
     def destroy_node(self) -> None:
         """Destroy the node, as `rclpy.node.Node` does."""
 
 
 def ros_parser(name: str, description: str) -> argparse.ArgumentParser:
-    """Return the command line parser of an executable that is configured by ROS arguments."""
+    """Return the command line parser of an executable that is configured only by ROS arguments."""
     return argparse.ArgumentParser(
         prog=name,
         description=description,
@@ -95,19 +95,20 @@ def run(
 ) -> int:
     """Run a node until SIGINT, SIGTERM or its own end, and return the exit code.
 
-    A reason not to start (bad parameters, a missing file) is logged in one line: exit code 1.
-    After any number of signals the node is closed: exit code 0. An exception in a callback of the
-    node is passed to ``node.fault``, if it has one, and the node continues.
+    If the node cannot start (invalid parameters, a missing file), the reason is logged in one line,
+    and the exit code is 1. After any number of signals the node is closed, and the exit code is 0.
+    An exception in a callback of the node is passed to ``node.fault``, if it has one, and the node
+    continues.
 
-    ``make_node`` gets an event that ends the node when set, and the options that the parser made of
-    the command line without the ROS arguments. The node must have a timer: signals are handled when
-    the executor next wakes.
+    ``make_node`` gets an event that ends the node when it is set, and the parsed options of the
+    command line without ROS arguments. The node must have a timer, because signals are handled when
+    the executor wakes.
     """
     argv = sys.argv if args is None else [name, *args]
     options = parser.parse_args(remove_ros_args(list(argv))[1:])
     stop = Event()
-    # Python's default handler would raise KeyboardInterrupt in the middle of an update or of the
-    # writing of a checkpoint, and rclpy's would shut the graph down before the node has finished.
+    # Python's default handler would raise KeyboardInterrupt in the middle of an update or while a
+    # checkpoint is written, and rclpy's would shut the graph down before the node has finished.
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stop.set())
     try:
@@ -132,7 +133,7 @@ def run(
         executor.shutdown()
         if rclpy.ok():
             rclpy.shutdown()
-        # Python restores the default handlers at its end, but leaves ignored signals ignored.
+        # Python restores the default handlers at exit, but ignored signals stay ignored.
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 

@@ -25,28 +25,29 @@ WORDS = {
     DiagnosticStatus.WARN: 'WARN',
     DiagnosticStatus.ERROR: 'ERROR',
 }
-"""Level -> its text."""
+"""Level -> text."""
 
 STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
-"""Level -> its style in rich, in the order of the table; STALE comes early, because silence may
-hide an error. The text carries the same information without colours, which differ in lightness for
+"""Level -> style in rich, in the order of the table. STALE comes early, because silence may hide an
+error. The text contains the same information without colours, which differ in lightness for
 colour-blind readers."""
 
 STALE_S = 5.0
-"""A status that has not been repeated for this time is shown as stale."""
+"""Time in s after which a status that was not repeated is shown as stale."""
 
 SHOWN_TERMS = ('N', 'B', 'K')
-"""Terms that have their own columns in a wide terminal; the values hold all five."""
+"""Terms with their own columns in a wide terminal; the values contain all five."""
 
 WIDE, NARROW = 120, 60
-"""Terminal widths: from WIDE on terms have columns; below NARROW there is a list, no table."""
+"""Terminal widths: from WIDE on terms have columns; below NARROW a list replaces the table."""
 
 _UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One status as it is displayed; ``terms`` has value and unit of the known `SHOWN_TERMS`."""
+    """One status as it is displayed; ``terms`` contains value and unit of the known
+    `SHOWN_TERMS`."""
 
     level: str
     node: str
@@ -59,19 +60,19 @@ class Row:
 
     @property
     def title(self) -> str:
-        """The status name, with the node unless it is allan_monitor."""
+        """Name of the status, with the node unless it is allan_monitor."""
         return self.name if self.node == 'allan_monitor' else f'{self.node}: {self.name}'
 
     @property
     def remark(self) -> str:
-        """The message without the text that the term columns show."""
+        """The message without the part that the term columns show."""
         if self.level == 'ok' and self.terms:
             return self.message.partition(' from ')[2]
         return self.message
 
     @property
     def age(self) -> str:
-        """The age in whole seconds; '' for a status that is repeated in time."""
+        """Age in whole seconds; '' for a status that is repeated in time."""
         return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
 
 
@@ -96,7 +97,7 @@ def most_severe_first(rows: Iterable[Row]) -> list[Row]:
 
 
 def headline(rows: Sequence[Row]) -> str:
-    """Return the number of statuses per level, and the age of the latest."""
+    """Return the number of statuses per level, and the age of the latest status."""
     counts = {level: sum(r.level == level for r in rows) for level in STYLES}
     told = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
     return f'allan_ros: {told}; last message {min(r.age_s for r in rows):.1f} s ago'
@@ -140,7 +141,7 @@ def picture(rows: Sequence[Row], columns: int) -> RenderableType:
 
 
 class Display(Protocol):
-    """Output of the rows; the hint names what to check if there are none."""
+    """Output of the rows; the hint names what to check if there are no rows."""
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
         """Show the present state."""
@@ -157,7 +158,7 @@ class Lines:
         self._hinted = False
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Print new statuses and changed levels; ages and values change all the time."""
+        """Print new statuses and changed levels, but not changes of ages and values."""
         for each in rows:
             if self._levels.get((each.node, each.name)) != each.level:
                 self._levels[each.node, each.name] = each.level
@@ -192,7 +193,7 @@ class Document:
 
 
 class Screen:
-    """A table redrawn by rich, or drawn once at the end where it is not ``live``.
+    """A table redrawn by rich, or drawn once at the end if it is not ``live``.
 
     It respects NO_COLOR, and the width and the charset of the terminal.
     """

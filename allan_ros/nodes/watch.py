@@ -36,16 +36,17 @@ WEB_PORT = 8095
 REFRESH_S = 0.5
 
 SETTLE_S = 1.5
-"""Time after the first status until all were received: each is repeated once a second."""
+"""Time in s after the first status until all are received: each is repeated once a second."""
 
 PATIENCE_S = 10.0
-"""Time that ``--once`` waits for a first status."""
+"""Time in s for which ``--once`` waits for a first status."""
 
 HINT_S = 8.0
-"""Silence after which the hint is shown: a node started at the same time needs some seconds."""
+"""Silence in s after which the hint is shown: a node started at the same time needs some
+seconds."""
 
 DISCOVERY_S = 5.0
-"""Longest time to find nodes with a service, and to get an answer from them."""
+"""Longest time in s to find nodes with a service, and to get an answer from them."""
 
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Exit code of ``--check`` by the most severe level."""
@@ -59,7 +60,7 @@ DISCOVERY = (
     'ROS_LOCALHOST_ONLY',
     'RMW_IMPLEMENTATION',
 )
-"""Environment variables that decide which nodes are discovered."""
+"""Environment variables that determine which nodes are discovered."""
 
 TRIGGER = 'std_srvs/srv/Trigger'
 
@@ -75,7 +76,7 @@ class Watch(Node):
         self._began = time.monotonic()
         self._first: float | None = None
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, 100)
-        self._page: LivePage | None = None  # whose module is imported only if it is wanted
+        self._page: LivePage | None = None  # the module is imported only if the page is requested
         if options.web is not None:
             from .live_page import LivePage
 
@@ -83,7 +84,7 @@ class Watch(Node):
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY)
 
     def exit_code(self) -> int:
-        """Return the exit code: by the most severe level with ``--check``."""
+        """Return the exit code; with ``--check``, it depends on the most severe level."""
         rows = self._rows()
         if not rows:
             return EXIT_FAILED
@@ -98,7 +99,7 @@ class Watch(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            # a renamed node has statuses of axes and inputs, too
+            # a renamed node also has statuses of axes and inputs
             known = {'evidence [s]', 'segments'} <= {v.key for v in status.values}
             if self._options.all or 'allan' in status.name or known:
                 self._latest[status.name] = now, status
@@ -203,7 +204,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def services_of(node: Node, verb: str, wanted: str) -> list[str]:
     """Return the services ``.../save`` or ``.../fit`` of the allan_ros nodes in the graph.
 
-    If ``wanted`` is not '', only those of this node or IMU, such as ``/allan_monitor``.
+    ``wanted`` selects one node or IMU, such as ``/allan_monitor``; '' selects all.
     """
     known = {name for name, types in node.get_service_names_and_types() if TRIGGER in types}
     homes = [name.rpartition('/')[0] for name in known if name.endswith(f'/{verb}')]
@@ -215,7 +216,8 @@ def services_of(node: Node, verb: str, wanted: str) -> list[str]:
 
 
 def call_services(verb: str, args: Sequence[str]) -> int:
-    """Call ``~/save`` or ``~/fit`` of running nodes; return 0 if there is one and all succeed."""
+    """Call ``~/save`` or ``~/fit`` of running nodes; return 0 if there is one and all calls
+    succeed."""
     doc = {
         'save': 'Write the checkpoint of running nodes now.',
         'fit': 'Fit the sums of running nodes now.',
