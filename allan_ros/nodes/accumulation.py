@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One IMU of a node: messages in; running sums, checkpoint and input status out."""
+"""One IMU of a node: from messages to running sums, checkpoint and input status."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from .settings import CheckpointSettings, InputSettings, WatchedImu
 from .shell import LATCHED
 
 LIVE_COUNTERPARTS = frozenset(('gaps',))
-"""Findings of a complete stream that the findings of the live input replace."""
+"""Findings of a complete stream that are replaced by findings of the live input."""
 
 
 class Settings:
@@ -52,10 +52,9 @@ class Settings:
 
 
 class ImuWatch:
-    """Accumulates the sums of one IMU and keeps them over restarts.
+    """Accumulates the sums of one IMU and restores them after a restart.
 
-    The listener is called with the sums whenever they are due, as a value: no JSON within one
-    process.
+    The listener is called with the sums when they are due, as an object, without JSON.
     """
 
     def __init__(
@@ -74,10 +73,10 @@ class ImuWatch:
         self._health = TransportMonitor(self._input.topic, now)
         self._last_stamp_ns: int | None = None
         self.frame_id = ''
-        self._axes: tuple[str, ...] = ()  # those that had a finite value so far
+        self._axes: tuple[str, ...] = ()  # axes with a finite value so far
         self._published: tuple[AllanSums, ...] = ()
         self._published_imu: tuple[str, tuple[str, ...]] = '', ()
-        self._counted = 0  # messages received at the last status
+        self._counted = 0  # number of messages received at the last status
         self._events: tuple[object, ...]
         self._begin(self._checkpoint.last_stamp_ns)
 
@@ -92,7 +91,7 @@ class ImuWatch:
 
     @property
     def description(self) -> str:
-        """What is watched, for the log at start."""
+        """Description of the input, for the log at start."""
         name = f' as {self._imu.label}' if self._imu.label else ''
         checkpoint = self._checkpoint.path or 'none'
         return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
@@ -107,7 +106,7 @@ class ImuWatch:
             self._update()
             self._publish(self._total())
         elif self._publisher.get_subscription_count() > self._subscribers:
-            self._publish(self._total())  # a new subscriber need not wait for the period
+            self._publish(self._total())  # a new subscriber does not wait for the period
         self._subscribers = self._publisher.get_subscription_count()
         if self._save_due.due(now):
             self._update()
@@ -175,7 +174,7 @@ class ImuWatch:
         return self._known.health, self._known.findings
 
     def _static_s(self, health: StreamHealth) -> float:
-        """Return the time at rest in s: that of the sums, and of the samples added since then."""
+        """Return the time at rest in s: in the sums, and in the samples added since then."""
         known = max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0)
         added = health.counts.used - self._known.health.counts.used
         streams = max(1, len(self._known.current))
@@ -184,20 +183,21 @@ class ImuWatch:
     # --- samples in -------------------------------------------------------------------------------
 
     def _begin(self, latest_ns: int | None = None) -> None:
-        """Start new sums; with sim time, samples up to the latest stamp are a repeated pass."""
+        """Start new sums; with simulated time, samples up to the latest stamp are a repeated
+        pass."""
         segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
         self._stream = ImuStream(segmenter, hardware_id, with_means=True)
         self._splitter = PassSplitter(latest_ns)
-        self._latest_ns: int | None = None  # of these sums
+        self._latest_ns: int | None = None  # health and findings of these sums
         self._known = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()
-        self._outdated = True  # whether samples were taken since these were computed
+        self._outdated = True  # whether samples were added since these were computed
         self._events = ()  # at the last status
 
     def _update(self) -> None:
         """Accumulate the drained messages."""
-        # With simulated time a recording may be looped; its second pass is no new data. With real
-        # time, stamps that go back mean that the clock was set, which only splits the data.
+        # With simulated time a recording may be looped; its second pass contains no new data. With
+        # real time, stamps that go back mean that the clock was set, which only splits the data.
         played = bool(self._node.get_parameter('use_sim_time').value)
         for batch in self._input.batches():
             if not played:
@@ -219,7 +219,7 @@ class ImuWatch:
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
 
     def _begin_pass(self) -> None:
-        """Set the sums of the pass that ended aside, and start new ones."""
+        """Store the sums of the completed pass, and start new ones."""
         where = self._checkpoint.begin_anew(self._total())
         splitter = self._splitter
         self._begin()
@@ -232,7 +232,7 @@ class ImuWatch:
     # --- sums out ---------------------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums as if the input ended now, with those of earlier runs of the node."""
+        """Return the sums as if the input ended now, including earlier runs of the node."""
         if self._outdated:
             self._known, self._outdated = self._stream.result(), False
         known, name = self._known, self._node.get_fully_qualified_name()
@@ -249,7 +249,7 @@ class ImuWatch:
         return total
 
     def _publish(self, total: Total) -> None:
-        """Hand the sums to the listener, and publish them while somebody subscribes."""
+        """Pass the sums to the listener, and publish them if there is a subscriber."""
         self._published, self._published_imu = total[0], (self.frame_id, self._axes)
         means = self._stream.means()
         snapshot = Snapshot(total, self.frame_id, self._imu.hardware_id, self._axes, means)
@@ -288,7 +288,7 @@ class ImuWatch:
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return what changes in the health of a stream when more than data at rest is added."""
+    """Return the counts that change when anything except data at rest is added to a stream."""
     c = health.counts
     began, cuts = c.used > 0, sum(c.cuts.values())
     return health.state, health.discarded, health.frame_id, health.frame_changes, cuts, began
