@@ -28,7 +28,7 @@ LEAST_REST = 0.4
 """The settled part is used if at least this fraction of the samples remains: half of the recording
 after the sensor has settled, less the loss because sums are divided only at some ages."""
 
-CERTAIN = 6.5
+CERTAIN = 4.5
 """Excess of twice the log likelihood ratio over its threshold for which the early part is left
 out."""
 
