@@ -156,7 +156,8 @@ def read_recording(
     findings = (*recording.findings, *known.findings)
     counts = known.health.counts
     if not known.sums:
-        raise AllanError(_no_data(job, counts, findings))
+        possible = [f for f in findings if not f.axes or {*f.axes} & {*recording.axes}]
+        raise AllanError(_no_data(job, counts, possible))
     settings = {
         **asdict(job.segmenter),
         **asdict(recording.options),
@@ -173,8 +174,9 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
     why = '; '.join(str(each) for each in findings if each.id != 'nothing_left')
     if counts.skipped and counts.skipped == counts.received:
         why = f'--skip {job.segmenter.skip:g} (s) leaves out all of it: skip less'
-    why = why or 'it has no samples'
-    return f'{job.path}: no static data in {counts.received:,} samples: {why}'
+    why = why or ('it is too short' if counts.received else 'it has no samples')
+    samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
+    return f'{job.path}: no static data in {samples}: {why}'
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:

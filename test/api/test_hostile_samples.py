@@ -74,3 +74,28 @@ def test_one_bad_cell_of_a_table(cell: str, tmp_path: Path) -> None:
     words = ['analyze', str(table), '-q', '--method', 'relative', '-o', str(tmp_path / 'out')]
     assert main(words) == 0
     assert (tmp_path / 'out' / 'report.html').exists()
+
+
+@pytest.mark.parametrize('value', [np.nan, np.inf])
+def test_an_axis_without_a_finite_value_is_reported(value: float) -> None:
+    samples = np.random.default_rng(0).normal(size=(2000, 3))
+    samples[:, 1] = value
+    results = ar.analyze(samples, rate=100.0)
+    assert list(results) == ['gyro_x', 'gyro_z']
+    assert [f.axes for f in results.findings if f.id == 'axis_absent'] == [('gyro_y',)]
+    others = ar.analyze(samples[:, ::2], rate=100.0, axes=['gyro_x', 'gyro_z'])
+    assert 'axis_absent' not in {f.id for f in others.findings}
+
+
+def test_masked_values_are_no_samples() -> None:
+    samples = np.ma.masked_greater(np.random.default_rng(0).normal(size=2000), 2.0)
+    found = {f.id for f in ar.analyze(samples, rate=100.0).findings}
+    assert found & {'not_finite', 'bridged'}
+
+
+def test_durations_are_times() -> None:
+    pd = pytest.importorskip('pandas', reason='skipped: no pandas')
+    samples = pd.DataFrame({'gyro_x': np.random.default_rng(0).normal(size=2000)})
+    at = pd.to_timedelta(np.arange(2000) * 0.02, unit='s')
+    assert ar.analyze(samples.set_index(at)).rate_hz == pytest.approx(50.0)
+    assert ar.analyze(samples.assign(time=at)).rate_hz == pytest.approx(50.0)

@@ -14,6 +14,7 @@ from allan_ros.core.settings import choose, expect
 from allan_ros.io.files import PATH
 
 SOURCE = 'source is {}: results or a path is expected'
+TAUS = np.geomspace(0.1, 1000.0, 30)
 PAIR = ([1.0, 2.0], [1.0, 0.7])
 
 CALLS = [
@@ -34,6 +35,9 @@ CALLS = [
     (lambda r: ar.fit('abc'), 'give these, or an AxisCurve'),
     (lambda r: ar.fit(PAIR, axis=[]), r'axis is \[\]: choose one of gyro_x'),
     (lambda r: ar.fit(PAIR, record='x'), "record is 'x': a number is expected"),
+    (lambda r: ar.fit((TAUS, TAUS), record=-1), 'a recording of -1 s has no average over 1000 s'),
+    (lambda r: ar.fit((TAUS, -TAUS)), 'the curve has 0 usable points: give at least 6'),
+    (lambda r: ar.analyze(np.ones(1), rate=1), 'no static data in 1 sample: it is too short'),
     (lambda r: ar.simulate('a'), "hours is 'a': a number is expected"),
     (lambda r: ar.simulate(0.01, None), 'rate is None: a number is expected'),
     (lambda r: ar.simulate(True), 'hours is True: a number is expected'),

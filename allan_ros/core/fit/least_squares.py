@@ -230,7 +230,12 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     >>> round(fit.noise['N'].value, 6), round(fit.noise['K'].value, 8)
     (0.001, 1e-06)
     """
-    tau, avar = _decimated(np.asarray(tau, float), np.asarray(adev, float) ** 2)
+    tau, avar = _decimated(np.asarray(tau, float), np.asarray(adev, float))
+    if record is not None and not 2.0 * tau[-1] <= record < math.inf:
+        raise AllanError(
+            f'a recording of {record:g} s has no average over {tau[-1]:g} s: give its length, '
+            'at least twice the longest averaging time'
+        )
     unit = float(tau[0]) / FINE
     m = np.round(tau / unit).astype(np.int64)
     seconds = record or DEFAULT_RECORD * float(tau[-1])
@@ -254,11 +259,11 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     return _curve_fit(table, found, Whitening.of(covariance), z, relative, unit)
 
 
-def _decimated(tau: Floats, avar: Floats) -> tuple[Floats, Floats]:
-    """Return at most `POINTS_PER_OCTAVE` valid points per octave, shortest first."""
-    good = np.isfinite(tau) & np.isfinite(avar) & (tau > 0.0) & (avar > 0.0)
+def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
+    """Return tau and variance of `POINTS_PER_OCTAVE` valid points at most, shortest first."""
+    good = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
     order = np.argsort(tau[good])
-    tau, avar = tau[good][order], avar[good][order]
+    tau, avar = tau[good][order], adev[good][order] ** 2
     if len(tau):
         bins = np.round(np.log2(tau / tau[0]) * POINTS_PER_OCTAVE)
         first = np.unique(bins, return_index=True)[1]

@@ -282,8 +282,8 @@ def recording_in_memory(
     """Return an ImuBatch, array, DataFrame or mapping of column name to array as a recording.
 
     Columns of a DataFrame are recognized by their names, as in a table file; its times are its
-    DatetimeIndex or a column such as ``t`` or ``time``. A rate in the options takes precedence;
-    units in the options apply to columns that do not name theirs. ``axes`` are as in
+    index of dates or durations, or a column such as ``t`` or ``time``. A rate in the options takes
+    precedence; units in the options apply to columns that do not name theirs. ``axes`` are as in
     `allan_ros.analyze`. Raises AllanError when the shape, a name, a unit or the rate is impossible,
     or a time is missing.
     """
@@ -318,7 +318,7 @@ def recording_in_memory(
         stamps = even_stamps(0, n, rate)
     elif found.stamp:
         stamps = np.sum([_stamps(columns[at], size) for at, size in found.stamp], axis=0)
-    elif index.dtype.kind == 'M':
+    elif index.dtype.kind in 'Mm':
         stamps = _stamps(index, 1)
     else:
         raise AllanError('the samples have no times: give the sample rate, such as rate=200')
@@ -349,7 +349,7 @@ def without_absent(findings: Sequence[Finding], axes: tuple[str, ...]) -> tuple[
 def _numbers(samples: Any) -> NDArray[np.float64]:
     """Return the samples as (n, k) float64."""
     try:
-        values = np.asarray(samples)
+        values = np.asarray(np.ma.filled(samples, np.nan) if np.ma.is_masked(samples) else samples)
         if values.dtype.kind == 'c':
             raise TypeError('complex values')
         values = np.asarray(values, float)
@@ -389,10 +389,10 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
 
 
 def _stamps(times: Any, scale: int) -> NDArray[np.int64]:
-    """Return times as int64 ns: dates, whole numbers or floats of ``scale`` ns."""
+    """Return times as int64 ns: dates, durations, whole numbers or floats of ``scale`` ns."""
     values = np.asarray(times)
-    if values.dtype.kind == 'M':
-        return values.astype('datetime64[ns]').astype(np.int64)
+    if values.dtype.kind in 'Mm':
+        return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)
     if values.dtype.kind in 'iu':
         return values.astype(np.int64) * scale
     values = _numbers(values)[:, 0]
