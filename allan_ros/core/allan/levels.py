@@ -43,8 +43,8 @@ WHITE_SLOPE = 0.25
 LEAST_DIFFERENCES = 200
 """Smallest number of differences of a part that is used."""
 
-EXCESS_PROBABILITY = 1e-3
-"""Probability above which the scatter between periods is explained by normal noise."""
+SCATTER_PROBABILITY = 1e-3
+"""Probability of the scatter between parts or periods above which it is that of normal noise."""
 
 
 @dataclass(frozen=True)
@@ -76,18 +76,20 @@ def _parts_of_each(recordings: Sequence[Recording]) -> int:
     return PARTS if len(recordings) == 1 else 1
 
 
-def level_excess(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
+def level_scatter(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
     """Return the standard deviation of ln N, (axes,), in excess of that of normal noise.
 
-    With heavy tails or bursts, the variances of single periods scatter more than chi-squared. This
-    increases the variance of the mean by the excess scatter over the number of periods. 0 if the
-    excess is not significant.
+    That of the parts `level_changes` compares, whether their differences matter or not. Heavy tails
+    or bursts also scatter the variances of single periods more than chi-squared; what they add to
+    the variance of the mean is their excess over the number of periods. Scatter that is not
+    significant counts as 0.
     """
-    out = np.zeros(axes)
-    for axis, found in _white_scatters(_white_levels(recordings, age, 0)).items():
-        if found.probability < EXCESS_PROBABILITY:
-            out[axis] = found.scatter / math.sqrt(found.parts)
-    return out
+    variance = np.zeros(axes)
+    for parts in (_parts_of_each(recordings), 0):
+        for axis, found in _white_scatters(_white_levels(recordings, age, parts)).items():
+            if found.probability < SCATTER_PROBABILITY:
+                variance[axis] += found.scatter**2 / (1 if parts else found.parts)
+    return np.sqrt(variance)
 
 
 WhiteLevel = tuple[int, Floats, Ints]

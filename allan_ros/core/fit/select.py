@@ -21,7 +21,7 @@ from .goodness import (
     misfit_of,
     misfit_without_deficit,
 )
-from .intervals import Score
+from .intervals import Score, standard_errors
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
 from .search import MOST, ProcessSearch
@@ -74,15 +74,28 @@ Z_CUT = 6.0
 """The shortest averages, which determine N, are left out only if the fit is worse than this or the
 samples are filtered. Real disturbances give values of hundreds."""
 
+CUT_LOSS = 4.0
+"""The shortest averages are not left out if N is then less certain than with a model error on the
+complete table by more than this factor."""
+
+IMITATES = 8.0
+"""Scale of a process over m_min below which it may imitate a filter."""
+
+IMITATION_LOSS = 2.0
+"""How much less certain N may be without such processes."""
+
+CUT_ERROR = 1.1
+"""Least relative error of N over sqrt(m_min/samples), q being free."""
+
 ROUNDS = 6
 """Largest number of rounds of search and covariance; shapes usually converge in two."""
 
 SAME_SHAPE = 0.05
 """Relative change of a shape that has no effect on the covariance."""
 
-FILTER_SHARE = 0.05
-"""If white noise is a smaller fraction of the long-term white level than this, a short Gauss-Markov
-process has replaced it: the samples are filtered."""
+FILTER_SHARES = ((1.5, 0.1), (32.0, 0.95))
+"""Correlation time in samples, and the part of the long-term white level from which Gauss-Markov
+processes of at most this time have taken the place of white noise: the samples are filtered."""
 
 Z_SLACK = 1.0
 """A model with processes may exceed the goodness of fit of an accepted model by this much."""
@@ -96,9 +109,6 @@ HOPELESS = 30.0
 CLEAR_OF_CUT = 2.0
 """If the shortest averages are left out, processes that peak above this many times the smallest
 factor are kept."""
-
-FILTER_LONGEST = 32.0
-"""Longest correlation time, in samples, of such a filter."""
 
 
 @dataclass(frozen=True)
@@ -254,14 +264,11 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
     tried = [] if _replaces_white(best) else [best]
     if selected.filtered:
         tried.append(_searched(pooled, axis, selected.fit))
-    if filtered or _z(best) > Z_CUT:
-        start = replace(selected.fit, options=replace(best.options, signed=True))
-        tried += _without_the_shortest(pooled, axis, start, tried)
-    good = [fit for fit in tried if _fits(fit) and not _replaces_white(fit)]
-    sure = [fit for fit in good if _z(fit) < Z_LOOK]
-    whole = [fit for fit in good if fit.options.m_min == 1]
+    good = [fit for fit in tried if _is_good(fit)]
+    if not good and (filtered or _z(best) > Z_CUT):
+        good, tried = _of_a_part(pooled, axis, selected.fit, tried or [best])
     if good:
-        best_fit = (whole or sure or good)[0]
+        best_fit = next((fit for fit in good if _z(fit) < Z_LOOK), good[0])
     else:
         best_fit = min(tried, key=lambda fit: (_replaces_white(fit), _z(fit)))
     best_fit = _bounded(pooled, axis, best_fit)
@@ -365,15 +372,16 @@ def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
 
 def _replaces_white(fit: PointFit) -> bool:
     """Return whether a short Gauss-Markov process represents filtered white noise."""
-    longest = FILTER_LONGEST * fit.options.m_min
-    powers = fit.power[len(RANDOM_TERMS) :]
-    short = sum(
-        float(p) * e.white()
-        for e, p in zip(fit.options.extras, powers)
-        if isinstance(e, GaussMarkovTerm) and e.shape < longest
-    )
     white = max(float(fit.power[N]), 0.0)
-    return short > 0.0 and white < FILTER_SHARE * (white + short)
+    levels = [
+        (e.shape / fit.options.m_min, float(p) * e.white())
+        for e, p in zip(fit.options.extras, fit.power[len(RANDOM_TERMS) :])
+        if isinstance(e, GaussMarkovTerm)
+    ]
+    return any(
+        (level := sum(p for t, p in levels if t < longest)) > share * (white + level)
+        for longest, share in FILTER_SHARES
+    )
 
 
 def _z(fit: PointFit) -> float:
@@ -382,30 +390,88 @@ def _z(fit: PointFit) -> float:
     return best_case_goodness(fit.table, fit.power).z if Z_FAIL <= z < Z_CUT else z
 
 
+def _of_a_part(
+    pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
+) -> tuple[list[PointFit], list[PointFit]]:
+    """Return the good fits without the shortest averages, best first, and those to use if none is.
+
+    With a small model error the complete table may determine N far better than a part of it.
+
+    Parameters
+    ----------
+    pooled : PooledTable
+    axis : int
+    fit : PointFit
+        Of the five terms.
+    tried : list of PointFit
+        Fits of the complete table, none of them good.
+    """
+    loose = {
+        _white_error(pooled, axis, each): each
+        for each in (_loosened(pooled, axis, t) for t in tried if not _replaces_white(t))
+    }
+    most = CUT_LOSS * min(loose, default=np.inf)
+    start = replace(fit, options=replace(tried[0].options, signed=True))
+    cuts = _without_the_shortest(pooled, axis, start, most)
+    good = {_white_error(pooled, axis, cut): cut for cut in cuts if _is_good(cut)}
+    most = min(most, IMITATION_LOSS * min(good, default=np.inf))
+    best_first = sorted((_imitations(cut), cut.options.m_min, e) for e, cut in good.items())
+    usable = [good[e] for _, _, e in best_first if e < most]
+    return usable, [loose[min(loose)]] if loose else [*tried, *cuts]
+
+
 def _without_the_shortest(
-    pooled: PooledTable, axis: int, start: PointFit, tried: list[PointFit]
+    pooled: PooledTable, axis: int, start: PointFit, most: float
 ) -> list[PointFit]:
     """Return fits with an increasing smallest factor, until one passes well.
 
-    A table that barely passes may still deviate at its short end. The result is None if a fit in
-    ``tried`` passes.
+    A table that just passes may still deviate at its short end. The relative error of N may be
+    ``most`` at the most.
     """
     out: list[PointFit] = []
-    if any(_fits(fit) and not _replaces_white(fit) for fit in tried):
-        return out
     for m_min in M_MIN:
         if np.count_nonzero(start.table.m >= m_min) <= 2 * len(RANDOM_TERMS):
             break
+        if CUT_ERROR * np.sqrt(m_min / pooled.sums.samples) > most:
+            break
         options = FitOptions(m_min=m_min, signed=True)
         fit = point_fit(pooled, axis, options, start.power[: len(RANDOM_TERMS)])
-        if not _fits(fit):
+        if not (_fits(fit) or any(_is_good(each) for each in out)):
             kept = tuple(e for e in start.options.extras if e.scale > CLEAR_OF_CUT * m_min)
             known = replace(fit, options=replace(options, extras=kept))
             fit = _searched(pooled, axis, _resized(known), HOPELESS)
         out.append(fit)
-        if _fits(fit) and _z(fit) < Z_LOOK and not _replaces_white(fit):
+        if _is_good(fit) and _z(fit) < Z_LOOK and not _imitations(fit):
             break
     return out
+
+
+def _imitations(fit: PointFit) -> int:
+    """Return the number of processes that may imitate a filter on the shortest averages."""
+    return sum(e.scale < IMITATES * fit.options.m_min for e in fit.options.extras)
+
+
+def _is_good(fit: PointFit) -> bool:
+    """Return whether a model describes its table without replacing white noise."""
+    return _fits(fit) and not _replaces_white(fit)
+
+
+def _loosened(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Return the fit with the fractional model error that makes it pass."""
+    misfit = misfit_of(fit.table, fit.power, fit.options.signed)
+    return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.power)
+
+
+def _white_error(pooled: PooledTable, axis: int, fit: PointFit) -> float:
+    """Return the standard error of N over N, model error and uncertain shapes included."""
+    options = fit.options
+    table = options.table(pooled, axis, options.noise(fit.power), tangents=True)
+    power = np.concatenate([fit.power, np.zeros(table.terms.shape[1] - len(fit.power))])
+    if not power[N] > 0.0:
+        return np.inf
+    active = (power != 0.0) | (np.arange(len(power)) >= len(fit.power))
+    white = Whitening.of(weights_at(table, power, options.misfit)).apply(table.terms[:, active])
+    return float(standard_errors(white)[np.count_nonzero(active[:N])] / power[N] / 2.0)
 
 
 def _resized(fit: PointFit) -> PointFit:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..allan.history import Recording
-from ..allan.levels import drift_scatter, level_changes, level_excess
+from ..allan.levels import drift_scatter, level_changes, level_scatter
 from ..allan.parts import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
@@ -147,7 +147,7 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
-    for i, scatter in enumerate(level_excess(recordings, len(sums.axes), age).tolist()):
+    for i, scatter in enumerate(level_scatter(recordings, len(sums.axes), age).tolist()):
         model = _widened(model, sums.axes[i], 'N', scatter)
     for i, change in level_changes(recordings, age).items():
         axis = sums.axes[i]
@@ -156,7 +156,6 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
             values, unit = _shown(axis, 'N', *(n.value * r for r in (change.low, change.high, 1.0)))
             numbers = dict(zip(('low', 'high', 'value'), values))
             found.append(finding('level_changes', (axis,), which=which, unit=unit, **numbers))
-        model = _widened(model, axis, 'N', change.scatter)
     tested = _tested(sums, len(recordings))
     drift = dict(zip(sums.axes, drift_scatter(tested, _sensors(sums), age).tolist()))
     for axis, scatter in drift.items():

@@ -6,7 +6,7 @@ import numpy as np
 from support.drift import AXES, DEG_H, NOISE, SENSORS, sums_of_noise
 
 from allan_ros.core.allan.engine import RunningAllan
-from allan_ros.core.allan.levels import drift_scatter, level_changes, level_excess
+from allan_ros.core.allan.levels import drift_scatter, level_changes, level_scatter
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import NoiseTerms
@@ -106,7 +106,7 @@ def test_heavy_tails_widen_the_interval_of_n():
         engine = RunningAllan(axes=AXES)
         engine.update(y, 0, (len(y) - 1) * 10**9)
         sums = engine.sums
-        assert np.all(level_excess(sums.history.recordings, 3) > 0.0)
+        assert np.all(level_scatter(sums.history.recordings, 3) > 0.0)
         for axis in fit_stationary(sums)[1].axes.values():
             low, high = axis.noise['N'].ci95
             covered += low <= 1.0 <= high
@@ -117,4 +117,16 @@ def test_normal_noise_has_no_excess():
     """0.1 % of axes fail by design: chance of one in 6 below 1 %; seeds fixed."""
     for seed in range(2):
         recordings = sums_of_noise(NOISE, 30 + seed, 100_000).history.recordings
-        assert not level_excess(recordings, 3).any()
+        assert not level_scatter(recordings, 3).any()
+
+
+def test_small_but_certain_changes_widen_without_a_finding():
+    """1.6 % between the first and the last half: over 20 standard deviations."""
+    rng = np.random.default_rng(8)
+    y = rng.normal(size=(400_000, 1))
+    y[200_000:] *= 1.016
+    engine = RunningAllan(axes=AXES[:1])
+    engine.update(y, 0, (len(y) - 1) * 10**9)
+    recordings = engine.sums.history.recordings
+    assert not level_changes(recordings)
+    assert 0.006 < level_scatter(recordings, 1)[0] < 0.012
