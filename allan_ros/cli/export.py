@@ -24,7 +24,7 @@ from ..core.errors import AllanError
 from ..core.imu import SI_UNITS, UNITS, sensor_of
 from ..io.datasheets import Datasheet, Limit, Source, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
-from ..io.files import MAX_BYTES, read_bounded
+from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
     results = load(file_in(args.results, RESULTS))
-    existing = _text(args.merge_into) if args.merge_into else None
+    existing = read_text(args.merge_into, MAX_BYTES) if args.merge_into else None
     made = make_export(results, args.to, options, existing)
     where = args.output or args.merge_into
     path = Path(where) if where else None
@@ -68,16 +68,6 @@ def run(args: argparse.Namespace) -> int:
     for finding in made.findings:
         console.say(str(finding))
     return 0
-
-
-def _text(path: str) -> str:
-    """Return the text of a user's file with unchanged line ends."""
-    try:
-        return read_bounded(path, MAX_BYTES).decode('utf-8')
-    except OSError as error:
-        raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
-    except UnicodeDecodeError:
-        raise AllanError(f'{path}: is not UTF-8 text: give the YAML or JSON file itself') from None
 
 
 GAP = 2

@@ -64,6 +64,17 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
     return data
 
 
+def read_text(path: str | os.PathLike[str], limit: int) -> str:
+    """Return the text of a regular UTF-8 file of at most ``limit`` bytes, line ends unchanged."""
+    try:
+        return read_bounded(path, limit).decode('utf-8')
+    except OSError as error:
+        why = str(error.strerror).lower()
+    except UnicodeDecodeError as error:
+        why = f'it is not UTF-8 text: {error.reason} at byte {error.start}'
+    raise AllanError(f'{os.fspath(path)}: cannot be read ({why}): check the path')
+
+
 def _not_regular(path: str | os.PathLike[str]) -> AllanError:
     return AllanError(
         f'{os.fspath(path)}: is a folder, FIFO, device or socket: give a regular file'
@@ -187,16 +198,7 @@ def parse_json(text: str, where: str) -> object:
 
 def read_json(path: str | os.PathLike[str]) -> object:
     """Return the value of a JSON file."""
-    path = Path(path)
-    try:
-        text = read_bounded(path, MAX_BYTES).decode('utf-8')
-    except FileNotFoundError:
-        raise AllanError(f'{path}: no such file: check the path') from None
-    except OSError as error:
-        raise AllanError(f'{path}: cannot be read ({error.strerror})') from error
-    except ValueError as error:
-        raise AllanError(f'{path}: is not JSON ({error}): create the file again') from None
-    return parse_json(text, str(path))
+    return parse_json(read_text(path, MAX_BYTES), str(path))
 
 
 def _refuse(name: str) -> object:
@@ -256,10 +258,8 @@ similar, and smallest similarity."""
 def read_yaml(path: Path) -> Any:
     """Return the content of a small YAML (or JSON) file."""
     try:
-        return parse_yaml(read_bounded(path, MAX_YAML_BYTES).decode('utf-8'))
-    except OSError as error:
-        raise AllanError(f'{path}: cannot be read ({error.strerror}): check the path') from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        return parse_yaml(read_text(path, MAX_YAML_BYTES))
+    except yaml.YAMLError as error:
         where = ' '.join(str(error).split())
         raise AllanError(f'{path}: is not YAML ({where[:120]}): correct it there') from error
 

@@ -13,7 +13,6 @@ The truth file of a simulated recording contains such a mapping, in SI, under th
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
@@ -34,7 +33,7 @@ from ..core.imu import AXES, DEGREE, SENSORS, SI_UNITS, from_datasheet, sensor_o
 from ..core.noise import NoiseTerms
 from ..core.simulate import PRESETS, Faults
 from .datasheets import load_sensor
-from .files import config_file, read_bounded, read_yaml, write_atomic
+from .files import config_file, read_text, read_yaml, to_json, write_atomic
 
 TRUTH_SCHEMA, FILTER_SCHEMA = 'allan_ros/truth/1', 'allan_ros/filter/1'
 
@@ -165,7 +164,7 @@ def write_truth(
         },
     }
     path = truth_path(recording)
-    write_atomic(path, json.dumps(document, indent=1) + '\n')
+    write_atomic(path, to_json(document))
     return path
 
 
@@ -213,7 +212,7 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
     axes (others are ignored), and gyros are in rad/s unless ``gyro_unit`` is 'deg/s'. Without a
     header, there are six axes in the order of `OTHER_TOOL`, and gyros are in deg/s by default.
     """
-    rows = [_cells(line) for line in _text(path).splitlines() if line.strip()]
+    rows = [_cells(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()]
     names = ['tau', *OTHER_TOOL]
     has_header = bool(rows) and not _is_number(rows[0][0])
     if has_header:
@@ -239,7 +238,7 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
 
 def read_published(path: str | Path) -> dict[tuple[str, str], float]:
     """Return the values of a Kalibr file by (sensor, term), in SI."""
-    text, found = _text(path), {}
+    text, found = read_text(path, LARGEST_FILE), {}
     for key, of in PUBLISHED.items():
         match = re.search(rf'^\s*{key}\s*:\s*([-+.\deE]+)', text, re.MULTILINE)
         if match and _is_number(match[1]):
@@ -279,13 +278,6 @@ def doubts(
                 'than the curve shows.'
             )
     return out
-
-
-def _text(path: str | Path) -> str:
-    try:
-        return read_bounded(path, LARGEST_FILE).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise AllanError(f'{path}: cannot be read ({error}): check the path') from None
 
 
 def _cells(line: str) -> list[str]:
