@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ... import __version__
 from ...core.errors import AllanError, one_line
@@ -75,9 +75,11 @@ class SensorProcess(NamedTuple):
         return tuple(sigma * math.sqrt(2.0 / tau) for sigma, tau in zip(self.sigma, self.tau))
 
 
-def rounded(value: float) -> float:
-    """Return the value with the digits that are written."""
-    return float(f'{value:.{DIGITS}g}')
+def rounded(value: Any, digits: int = DIGITS) -> Any:
+    """Return a number, or all numbers of nested lists, with the digits that are written."""
+    if isinstance(value, (list, tuple)):
+        return [rounded(each, digits) for each in value]
+    return float(f'{value:.{digits}g}')
 
 
 class FilterNoise:
@@ -165,16 +167,15 @@ class FilterNoise:
             words = f'[{row.unit}]{equals}: {bias.words}'
             sigmas = bias.driving if equals else bias.sigma
             values = tuple(sigma / UNITS[row.unit].factor for sigma in sigmas)
-        written = [rounded(value) for value in values]
+        value = rounded(values if self.target.three else values[0])
         levels = () if row.what == 'tau' else bias.levels
-        value = written if self.target.three else written[0]
         return Entry(path, value, words, levels, findings=bias.findings)
 
     def entry(
         self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
     ) -> Entry:
         """Return the entry of a level, with its formula, unit and axes as text."""
-        values = [rounded(convert(value, self.rate)) for value in level.values]
+        values = rounded([convert(value, self.rate) for value in level.values])
         equals = f' = {formula}' if formula else ''
         words = f'[{unit}]{equals}: {"; ".join(map(level_words, level.levels))}'
         return Entry(path, values if self.target.three else values[0], words, level.levels)

@@ -17,9 +17,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...core.filters.noise_parameters import Level, reduce_axis
 from ...core.filters.reductions import STATES, Horizons, Reduction, StateSpace
 from ...core.imu import SI_UNITS, UNITS, sensor_of
@@ -68,51 +65,49 @@ def _axis(noise: FilterNoise, axis: str, space: StateSpace, limits: list[str]) -
     processes = [f'gauss_markov {i}' for i in range(len(space.gauss_markov))]
     step = 1.0 / noise.rate
     reductions = [
-        _reduction(reduce_axis(axis, result.fit, states, Horizons.up_to(horizon)).reduction)
+        reduce_axis(axis, result.fit, states, Horizons.up_to(horizon)).reduction
         for horizon in dict.fromkeys((VIO_HORIZON_S, INS_HORIZON_S, noise.horizons.high))
         for states in STATES
     ]
     return {
         'unit': SI_UNITS[sensor_of(axis)]['B'],
-        'white': space.white,
-        'walk': space.walk,
-        'gauss_markov': [{'sigma': sigma, 'tau': tau} for sigma, tau in space.gauss_markov],
+        **_levels(space),
         'ramp': rounded(result.fit.selected.terms.R),
         'limits': limits,
         'discrete': {
             'states': ['integral', 'walk', *processes],
             'step': step,
-            'Phi': _matrix(space.transition(step)),
-            'Qd': _matrix(space.noise(step)),
+            'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
+            'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),
             'R': rounded(space.sample_variance(noise.rate)),
         },
-        'reductions': reductions,
+        'reductions': [
+            {
+                'states': one.states,
+                'horizon': list(one.horizons),
+                **_levels(one),
+                'ratio': rounded(one.ratio),
+            }
+            for one in reductions
+        ],
         'growth': [
             {
                 'horizon': one.horizon,
                 'window': one.window,
                 'std': rounded(one.std),
-                'ci95': one.ci95 and [rounded(end) for end in one.ci95],
+                'ci95': one.ci95 and rounded(one.ci95),
             }
             for one in result.growth
         ],
     }
 
 
-def _matrix(values: NDArray[np.float64]) -> list[list[float]]:
-    return [[float(f'{value:.{MATRIX_DIGITS}g}') for value in row] for row in values]
-
-
-def _reduction(one: Reduction) -> dict[str, Any]:
+def _levels(of: Reduction | StateSpace) -> dict[str, Any]:
+    pairs = rounded(of.gauss_markov)
     return {
-        'states': one.states,
-        'horizon': list(one.horizons),
-        'white': rounded(one.white),
-        'walk': rounded(one.walk),
-        'gauss_markov': [
-            {'sigma': rounded(sigma), 'tau': rounded(tau)} for sigma, tau in one.gauss_markov
-        ],
-        'ratio': [rounded(ratio) for ratio in one.ratio],
+        'white': rounded(of.white),
+        'walk': rounded(of.walk),
+        'gauss_markov': [{'sigma': sigma, 'tau': tau} for sigma, tau in pairs],
     }
 
 
@@ -122,7 +117,7 @@ def _module(noise: FilterNoise) -> Iterator[Entry]:
         axis: {
             'white': space.white,
             'walk': space.walk,
-            'gauss_markov': [list(pair) for pair in space.gauss_markov],
+            'gauss_markov': rounded(space.gauss_markov),
         }
         for axis, space, _ in spaces
     }
