@@ -95,26 +95,22 @@ class Comparison:
 def compare_with_limits(
     reference: str,
     limits: Mapping[str, Mapping[str, float]],
-    axis: str,
-    noise: Mapping[str, Coefficient],
+    noise: Mapping[str, Mapping[str, Coefficient]],
     margin: float,
 ) -> tuple[Comparison, ...]:
-    """Return a comparison for each term of an axis that has a limit (axis -> term -> SI value).
+    """Return a comparison for each coefficient that has a limit (both axis -> term, in SI).
 
     A complete 95 % interval must lie above the limit by the fraction ``margin`` to be beyond it.
     """
-    return tuple(
-        Comparison(
-            reference,
-            axis,
-            term,
-            limit,
-            verdict(noise[term], limit, margin),
-            (noise[term].ci95 or (noise[term].value or 0.0,))[0] / limit if limit > 0.0 else 0.0,
-        )
-        for term, limit in ((t, limits.get(axis, {}).get(t)) for t in TERMS)
-        if limit is not None
-    )
+    found = []
+    for axis, terms in noise.items():
+        for term, limit in ((t, limits.get(axis, {}).get(t)) for t in TERMS):
+            if limit is not None:
+                low = (terms[term].ci95 or (terms[term].value or 0.0,))[0]
+                at_least = low / limit if limit > 0.0 else 0.0
+                judged = verdict(terms[term], limit, margin)
+                found.append(Comparison(reference, axis, term, limit, judged, at_least))
+    return tuple(found)
 
 
 def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
@@ -231,16 +227,29 @@ def _of_curves(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Diffe
     which both have `MIN_EDF` degrees of freedom; deviations between two points of a curve are
     interpolated.
     """
-    a, b = (_Interpolated(curve) for curve in (first, second))
-    shortest, longest = max(a.shortest, b.shortest), min(a.longest, b.longest)
-    tau = shortest
+    points = _points(first), _points(second)
+    if not all(len(one) for one in points):
+        return
+    tau = math.exp(max(one[0, 0] for one in points))
+    longest = math.exp(min(one[-1, 0] for one in points))
     while tau <= longest * (1.0 + 1e-9):
-        (da, va), (db, vb) = a.at(tau), b.at(tau)
+        (da, va), (db, vb) = (
+            tuple(math.exp(np.interp(math.log(tau), one[:, 0], one[:, i])) for i in (1, 2))
+            for one in points
+        )
         f = (db / da) ** 2
         low, high = (math.sqrt(f / fdtri(vb, va, q)) for q in (0.975, 0.025))
         p = min(2.0 * float(min(fdtr(vb, va, f), fdtrc(vb, va, f))), 1.0)
         yield Difference(axis, 'adev', tau, da, db / da, (low, high), p)
         tau *= TAU_RATIO
+
+
+def _points(curve: AxisCurve) -> Floats:
+    """Return the logarithms of tau, deviation and degrees of freedom, (points, 3)."""
+    with np.errstate(invalid='ignore', divide='ignore'):
+        edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
+        known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)
+    return np.log(np.stack([curve.tau, curve.adev, edf], axis=1)[known])
 
 
 def _settled(found: Sequence[Difference], family_error: float) -> list[Difference]:
@@ -339,25 +348,6 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
     z = float(wrightomega(right)) / (2.0 * scale)
     # Below the quantile of the limit itself, the change of the limit is unknown.
     return min(4.0 * float(ndtr(-z)), 1.0) if z >= Z_95 else 1.0
-
-
-class _Interpolated:
-    """Deviation and degrees of freedom of a curve, interpolated linearly in logarithms."""
-
-    def __init__(self, curve: AxisCurve) -> None:
-        with np.errstate(invalid='ignore', divide='ignore'):
-            edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
-            known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)
-        self._tau = np.log(curve.tau[known])
-        self._adev = np.log(curve.adev[known])
-        self._edf = np.log(edf[known])
-        some = len(self._tau) > 0
-        self.shortest = math.exp(self._tau[0]) if some else math.inf
-        self.longest = math.exp(self._tau[-1]) if some else 0.0
-
-    def at(self, tau: float) -> tuple[float, float]:
-        x = math.log(tau)
-        return tuple(math.exp(np.interp(x, self._tau, y)) for y in (self._adev, self._edf))  # type: ignore[return-value]
 
 
 def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:

@@ -164,12 +164,8 @@ def against_datasheet(
     noise: Mapping[str, Mapping[str, Coefficient]], datasheet: Datasheet, margin: float
 ) -> DatasheetComparison:
     """Return the comparison of axis -> term -> Coefficient with a datasheet."""
-    limits = datasheet.values()
-    found = (
-        compare_with_limits(datasheet.name, limits, axis, terms, margin)
-        for axis, terms in noise.items()
-    )
-    return DatasheetComparison(datasheet, margin, tuple(c for of_axis in found for c in of_axis))
+    found = compare_with_limits(datasheet.name, datasheet.values(), noise, margin)
+    return DatasheetComparison(datasheet, margin, found)
 
 
 def check_margin(margin: float) -> None:
@@ -177,17 +173,6 @@ def check_margin(margin: float) -> None:
     expect(Real, margin=margin)
     if not margin >= 0.0:
         raise AllanError(f'margin is {margin:g}: give 0 or more')
-
-
-def datasheet_findings(
-    noise: Mapping[str, Mapping[str, Coefficient]], comparison: DatasheetComparison
-) -> tuple[Finding, ...]:
-    """Return a finding for each coefficient that is beyond its limit."""
-    return tuple(
-        beyond_limit(c, noise[c.axis][c.term], comparison.margin, (c.axis,))
-        for c in comparison.comparisons
-        if c.verdict == 'beyond'
-    )
 
 
 def beyond_limit(

@@ -27,8 +27,8 @@ from .datasheets import (
     Datasheet,
     DatasheetComparison,
     against_datasheet,
+    beyond_limit,
     check_margin,
-    datasheet_findings,
     load_sensor,
 )
 from .exporters import ExportOptions, make_export, target_of
@@ -327,10 +327,12 @@ class Results:
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
         """Return a copy with the comparison with a datasheet, and a finding for each excess."""
         comparison = against_datasheet(self.noise, datasheet, margin)
-        judged = replace(self, datasheet=comparison, margin=margin)
-        assert judged.datasheet is not None
-        found = datasheet_findings(self.noise, judged.datasheet)
-        return replace(judged, findings=(*self.findings, *found))
+        found = (
+            beyond_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
+            for c in comparison.comparisons
+            if c.verdict == 'beyond'
+        )
+        return replace(self, datasheet=comparison, margin=margin, findings=(*self.findings, *found))
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:

@@ -33,8 +33,8 @@ def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expecte
 def test_only_what_has_a_limit_is_compared():
     noise = {term: Coefficient(1.0, (0.9, 1.1)) for term in TERMS}
     limits = {'gyro_x': {'N': 0.5, 'B': 2.0}}
-    found = compare_with_limits('sheet', limits, 'gyro_x', noise, 0.2)
+    found = compare_with_limits('sheet', limits, {'gyro_x': noise}, 0.2)
     assert [(c.term, c.verdict, c.at_least) for c in found] == [
         ('N', 'beyond', 1.8), ('B', 'within', 0.45),
     ]  # fmt: skip
-    assert compare_with_limits('sheet', limits, 'accel_x', noise, 0.2) == ()
+    assert compare_with_limits('sheet', limits, {'accel_x': noise}, 0.2) == ()

@@ -25,11 +25,7 @@ def against_itself(results: Results, factor: float) -> list[Comparison]:
         axis: {t: factor * (terms[t].ci95 or (0.0, terms[t].upper95))[1] for t in 'NB'}
         for axis, terms in results.noise.items()
     }
-    return [
-        c
-        for axis, terms in results.noise.items()
-        for c in compare_with_limits('May', limits, axis, terms, 0.0)
-    ]
+    return list(compare_with_limits('May', limits, results.noise, 0.0))
 
 
 def calm(results: Results) -> Results:
