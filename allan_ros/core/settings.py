@@ -123,57 +123,50 @@ class CheckedSettings:
 class SegmenterSettings(CheckedSettings):
     """How a stream is split into segments of data at rest."""
 
-    stamps: str = parameter(
+    stamps: str = fixed_parameter(
         'header',
         'Times of the samples: header stamps (record times if these are all equal or zero), or '
         'record times.',
         choices=('header', 'record'),
-        read_only=True,
     )
-    declared_rate: float = parameter(
+    declared_rate: float = fixed_parameter(
         0.0,
         'Expected sample rate, which is only compared with the stamps; 0: no check.',
-        unit='Hz',
-        low=0.0,
-        high=1e6,
-        read_only=True,
+        'Hz',
+        0.0,
+        1e6,
     )
-    max_bridge: int = parameter(
+    max_bridge: int = fixed_parameter(
         3,
         'Most consecutive lost samples that are interpolated; a longer gap splits the data.',
-        unit='samples',
-        low=0,
-        high=100,
-        read_only=True,
+        'samples',
+        0,
+        100,
     )
-    motion_gate: bool = parameter(
+    motion_gate: bool = fixed_parameter(
         True,
         'Use only data at rest. Switch it off if the IMU is known to be at rest.',
-        read_only=True,
         off='use all data; for an IMU that is known to be at rest',
     )
-    motion_ratio: float = parameter(
+    motion_ratio: float = fixed_parameter(
         3.0,
         'Standard deviation, in units of the noise floor, above which a window counts as motion.',
         low=1.5,
         high=100.0,
-        read_only=True,
     )
-    rate_limit: float = parameter(
+    rate_limit: float = fixed_parameter(
         0.0087,
         'Change of the mean angular rate that counts as turning (0.5 deg/s).',
-        unit='rad/s',
-        low=1e-5,
-        high=10.0,
-        read_only=True,
+        'rad/s',
+        1e-5,
+        10.0,
     )
-    skip: float = parameter(
+    skip: float = fixed_parameter(
         AUTO,
         'Time excluded at the start while the IMU warms up. auto (-1) detects the end of the '
         'warm-up; 0 uses all data.',
-        unit='s',
-        low=AUTO,
-        high=1e6,
-        read_only=True,
+        's',
+        AUTO,
+        1e6,
         auto=True,
     )

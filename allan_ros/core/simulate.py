@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import AllanError
 from .imu import AXES, SENSORS, STANDARD_GRAVITY, ImuBatch
 from .noise import NoiseTerms
-from .settings import check, parameter
+from .settings import CheckedSettings, parameter
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ _periods = partial(parameter, (), unit='s')
 
 
 @dataclass(frozen=True)
-class Faults:
+class Faults(CheckedSettings):
     """Faults of a simulated IMU; none by default.
 
     Raises
@@ -109,7 +109,7 @@ class Faults:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         for name in ('motion', 'gaps'):
             for start, length in getattr(self, name):
                 if not (start >= 0.0 and length > 0.0):
