@@ -36,22 +36,26 @@ MAX_ITEMS = 1_000_000
 
 _REQUIRED = object()
 
+NO_NAMES: Mapping[str, str] = {}
+"""Field of a record -> its key, for a document that uses the names of the fields."""
 
-def plain(value: Any) -> Any:
+
+def plain(value: Any, names: Mapping[str, str] = NO_NAMES) -> Any:
     """Return dataclasses, named tuples, mappings, sequences and arrays as JSON values.
 
-    Numbers that are not finite become None.
+    Numbers that are not finite become None. ``names`` has the keys of fields that have another
+    name.
     """
     if dataclasses.is_dataclass(value):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
     if hasattr(value, '_asdict'):
         value = value._asdict()
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {names.get(key, key): plain(item, names) for key, item in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [plain(item, names) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -67,14 +71,21 @@ def located(where: str) -> Iterator[None]:
 class Fields:
     """The fields of one JSON object; every getter raises `AllanError` naming the place.
 
-    Numbers of a `record` are 0 or above, except under the keys ``signed``.
+    Numbers of a `record` are 0 or above, except under the keys ``signed``. ``names`` has the keys
+    of its fields that have another name.
     """
 
-    def __init__(self, document: object, where: str, signed: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        document: object,
+        where: str,
+        signed: Collection[str] = (),
+        names: Mapping[str, str] = NO_NAMES,
+    ) -> None:
         if not isinstance(document, dict):
             raise AllanError(f'{where}: a JSON object is expected, not {_shown(document)}')
         self._document: dict[str, Any] = document
-        self._signed = signed
+        self._of_records = signed, names
         self.where = where
 
     def __iter__(self) -> Iterator[str]:
@@ -177,14 +188,14 @@ class Fields:
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:
-        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', self._signed)
+        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', *self._of_records)
 
     def optional_fields(self, key: str) -> Fields | None:
         return None if self._document.get(key) is None else self.fields(key)
 
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
         for i, item in enumerate(self.sequence(key, most)):
-            yield Fields(item, f'{self.where}.{key}[{i}]', self._signed)
+            yield Fields(item, f'{self.where}.{key}[{i}]', *self._of_records)
 
     def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are keys of this object.
@@ -192,9 +203,10 @@ class Fields:
         Those in ``known`` have the given values and are not read; see `of` for the others.
         """
         defaults = getattr(kind, '_field_defaults', vars(kind))
-        for key, hint in _hints(kind).items():  # type: ignore[arg-type]
-            if key not in known and (key in self or key not in defaults):
-                known[key] = self.of(key, hint)
+        for name, hint in _hints(kind).items():  # type: ignore[arg-type]
+            key = name if name in self else self._of_records[1].get(name, name)
+            if name not in known and (key in self or name not in defaults):
+                known[name] = self.of(key, hint)
         return kind(**known)
 
     def of(self, key: str, hint: Any) -> Any:
@@ -203,7 +215,7 @@ class Fields:
         Or a dataclass or named tuple, a tuple of texts or of those, or any of these or None.
         """
         origin, args = get_origin(hint), get_args(hint)
-        least = -MAX_FLOAT if key in self._signed else 0.0
+        least = -MAX_FLOAT if key in self._of_records[0] else 0.0
         if type(None) in args:
             return None if self._document.get(key) is None else self.of(key, args[0])
         if origin is Literal:

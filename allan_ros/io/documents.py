@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The JSON documents: `results.json` (``allan_ros/results/1``) and `sums.json`.
 
-Unknown values are null, never NaN. Reading is strict: a missing field, a wrong type or another
-version raises an error that names the position.
+Unknown values are null, never NaN. Reading is strict: another version, a wrong type, or a missing
+field without a default is an error that names the place.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from ..core.errors import AllanError
 from ..core.fields import Fields, plain
 from ..core.findings import Finding
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
-from ..core.fit.reading import Region
 from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
@@ -57,6 +56,9 @@ LISTED_SEGMENTS = 1000
 SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean')
 """Keys whose numbers may be negative."""
 
+NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
+"""Field -> its key, where they differ."""
+
 
 def results_to_document(
     results: Results, curves: bool = True, units: str = 'datasheet'
@@ -86,7 +88,7 @@ def results_to_document(
 
 def results_from_document(document: object, where: str = 'results') -> Results:
     """Return the results of a document of `results_to_document`."""
-    fields = Fields(document, where, SIGNED)
+    fields = Fields(document, where, SIGNED, NAMES)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
     stated = fields.fields('axes')
@@ -123,7 +125,7 @@ def sums_file_from_document(
     document: object, where: str = 'sums'
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
     """Return the sums and provenance of a document of `sums_file_to_document`."""
-    fields = Fields(document, where, SIGNED)
+    fields = Fields(document, where, SIGNED, NAMES)
     fields.schema(SUMS_SCHEMA)
     return (
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
@@ -277,7 +279,7 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'position_growth': plain(axis.position_growth),
         'gauss_markov': plain(fit.gauss_markov),
         'sinusoid': plain(fit.sinusoid),
-        'processes': _processes_to_document(fit.processes),
+        'processes': plain(fit.processes, NAMES),
         'deviation': plain(fit.deviation),
         'reading': plain(axis.regions),
     }
@@ -300,24 +302,8 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         tau0=_period_from_document(fields),
         fit=fit,
         curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
-        regions=fields.of('reading', tuple[Region, ...]),
         name=name,
     )
-
-
-def _processes_to_document(processes: Processes) -> dict[str, Any]:
-    return {
-        'gauss_markov': [
-            {
-                'sigma': p.sigma,
-                'sigma_ci95': p.sigma_ci95,
-                'tau': p.correlation_time,
-                'tau_ci95': p.correlation_time_ci95,
-            }
-            for p in processes.gauss_markov
-        ],
-        'sinusoid': plain(processes.sinusoid),
-    }
 
 
 def _processes_from_document(fields: Fields) -> Processes:
@@ -326,18 +312,8 @@ def _processes_from_document(fields: Fields) -> Processes:
         process = fields.of('gauss_markov', GaussMarkov | None)
         line = fields.of('sinusoid', Sinusoid | None)
         return Processes(() if process is None else (process,), () if line is None else (line,))
-    processes = fields.fields('processes')
-    return Processes(
-        tuple(
-            p.record(
-                GaussMarkov,
-                correlation_time=p.number('tau', least=0.0),
-                correlation_time_ci95=p.interval('tau_ci95'),
-            )
-            for p in processes.each('gauss_markov')
-        ),
-        processes.of('sinusoid', tuple[Sinusoid, ...]),
-    )
+    processes: Processes = fields.fields('processes').record(Processes)
+    return processes
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:

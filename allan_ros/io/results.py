@@ -329,7 +329,7 @@ class Results:
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
             beyond_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
-            for c in comparison.comparisons
+            for c in self._judged(comparison.comparisons)
             if c.verdict == 'beyond'
         )
         return replace(self, datasheet=comparison, margin=margin, findings=(*self.findings, *found))
