@@ -26,8 +26,8 @@ from ..io.format import (
     text_in_units,
     value_text,
 )
-from ..io.results import Results, headline
-from ..io.verdict import CHANGES_NUMBERS, WORDS, Level, Verdict, finding_text, too_short
+from ..io.results import Results
+from ..io.verdict import CHANGES_NUMBERS, WORDS, Level, Verdict, finding_text, headline, too_short
 from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
 
 LEVEL_COLOURS: dict[Level, str] = {

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from ..core.allan.curve import allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
-from ..core.findings import Finding, duration_text, finding
+from ..core.findings import Finding, finding
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
@@ -33,9 +32,9 @@ from .datasheets import (
 )
 from .exporters import ExportOptions, make_export, target_of
 from .files import PATH, write_atomic
-from .format import interval_text, pretty_unit, shown_unit, value_text
+from .format import shown_unit
 from .recorded import Provenance, RecordingSums
-from .verdict import TOO_SHORT_S, WORDS, Verdict, verdict_of
+from .verdict import TOO_SHORT_S, Verdict, html_summary, summary_lines, verdict_of
 
 
 @dataclass(frozen=True)
@@ -166,10 +165,10 @@ class Results:
         return axis in self.axes
 
     def __repr__(self) -> str:
-        return '\n'.join(_summary_lines(self))
+        return '\n'.join(summary_lines(self))
 
     def _repr_html_(self) -> str:
-        return _html(self)
+        return html_summary(self)
 
     def table(self, units: str = 'datasheet') -> Any:
         """Return all coefficients, one row each.
@@ -383,71 +382,6 @@ def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str 
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
-IN_SUMMARY = ('N', 'B', 'K')
-"""Terms of the text summary, which filters use."""
-
-REPORTED_LEFT_OUT = 0.01
-"""Smallest fraction of unused samples that the headline reports."""
-
-
-def used_samples(results: Results) -> str:
-    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
-    used, received = results.samples, results.provenance.counts.received
-    of = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
-    return f'{used:,}{of} samples'
-
-
-def headline(results: Results) -> str:
-    """Return one line: the IMU, the number of samples, and the time at rest."""
-    name = results.identity.label or 'IMU'
-    return (
-        f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '
-        f'{duration_text(results.duration_s, 3)} of static data in {results.segments:,} '
-        f'segment{"" if results.segments == 1 else "s"}, fitted by {results.method}'
-    )
-
-
-def _summary_lines(results: Results) -> Iterator[str]:
-    """Yield a headline, N, B and K of each axis, and the warnings."""
-    yield headline(results)
-    for name, axis in results.axes.items():
-        cells = []
-        for term in IN_SUMMARY:
-            unit = shown_unit(name, term, 'datasheet')
-            cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
-        yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
-    for each in _pressing(results):
-        yield f'  {each.severity}: {each}'
-
-
-def _html(results: Results) -> str:
-    """Return the coefficients as an HTML table, with the verdict and the warnings."""
-    head = ''.join(f'<th>{term}</th>' for term in TERMS)
-    rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
-    notes = ''.join(
-        f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
-        for each in _pressing(results)
-    )
-    verdict = results.verdict
-    return (
-        f'<div><p><b>{WORDS[verdict.level]}.</b> {escape(verdict.summary)}</p>'
-        f'<p>{escape(headline(results))}</p>'
-        f'<table><thead><tr><th>axis</th>{head}</tr></thead><tbody>{rows}</tbody></table>'
-        f'{f"<ul>{notes}</ul>" if notes else ""}</div>'
-    )
-
-
-def _html_row(name: str, axis: AxisResult) -> str:
-    cells = ''
-    for term in TERMS:
-        unit = shown_unit(name, term, 'datasheet')
-        interval = interval_text(axis.fit.noise[term], unit)
-        value = f'{value_text(axis.fit.noise[term], unit)} {pretty_unit(unit.name)}'
-        small = f'<br><small>{escape(interval)}</small>' if interval else ''
-        cells += f'<td>{escape(value)}{small}</td>'
-    return f'<tr><th>{escape(name)}</th>{cells}</tr>'
-
-
 def _table_row(axis: AxisResult, term: str, units: str) -> dict[str, Any]:
     unit = shown_unit(axis.name, term, units).name
     quantity = axis.quantity(term).to(unit)
@@ -461,7 +395,3 @@ def _table_row(axis: AxisResult, term: str, units: str) -> dict[str, Any]:
         'upper95': quantity.upper95,
         'unit': unit,
     }
-
-
-def _pressing(results: Results) -> list[Finding]:
-    return [each for each in results.findings if each.severity != 'info']

@@ -1,20 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on an IMU: one function for terminal, results.json, report and `allan check`."""
+"""The verdict on an IMU, and its results as a short text or HTML table, for all outputs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison
 from ..core.findings import Finding, duration_text
+from ..core.fit import TERMS
 from ..core.fit.reading import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
-from .format import grouped, shown_unit, significant
+from .format import grouped, interval_text, pretty_unit, shown_unit, significant, value_text
 
 if TYPE_CHECKING:
+    from .axis_result import AxisResult
     from .results import Results
 
 Level = Literal['healthy', 'attention', 'unknown', 'failed']
@@ -285,3 +288,72 @@ def _axes_text(axes: Sequence[str], results: Results) -> str:
 
 def _and(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} and {words[-1]}'
+
+
+IN_SUMMARY = ('N', 'B', 'K')
+"""Terms of the text summary, which filters use."""
+
+REPORTED_LEFT_OUT = 0.01
+"""Smallest fraction of unused samples that the headline reports."""
+
+
+def used_samples(results: Results) -> str:
+    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
+    used, received = results.samples, results.provenance.counts.received
+    of = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
+    return f'{used:,}{of} samples'
+
+
+def headline(results: Results) -> str:
+    """Return one line: the IMU, the number of samples, and the time at rest."""
+    name = results.identity.label or 'IMU'
+    return (
+        f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '
+        f'{duration_text(results.duration_s, 3)} of static data in {results.segments:,} '
+        f'segment{"" if results.segments == 1 else "s"}, fitted by {results.method}'
+    )
+
+
+def summary_lines(results: Results) -> Iterator[str]:
+    """Yield a headline, N, B and K of each axis, and the warnings."""
+    yield headline(results)
+    for name, axis in results.axes.items():
+        cells = []
+        for term in IN_SUMMARY:
+            unit = shown_unit(name, term, 'datasheet')
+            cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
+        yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
+    for each in _pressing(results):
+        yield f'  {each.severity}: {each}'
+
+
+def html_summary(results: Results) -> str:
+    """Return the coefficients as an HTML table, with the verdict and the warnings."""
+    head = ''.join(f'<th>{term}</th>' for term in TERMS)
+    rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
+    notes = ''.join(
+        f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
+        for each in _pressing(results)
+    )
+    verdict = results.verdict
+    return (
+        f'<div><p><b>{WORDS[verdict.level]}.</b> {escape(verdict.summary)}</p>'
+        f'<p>{escape(headline(results))}</p>'
+        f'<table><thead><tr><th>axis</th>{head}</tr></thead><tbody>{rows}</tbody></table>'
+        f'{f"<ul>{notes}</ul>" if notes else ""}</div>'
+    )
+
+
+def _html_row(name: str, axis: AxisResult) -> str:
+    cells = ''
+    for term in TERMS:
+        unit = shown_unit(name, term, 'datasheet')
+        interval = interval_text(axis.fit.noise[term], unit)
+        value = f'{value_text(axis.fit.noise[term], unit)} {pretty_unit(unit.name)}'
+        small = f'<br><small>{escape(interval)}</small>' if interval else ''
+        cells += f'<td>{escape(value)}{small}</td>'
+    return f'<tr><th>{escape(name)}</th>{cells}</tr>'
+
+
+def _pressing(results: Results) -> list[Finding]:
+    return [each for each in results.findings if each.severity != 'info']

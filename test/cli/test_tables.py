@@ -12,8 +12,8 @@ from allan_ros.cli.tables import findings_lines, results_lines
 from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
 from allan_ros.io.format import interval_text, shown_unit, value_text
-from allan_ros.io.results import Results, headline
-from allan_ros.io.verdict import verdict_of
+from allan_ros.io.results import Results
+from allan_ros.io.verdict import headline, verdict_of
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
 

@@ -27,9 +27,17 @@ from ...core.findings import Finding, duration_text
 from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, grouped, significant, text_in_units
-from ..results import Results, used_samples
+from ..results import Results
 from ..signal import SignalSummary
-from ..verdict import CHANGES_NUMBERS, WORDS, Verdict, finding_text, too_short, verdict_of
+from ..verdict import (
+    CHANGES_NUMBERS,
+    WORDS,
+    Verdict,
+    finding_text,
+    too_short,
+    used_samples,
+    verdict_of,
+)
 from .chart_data import sensor_charts, temperature_chart, to_script
 from .tables import (
     baseline_table,
