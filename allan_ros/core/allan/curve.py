@@ -152,7 +152,7 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
     samples : int
         Length of the record.
     """
-    slopes = local_slopes(m, avar, np.where(MIN_BLOCKS * m <= samples, samples / m, 0.0))
+    slopes = _local_slopes(m, avar, np.where(MIN_BLOCKS * m <= samples, samples / m, 0.0))
     out = np.empty(avar.shape, np.int64)
     for axis in range(avar.shape[1]):
         last = WHITE
@@ -164,17 +164,10 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
     return out
 
 
-def local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
+def _local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
     """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
 
-    The slope is NaN if fewer than two points in the range have a weight and a positive variance.
-
-    Parameters
-    ----------
-    m : (factors,) int64 array
-    avar : (factors, axes) float64 array
-    weights : (factors,) float64 array
-        Weights of the points, such as their degrees of freedom; a point of weight 0 is ignored.
+    NaN where fewer than two points in reach have a weight, (factors,), and a positive variance.
     """
     x = np.log(m.astype(float))
     span = np.log(SLOPE_SPAN) * (1.0 + 1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.curve import local_slopes, noise_types_of_avar
+from allan_ros.core.allan.curve import noise_types_of_avar
 from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms
 
@@ -21,8 +21,3 @@ def test_the_last_noise_type_is_kept_near_the_end_of_the_record():
     avar = np.stack([1.0 / M, np.full(len(M), np.nan), np.zeros(len(M))], axis=1)
     avar[-2:, 0] = 10.0, 100.0  # two wild points of a record of 2048 samples
     assert (noise_types_of_avar(M, avar, 2048) == 0).all()
-
-
-def test_local_slope_of_a_power_law_is_its_power():
-    slopes = local_slopes(M, np.stack([M**-1.0, M**0.5], axis=1), np.ones(len(M)))
-    np.testing.assert_allclose(slopes, [[-1.0, 0.5]] * len(M))
