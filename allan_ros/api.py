@@ -57,11 +57,11 @@ class ResultSettings(CheckedSettings):
     method: str = parameter(
         'gls',
         'How the curve is fitted: generalised least squares with intervals, least squares with '
-        'relative weights, or as the paper did.',
+        'relative weights, or as in the paper.',
         choices=tuple(METHODS),
     )
     units: str = parameter(
-        'datasheet', 'Units shown: those of datasheets, or SI.', choices=UNIT_SYSTEMS
+        'datasheet', 'Units of the output: datasheet units or SI.', choices=UNIT_SYSTEMS
     )
     export: tuple[str, ...] = parameter(
         (),

@@ -127,7 +127,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
     """Yield the figures of one datasheet, the resulting limits of N and B, and the sources."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
-        yield f'carries {sheet.carries}; the figures are those of that sensor'
+        yield f'contains {sheet.carries}; the figures are from this sensor'
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
     for axes, term, limit in _grouped(sheet):

@@ -356,7 +356,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return EXIT_NO_READER
     except OSError as error:
-        return _stopped(f'{name}: {error}: check the path, its rights and the disk', EXIT_ERROR)
+        return _stopped(
+            f'{name}: {error}: check the path, its permissions and the disk', EXIT_ERROR
+        )
     except ModuleNotFoundError as error:
         if (error.name or '').split('.')[0] == __package__.split('.')[0]:
             return _stopped(f'{name}: {_fault_text(error)}', EXIT_FAULT)
@@ -399,7 +401,7 @@ def _fault_text(error: Exception) -> str:
     inner = [frame for frame in frames if ours in Path(frame.filename).parents]
     where = [f'{Path(f.filename).relative_to(ours)}:{f.lineno}' for f in inner[-2:]]
     return (
-        f'a fault of allan_ros {__version__} itself, not of yours: {type(error).__name__}: {error} '
+        f'internal error of allan_ros {__version__}: {type(error).__name__}: {error} '
         f'at {" > ".join(where)}; please report this line and the command'
     )
 

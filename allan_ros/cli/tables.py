@@ -42,7 +42,7 @@ HEADLINES: dict[LimitVerdict | None, str] = {
     'within': 'every stated limit is kept',
     'open': 'no limit is exceeded; some intervals contain the limit',
     'beyond': 'a limit is exceeded',
-    None: 'it states no limit for what was measured',
+    None: 'it states no limit for the measured terms',
 }
 
 LIMIT_DIGITS = 3

@@ -203,7 +203,7 @@ def _duration(results: Results) -> Iterator[str]:
     if not measured(results):
         return
     if not any(c.ci95 for axis in axes.values() for c in axis.fit.noise.values()):
-        yield f'Method {results.method} gives no intervals; use gls to know what is resolved.'
+        yield f'Method {results.method} gives no intervals; gls shows which terms are resolved.'
         return
     counts = {
         term: sum(axis.fit.noise[term].status == 'estimated' for axis in axes.values())

@@ -281,7 +281,7 @@ class ImuWatch:
         where = self._checkpoint.begin_anew(self._total())
         self._begin()
         self._publish(self._total())
-        kept = [f'those before are in {where}'] if where else []
+        kept = [f'the previous sums are in {where}'] if where else []
         lines = ['the sums start from zero', *kept, *map(str, self._checkpoint.findings)]
         response.success, response.message = True, '; '.join(lines)
         return response

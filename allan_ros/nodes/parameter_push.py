@@ -93,7 +93,7 @@ class ParameterPush:
         if not ready:
             return
         if not (self._get.service_is_ready() and self._set.service_is_ready()):
-            self._note('', f'{self.node} is not there: start it, or correct push.node')
+            self._note('', f'{self.node} is not running: start it, or correct push.node')
             return
         self._due_at = now + settings.period
         self._notes.pop('', None)
@@ -201,7 +201,7 @@ class ParameterPush:
             before = self._current[name]
             self._former.setdefault(name, before)
             self._current[name] = _message(proposal, before).value
-            limited = ', moved to its limit' if proposal.limited else ''
+            limited = ', clamped to its limit' if proposal.limited else ''
             self._log.info(
                 f'{name} of {self.node}: {_text(_numbers(before))} -> {value}{limited} '
                 f'(95 %: {proposal.low:.3g} to {proposal.high:.3g})'
@@ -230,7 +230,7 @@ class ParameterPush:
             response.message = 'nothing was set, so there is nothing to restore'
             return response
         if not self._set.service_is_ready():
-            response.message = f'{self.node} is not there: nothing was restored'
+            response.message = f'{self.node} is not running: nothing was restored'
             return response
         wanted = [ParameterMessage(name=name, value=value) for name, value in former.items()]
         request = SetParameters.Request(parameters=wanted)

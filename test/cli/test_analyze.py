@@ -184,7 +184,9 @@ def test_different_imus_are_told_apart(
 
 def test_skipping_all_of_it_is_told(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['analyze', str(recording), '--skip', '9999']) == 1
-    assert capsys.readouterr().err.endswith('--skip 9999 (s) leaves out all of it: skip less\n')
+    assert capsys.readouterr().err.endswith(
+        '--skip 9999 (s) excludes the complete recording: reduce it\n'
+    )
 
 
 def test_constant_values_are_exit_1_with_the_reason(

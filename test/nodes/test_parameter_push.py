@@ -75,7 +75,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, fil
     absent = graph.until(
         lambda: (s := graph.status('parameters of /imu_filter')) and s.level == WARN and s
     )
-    assert '/imu_filter is not there: start it' in absent.message
+    assert '/imu_filter is not running: start it' in absent.message
     graph.model_of(6000)
     filter_node()
     # not atomic: one may be read as set while the next is not yet

@@ -101,7 +101,7 @@ class ExportOptions(CheckedSettings):
     )
     strict: bool = parameter(
         False,
-        'Refuse to write 95 % upper limits, values without a 95 % interval, and reductions that '
+        'Do not write 95 % upper limits, values without a 95 % interval, and reductions that '
         'misstate the error growth by more than a factor of 2. A value that the reduction raises '
         'is accepted.',
     )
@@ -193,9 +193,7 @@ def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
 class Form(ABC):
     """Conversion of the entries of a target to text."""
 
-    no_merge = (
-        'this file is loaded in addition to yours and needs no merging: leave out --merge-into'
-    )
+    no_merge = 'this file is loaded in addition to yours and needs no merging: omit --merge-into'
 
     @abstractmethod
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:

@@ -97,7 +97,7 @@ def matlab_literal(value: Value) -> str:
 class XmlForm(Form):
     """A fragment of XML; a key that starts with '@' is an attribute of its element."""
 
-    no_merge = 'copy the fragment into your SDF or model file: leave out --merge-into'
+    no_merge = 'copy the fragment into your SDF or model file: omit --merge-into'
 
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
         # a comment must not contain two hyphens in a row

@@ -101,7 +101,7 @@ class FilterNoise:
         self.options = options
         self.target = target
         self.rule = options.axis or ('each' if target.three else AXIS_RULE)
-        self.rate, self.rate_words = rounded(results.rate_hz), 'that of the recording'
+        self.rate, self.rate_words = rounded(results.rate_hz), 'the rate of the recording'
         if options.filter_rate:
             self.rate, self.rate_words = options.filter_rate, 'given as the rate of the filter'
         elif target.rate_hz:
@@ -130,7 +130,7 @@ class FilterNoise:
         if row.what == 'zero':
             return Entry(path, [0.0, 0.0, 0.0])
         if row.what == 'common_tau':
-            words = f'[{row.unit}]: correlation time that suits all axes'
+            words = f'[{row.unit}]: one correlation time for all axes'
             return Entry(path, rounded(self.common_tau / UNITS_S[row.unit]), words)
         if row.what == 'turn_on':
             known = [a.turn_on.std for a in self.axes_of(row.sensor).values() if a.turn_on]
@@ -226,7 +226,9 @@ class FilterNoise:
             for name, (s, t) in zip(names, pairs)
         )
         bounds = 'bounds' if self.target.bound else 'follows'
-        words = f'sigma and correlation time whose growth {bounds} that of the model: {described}'
+        words = (
+            f'sigma and correlation time whose growth {bounds} the growth of the model: {described}'
+        )
         note = finding('export_no_gauss_markov', others, horizons=self.horizons)
         taus = tuple(tau for _, tau in pairs)
         return SensorProcess(sigma, taus, words, (note,) if others else (), tuple(walks.values()))
@@ -375,7 +377,7 @@ def _recorded(results: Results) -> str:
     try:
         start = EPOCH + timedelta(microseconds=min(starts) // 1000)
     except OverflowError:
-        return 'not known: the stamps are no dates'
+        return 'unknown: the stamps are not dates'
     if start < FIRST_DATE:
-        return 'not known: the stamps do not count from 1970'
+        return 'unknown: the stamps do not count from 1970'
     return f'recorded from {start:%Y-%m-%d %H:%M:%S} UTC on'

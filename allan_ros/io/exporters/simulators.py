@@ -260,9 +260,9 @@ SIMULATORS = {
         JsonForm(),
         entries=_document,
         notes=(
-            'walk is a state even if it is 0: it holds the turn-on bias',
-            'walk covers a ramp and slow sinusoids over the horizon, because they have no states '
-            'of their own; where K is not resolved it contains 15 % of the expected K^2',
+            'walk is a state even if it is 0: it represents the turn-on bias',
+            'walk covers a ramp and slow sinusoids over the horizon, because they have no '
+            'states; if K is not resolved, it contains 15 % of the expected K^2',
         ),
     ),
     'state_space_python': _python(

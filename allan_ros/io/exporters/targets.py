@@ -67,8 +67,8 @@ def set_noise(params):
 '''
 
 FLOOR_NOTE = (
-    'this is the noise at rest, a floor: propellers, vibration and clipping add to it, and the '
-    'defaults of the autopilot allow for them; use lower values only after checking the logs'
+    'this is the noise at rest, a lower limit: propellers, vibration and clipping add to it, and '
+    'the defaults of the autopilot include them; use lower values only after checking the logs'
 )
 
 GAUSS_MARKOV_INS = rows("""
@@ -279,9 +279,9 @@ TARGETS = {
         parent=('imunoise',),
         notes=(
             'gbstd and abstd are also the initial uncertainty of the bias: set initbgstd and '
-            'initbastd, because a turn-on bias is mostly larger',
+            'initbastd, because a turn-on bias is usually larger',
             'gsstd and asstd (scale factors) are not measured here',
-            'x, y, z are those of the messages; KF-GINS takes forward, right, down',
+            'x, y, z are the axes of the messages; KF-GINS expects forward, right, down',
         ),
         three=True,
     ),
@@ -315,10 +315,10 @@ TARGETS = {
         YamlForm(),
         entries=_madgwick,
         notes=(
-            'the gain allows for noise only: a bias at switching on that is not removed comes on '
-            'top, and the default of 0.1 allows for one',
-            'zeta acts with a magnetometer (use_mag) only; without one the filter estimates no '
-            'bias',
+            'the gain covers only noise; the default of 0.1 also covers a turn-on bias that is '
+            'not removed',
+            'zeta has an effect only with a magnetometer (use_mag); without one, the filter '
+            'estimates no bias',
         ),
         horizon_s=10.0,
         walk=False,

@@ -35,12 +35,12 @@ class ReadOptions:
     )
     gyro_unit: str = parameter(
         '',
-        'unit of the angular rate; empty: as the recording states, else rad/s',
+        'unit of the angular rate; empty: as stated in the recording, else rad/s',
         choices=('', *SAMPLE_UNITS['gyro']),
     )
     accel_unit: str = parameter(
         '',
-        'unit of the acceleration; empty: as the recording states, else m/s^2',
+        'unit of the acceleration; empty: as stated in the recording, else m/s^2',
         choices=('', *SAMPLE_UNITS['accel']),
     )
     stamp_unit: str = parameter(

@@ -262,7 +262,7 @@ def test_a_missing_date_is_stated(known_results: Results) -> None:
         text = make_export(known, 'kalibr').text
         return next(line for line in text.splitlines() if line.startswith('# date: '))
 
-    assert date(12_000_000_000) == '# date: not known: the stamps do not count from 1970'
+    assert date(12_000_000_000) == '# date: unknown: the stamps do not count from 1970'
     assert date(2**62).startswith('# date: recorded from 2116')
     given = make_export(known_results, 'kalibr', ExportOptions(date='last Tuesday')).text
     assert '# date: last Tuesday\n' in given
