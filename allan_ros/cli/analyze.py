@@ -30,11 +30,13 @@ from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings
 from ..io.datasheets import load_sensor
 from ..io.documents import RESULTS, load, load_sums, results_to_document
+from ..io.exporters import target_of
 from ..io.plot_style import PictureSettings, check_pictures
 from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
+from .batch import by_topic, fitted, on_cluster, recordings_in, run_batch
 from .console import Console, coloured, painted, width
 from .options import Command, Settings, settings_of
 from .tables import LEVEL_COLOURS, findings_lines, print_results
@@ -90,8 +92,6 @@ def read_jobs(
 
 def run(args: argparse.Namespace) -> int:
     """Read, fit, print and write."""
-    from .batch import by_topic, recordings_in, run_batch
-
     check_result_arguments(args)
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
@@ -115,8 +115,6 @@ def run(args: argparse.Namespace) -> int:
 
 def check_result_arguments(args: argparse.Namespace) -> None:
     """Raise AllanError for a wrong output option before recordings are read."""
-    from ..io.exporters import target_of
-
     settings_of(ResultSettings, args)
     if args.sensor:
         load_sensor(args.sensor)
@@ -127,29 +125,6 @@ def check_result_arguments(args: argparse.Namespace) -> None:
         target_of(name)
     if args.export and not args.output:
         raise AllanError('--export needs a folder: give one with -o')
-
-
-def fitted(
-    recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
-) -> tuple[Results, list[str]]:
-    """Fit the sums and write the files if a folder is given; return the results and file names."""
-    console, settings = Console.of(args), settings_of(ResultSettings, args)
-    with console.timed(f'fitted by {settings.method}'):
-        results = fit_recorded(recorded, settings)
-    if not folder:
-        return results, []
-    from ..io.result_files import write_result_files
-
-    with console.timed('drawn and written'):
-        results, paths = write_result_files(
-            folder,
-            results,
-            command=args.command_line,
-            units=settings.units,
-            targets=settings.export,
-            pictures=settings_of(PictureSettings, args),
-        )
-    return results, sorted(path.name for path in paths)
 
 
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
@@ -191,8 +166,6 @@ def _spread(
 ) -> Iterator[RecordingSums | Finding]:
     """Read the recordings in this process, in several processes, or on a cluster."""
     if args.scheduler:
-        from .batch import on_cluster
-
         return on_cluster(jobs, args.scheduler, console)
     if min(args.jobs, len(jobs)) > 1:
         return read_in_processes(jobs, args.jobs, console)

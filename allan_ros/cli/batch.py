@@ -18,19 +18,22 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit.reading import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
+from ..io.documents import results_to_document
 from ..io.files import write_atomic
 from ..io.format import known_numbers, markdown_rows, shown_unit, value_text
+from ..io.plot_style import PictureSettings
 from ..io.readers.open import topics_of
 from ..io.recorded import ReadJob, RecordingSums, read_recording
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
-from .analyze import fitted
 from .console import Console
 from .main import RECORDINGS
+from .options import settings_of
 
 METADATA = 'metadata.yaml'
 
@@ -135,6 +138,29 @@ def analyze_one(
     except AllanError as error:
         return replace(outcome, error=str(error))
     return replace(outcome, results=results, verdict=verdict_of(results, units=args.units))
+
+
+def fitted(
+    recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
+) -> tuple[Results, list[str]]:
+    """Fit the sums and write the files if a folder is given; return the results and file names."""
+    console, settings = Console.of(args), settings_of(ResultSettings, args)
+    with console.timed(f'fitted by {settings.method}'):
+        results = fit_recorded(recorded, settings)
+    if not folder:
+        return results, []
+    from ..io.result_files import write_result_files
+
+    with console.timed('drawn and written'):
+        results, paths = write_result_files(
+            folder,
+            results,
+            command=args.command_line,
+            units=settings.units,
+            targets=settings.export,
+            pictures=settings_of(PictureSettings, args),
+        )
+    return results, sorted(path.name for path in paths)
 
 
 def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
@@ -245,8 +271,6 @@ def _html(outcomes: Sequence[Outcome], units: str) -> str:
 def _document(outcome: Outcome) -> dict[str, object]:
     if outcome.results is None or outcome.verdict is None:
         return {'path': outcome.path, 'error': outcome.error}
-    from ..io.documents import results_to_document
-
     document = results_to_document(outcome.results, curves=False)
     return {
         'path': outcome.path,
