@@ -177,7 +177,7 @@ class ImuWatch:
         """Return the time at rest in s: in the sums, and in the samples added since then."""
         known = max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0)
         added = health.counts.used - self._known.health.counts.used
-        streams = max(1, len(self._known.current))
+        streams = max(1, len(self._known.sums))
         return known + max(0, added) / streams / health.rate_hz if health.rate_hz else known
 
     # --- samples in -------------------------------------------------------------------------------

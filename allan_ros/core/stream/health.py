@@ -202,13 +202,12 @@ class Accumulation:
     """The results of a stream so far.
 
     ``sums`` has one entry for all axes, or one per sensor if their rates differ; a sensor without
-    samples has no entry. After a change of rate or frame_id, ``sums`` has the rate and frame_id
-    with the most data, ``current`` the present rate and frame_id. ``spectra`` (if requested) has
-    the order of ``sums``; ``segments`` lists the segments of the first entry of ``sums``.
+    samples has no entry. After a change of rate or frame_id, it has the rate and frame_id with the
+    most data. ``spectra`` (if requested) has the order of ``sums``; ``segments`` lists the segments
+    of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
-    current: tuple[AllanSums, ...]
     health: StreamHealth
     findings: tuple[Finding, ...]
     segments: tuple[Segment, ...]

@@ -108,7 +108,6 @@ class ImuStream:
         sums = tuple(each.sums for each in longest)
         return Accumulation(
             sums,
-            tuple(s for each in now._present.sensors if (s := each.present.sums).samples),
             *now._health(state, sums),
             longest[0].segments if longest else (),
             tuple(each.spectrum for each in longest if each.spectrum is not None),

@@ -45,6 +45,9 @@ _FRAME_AT = 16
 """Offset of frame_id: after the encapsulation (ROS 1: seq), sec, nanosec and the length of
 frame_id."""
 
+_LAYOUT_FIELDS = {'cdr': ('representation', 'frame_bytes'), 'ros1': ('frame_bytes',)}
+"""Fields that determine the layout of messages of one length."""
+
 _DOUBLE = 8
 
 _VECTORS = (
@@ -67,25 +70,15 @@ class MalformedMessage(Exception):
 
 @dataclass(frozen=True)
 class DecodedImus:
-    """The messages of one batch.
-
-    Attributes
-    ----------
-    stamps_ns : (n,) int64 array
-    samples : (n, 6) float64 array
-        rad/s and m/s^2 in the order of `AXES`; NaN where the sensor is absent.
-    frame_ids, frames : list of str, (n,) integer array
-        The distinct frame_ids, and the index of the frame_id of each message.
-    kept : dict of str to int
-        Sensor -> number of messages that declare it absent by covariance[0] = -1 or NaN, but
-        contain valid data, which are kept.
-    """
+    """The messages of one batch."""
 
     stamps_ns: NDArray[np.int64]
-    samples: NDArray[np.float64]
-    frame_ids: list[str]
-    frames: NDArray[np.intp]
+    samples: NDArray[np.float64]  # (n, 6), SI, in the order of `AXES`; NaN: the sensor is absent
+    frame_ids: list[str]  # the distinct frame_ids
+    frames: NDArray[np.intp]  # for each message the index of its frame_id
     kept: dict[str, int] = field(default_factory=dict)
+    """Sensor -> messages that declare it absent by covariance[0] = -1 or NaN, but contain valid
+    data, which are kept."""
 
     def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
         """Yield the messages, recorded at the given times, in batches of one frame_id."""
@@ -179,42 +172,25 @@ def _of_one_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[Rows, NDArray[Any]]]:
     """Yield the positions and the records of the messages of each layout."""
-    for rows, equal in _of_one_length(payloads):
-        first, length = int(rows.start if isinstance(rows, slice) else rows[0]), equal.itemsize
-        try:
-            head = equal.view(imu_dtype(encoding, '<', 0, length))
-        except ValueError as error:
-            raise _too_few(first, length) from error
-        # byte order and raw length field, which determine the layout, as one integer
-        kind = head['frame_bytes'].astype(np.int64)
-        if encoding == 'cdr':
-            kind += head['representation'].astype(np.int64) << 32
-        if (kind == kind[0]).all():
-            yield rows, equal.view(_layout_of(equal[0].tobytes(), encoding, first).dtype)
-            continue
-        places = np.arange(len(payloads))[rows]
-        for value in np.unique(kind):
-            own, some = places[kind == value], equal[kind == value]
-            yield own, some.view(_layout_of(some[0].tobytes(), encoding, int(own[0])).dtype)
-
-
-def _of_one_length(
-    payloads: Sequence[bytes | memoryview] | NDArray[np.void],
-) -> Iterator[tuple[Rows, NDArray[np.void]]]:
-    """Yield the positions of the messages of each length, and these as one array."""
-    n = len(payloads)
-    if isinstance(payloads, np.ndarray):
-        if n:
-            yield slice(0, n), payloads
-        return
-    lengths = np.fromiter(map(len, payloads), dtype=np.int64, count=n)
-    for length in np.unique(lengths).tolist():
-        rows = np.flatnonzero(lengths == length)
-        if not length:
-            raise _too_few(int(rows[0]), 0)
-        same = payloads if len(rows) == n else [payloads[row] for row in rows.tolist()]
-        joined = np.frombuffer(b''.join(same), np.dtype((np.void, length)))
-        yield slice(0, n) if len(rows) == n else rows, joined
+    n, fields = len(payloads), _LAYOUT_FIELDS[encoding]
+    several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
+    if n and not several:
+        dtype = _layout_of(bytes(payloads[0]), encoding).dtype
+        if isinstance(payloads, np.ndarray):
+            records = payloads.view(dtype)
+        else:
+            records = np.frombuffer(b''.join(payloads), dtype)
+        if all((records[name] == records[name][0]).all() for name in fields):
+            yield slice(0, n), records
+            return
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for row, payload in enumerate(map(bytes, payloads)):
+        kind = payload[:2] if encoding == 'cdr' else b'', payload[_FRAME_AT - 4 : _FRAME_AT]
+        alike.setdefault((len(payload), *kind), []).append(row)
+    for rows in alike.values():
+        same = [bytes(payloads[row]) for row in rows]
+        dtype = _layout_of(same[0], encoding, rows[0]).dtype
+        yield np.array(rows), np.frombuffer(b''.join(same), dtype)
 
 
 class _Layout(NamedTuple):
@@ -232,7 +208,7 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
     try:
         return _layout(encoding, order, frame_bytes, len(payload))
     except (ValueError, OverflowError) as error:
-        reason = f'its frame_id of {frame_bytes} bytes does not fit {len(payload)} bytes'
+        reason = f'{len(payload)} bytes are too few for an Imu with a frame_id of {frame_bytes}'
         raise MalformedMessage(index, reason) from error
 
 

@@ -59,27 +59,14 @@ class Meaning(NamedTuple):
 
 @dataclass(frozen=True)
 class Columns:
-    """Meaning of the columns of a table.
+    """Meaning of the columns of a table."""
 
-    Attributes
-    ----------
-    axes : dict
-        Index of the axis in `AXES` -> (column, factor to SI).
-    stamp, record : tuple of (column, factor to nanoseconds)
-        Columns whose sum is the stamp (``sec`` and ``nanosec``, or a single one); may be empty.
-    temperature : int or None
-        Column of the temperature in degC.
-    units, assumed : dict
-        Sensor -> unit of its columns; and sensor -> name of a column, if neither the names nor the
-        options state a unit.
-    """
-
-    axes: dict[int, tuple[int, float]]
-    stamp: tuple[tuple[int, int], ...]
-    record: tuple[tuple[int, int], ...]
-    temperature: int | None
-    units: dict[str, str]
-    assumed: dict[str, str]
+    axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
+    stamp: tuple[tuple[int, int], ...]  # (column, factor to ns), whose sum is the stamp
+    record: tuple[tuple[int, int], ...]  # the same for the record time
+    temperature: int | None  # column in degC
+    units: dict[str, str]  # sensor -> unit of its columns
+    assumed: dict[str, str]  # sensor -> a column, where neither names nor options state a unit
 
 
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:

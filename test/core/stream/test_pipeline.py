@@ -309,7 +309,7 @@ def test_of_two_rates_the_longest_time_counts_and_the_present_one_is_at_hand():
     t = t + np.maximum(0, np.arange(9000) - 7000) * PERIOD
     result = accumulate(t, x)
     assert 1 / result.sums[0].tau0 == pytest.approx(200, rel=1e-3)
-    assert 1 / result.current[0].tau0 == pytest.approx(100, rel=1e-3)
+    assert result.health.rate_hz == pytest.approx(100, rel=1e-3)
 
 
 def test_constant_values_have_no_noise():

@@ -131,7 +131,7 @@ def test_padding_behind_a_message_is_ignored() -> None:
         (lambda good: good[:100], 'too few'),
         (lambda good: b'', 'too few'),
         (lambda good: b'\x00\x07' + good[2:], 'not plain CDR'),
-        (lambda good: good[:12] + b'\xff\xff\xff\x7f' + good[16:], 'does not fit'),
+        (lambda good: good[:12] + b'\xff\xff\xff\x7f' + good[16:], 'too few for an Imu with'),
     ],
 )
 def test_what_is_no_imu_is_named_by_its_place(spoil: Any, says: str) -> None:
