@@ -29,7 +29,7 @@ from ..io.recorded import Provenance
 from .diagnostics import InputView, input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
 from .messages import REPLACED_SHARE, Snapshot, replaced_share
-from .node import AllanNode, Periodic
+from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu
 from .shell import LATCHED
 
@@ -51,7 +51,7 @@ class Settings:
         return self.input.value.imus(self.checkpoint.value.path)
 
 
-class ImuWatch:
+class ImuWatch(Part):
     """Accumulates the sums of one IMU and restores them after a restart.
 
     The listener is called with the sums when they are due, as an object, without JSON.

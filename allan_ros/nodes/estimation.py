@@ -29,14 +29,8 @@ from ..io.datasheets import Datasheet, load_sensor
 from ..io.documents import load, results_to_document
 from ..io.results import Results, analyse_sums
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
-from .messages import (
-    REPLACED_SHARE,
-    AllanPlot,
-    BiasPublisher,
-    Snapshot,
-    replaced_share,
-)
-from .node import AllanNode, ParameterGroup
+from .messages import REPLACED_SHARE, AllanPlot, BiasPublisher, Snapshot, replaced_share
+from .node import AllanNode, ParameterGroup, Part
 from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
 
@@ -71,7 +65,7 @@ def load_references(settings: EstimatorSettings) -> References:
     )
 
 
-class ImuEstimate:
+class ImuEstimate(Part):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
     If sums lose samples, the model becomes invalid. It is withdrawn at once (a noise model without
@@ -137,9 +131,12 @@ class ImuEstimate:
         self._fit_ended, self._next_fit = now, now + wait
         self._publish(self._results)
 
+<<<<<<< HEAD
     def close(self) -> None:
         """Do nothing, because all data are in the sums."""
 
+=======
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return one status per axis, from the first message on."""
         if self._snapshot is None:
@@ -260,7 +257,7 @@ class ImuEstimate:
         return response
 
 
-class SumsInput:
+class SumsInput(Part):
     """Subscribes ``sums`` of an accumulator; the listener gets every snapshot."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
@@ -273,12 +270,6 @@ class SumsInput:
     def topic(self) -> str:
         """Full name of the topic."""
         return str(self._subscription.topic_name)
-
-    def tick(self, now: float) -> None:
-        """Do nothing: sums arrive in a callback."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the arrival of sums."""

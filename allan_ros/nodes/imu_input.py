@@ -116,15 +116,29 @@ def _event_handles(subscription: Subscription) -> dict[str, Any]:
     return handles
 
 
+def _take(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
+    taken: tuple[bytes, dict[str, Any]] | None = subscription.handle.take_message(Imu, True)
+    return taken
+
+
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
+<<<<<<< HEAD
 ) -> Subscription:
     """Subscribe Imu messages as raw bytes; outside the executor's wait set unless ``plain``."""
+=======
+) -> tuple[Subscription, bool]:
+    """Subscribe Imu as raw bytes; return the subscription, and whether it is to be drained.
+
+    Without ``plain`` it stays out of the executor's wait set, where this client library can drain
+    a queue explicitly. A message taken to find that out goes to the callback.
+    """
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
     )
-    return node.create_subscription(
+    subscription = node.create_subscription(
         Imu,
         topic,
         callback,
@@ -134,6 +148,16 @@ def subscribe_raw(
         qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         raw=True,
     )
+    if plain:
+        return subscription, False
+    try:
+        taken = _take(subscription)
+    except (AttributeError, TypeError):
+        node.destroy_subscription(subscription)
+        return subscribe_raw(node, topic, callback, depth, True)
+    if taken is not None:
+        callback(*taken)
+    return subscription, True
 
 
 class ImuInput:
@@ -147,16 +171,11 @@ class ImuInput:
         self._last_number: dict[bytes, int | None] = {}
         self._publisher_count, self._alone = 1, True
         self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
-        self._subscription = self._subscribe(topic, settings, settings.plain_callback)
+        self._subscription, self.lean = subscribe_raw(
+            node, topic, self._collect, settings.queue_depth, settings.plain_callback
+        )
         self.topic = self._subscription.topic_name
-        self.lean = not settings.plain_callback and self._can_drain()
-        if not self.lean and not settings.plain_callback:
-            node.destroy_subscription(self._subscription)
-            self._subscription = self._subscribe(topic, settings, True)
         self._events = _event_handles(self._subscription)
-
-    def _subscribe(self, topic: str, settings: InputSettings, plain: bool) -> Subscription:
-        return subscribe_raw(self._node, topic, self._collect, settings.queue_depth, plain)
 
     def drain(self) -> None:
         """Empty the queue of the subscription."""
@@ -239,16 +258,6 @@ class ImuInput:
             if data is not None:
                 setattr(self._statistics, name, data.total_count)
         return self._statistics
-
-    def _can_drain(self) -> bool:
-        """Return whether this client library can drain a subscription explicitly."""
-        try:
-            taken = self._subscription.handle.take_message(Imu, True)
-        except (AttributeError, TypeError):
-            return False
-        if taken is not None:
-            self._collect(*taken)
-        return True
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
         """Store one payload and count the messages missing before it."""

@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from difflib import get_close_matches
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import (
@@ -185,7 +185,7 @@ class Periodic:
         return True
 
 
-class Part(Protocol):
+class Part:
     """One part of a node, such as the input, the estimate or the relay of one IMU."""
 
     def tick(self, now: float) -> None:
@@ -193,6 +193,7 @@ class Part(Protocol):
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the diagnostic statuses of this part."""
+        return []
 
     def close(self) -> None:
         """Finish the work before the node is destroyed."""

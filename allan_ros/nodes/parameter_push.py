@@ -10,6 +10,8 @@ its reason is shown and the value is not sent again.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -17,6 +19,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.client import Client
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -25,7 +28,7 @@ from ..core.filters.mapping import FilterMapping, Proposal, narrow_enough, propo
 from ..io.results import Results
 from ..io.user_files import load_filter
 from .diagnostics import key_values, status_name
-from .node import AllanNode
+from .node import AllanNode, Part
 from .settings import PushSettings
 
 ANSWER_S = 5.0
@@ -35,9 +38,14 @@ RETRY_S = 1.0
 """Period in s of the search for a missing node."""
 
 
+<<<<<<< HEAD
 class ParameterPush:
     """Keeps parameters of the node ``push.node`` ('' for none) equal to the values from the noise
     model.
+=======
+class ParameterPush(Part):
+    """Keeps parameters of the node ``push.node`` ('' for none) equal to those of the noise model.
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     The node that owns this object gets the parameters ``push.*`` and the service ``~/restore``.
     AllanError is raised if the mapping cannot be read.
@@ -49,13 +57,12 @@ class ParameterPush:
         self.node = target = self._settings.value.node
         self._mapping = load_filter(self._settings.value.filter) if target else None
         self._results: Results | None = None
-        self._unread: list[Proposal] = []
-        self._wanted: list[Proposal] = []
         self._former: dict[str, ParameterValue] = {}
         self._current: dict[str, ParameterValue] = {}
         self._refused: dict[str, Proposal] = {}
         self._notes: dict[str, str] = {}
-        self._asked: Any = None
+        self._asked: list[Any] = []  # futures of the answers that `_then` takes
+        self._then: Callable[[list[Any]], None] = list.clear
         self._asked_at = self._due_at = 0.0
         owner.create_service(Trigger, '~/restore', self._on_restore)
         if target:
@@ -76,11 +83,22 @@ class ParameterPush:
         self._results = results if results.axes else None
 
     def tick(self, now: float) -> None:
+<<<<<<< HEAD
         """Start to set parameters if this is due, and stop waiting for late answers."""
         if self._asked is not None:
             if now - self._asked_at > ANSWER_S:
                 self._asked.cancel()
                 self._asked = None
+=======
+        """Start to set parameters if it is due, and give up on late answers."""
+        if self._asked:
+            if all(future.done() for future in self._asked):
+                answers = [future.result() for future in self._asked]
+                self._asked = []
+                self._then(answers)
+            elif now - self._asked_at > ANSWER_S:
+                self._abandon()
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         settings = self._settings.value
@@ -97,11 +115,17 @@ class ParameterPush:
             return
         self._due_at = now + settings.period
         self._notes.pop('', None)
+<<<<<<< HEAD
         self._unread, self._wanted = ready, []
         self._proceed()
 
     def close(self) -> None:
         """Do nothing: the parameters stay unchanged."""
+=======
+        # one by one: where one of several is not declared, a node returns no value at all
+        requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
+        self._ask(self._get, requests, partial(self._on_read, ready))
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the state of the parameters; no status if none are set."""
@@ -141,13 +165,17 @@ class ParameterPush:
         refused = ((p, self._refused.get(p.name)) for p in ready)
         return [p for p, r in refused if r is None or p.differs(r.values, settings.change)]
 
-    def _ask(self, future: Any, then: Any) -> None:
-        self._asked, self._asked_at = future, time.monotonic()
-        future.add_done_callback(then)
+    def _ask(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
+        """Send the requests; `tick` hands the answers over, or gives up."""
+        self._asked, self._then = [client.call_async(request) for request in requests], then
+        self._asked_at = time.monotonic()
 
-    def _proceed(self) -> None:
-        """Read the next parameter, or set those that differ once all are read.
+    def _abandon(self) -> None:
+        for future in self._asked:
+            future.cancel()
+        self._asked = []
 
+<<<<<<< HEAD
         They are read one by one: if one of several is not declared, a node returns none of them.
         """
         if self._unread:
@@ -171,6 +199,22 @@ class ParameterPush:
             if proposal.differs(_numbers(value), self._settings.value.change):
                 self._wanted.append(proposal)
         self._proceed()
+=======
+    def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
+        """Keep the values that the node has, and set those that differ from the proposals."""
+        wanted = []
+        for proposal, answer in zip(proposals, answers):
+            name, value = proposal.name, next(iter(answer.values), ParameterValue())
+            if self._fits(proposal, value):
+                self._current[name] = value
+                self._notes.pop(name, None)
+                if proposal.differs(_numbers(value), self._settings.value.change):
+                    wanted.append(proposal)
+        if wanted:
+            messages = [_message(p, self._current[p.name]) for p in wanted]
+            request = SetParameters.Request(parameters=messages)
+            self._ask(self._set, [request], partial(self._on_set, wanted))
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     def _fits(self, proposal: Proposal, value: ParameterValue) -> bool:
         """Return whether the node's parameter can have the proposed value; store the reason if
@@ -186,12 +230,18 @@ class ParameterPush:
         self._note(proposal.name, f'is {what} in {self.node}: the mapping sets {kind}')
         return False
 
+<<<<<<< HEAD
     def _on_set(self, future: Any) -> None:
         """Log the accepted and the rejected values."""
         if future is not self._asked:
             return
         self._asked = None
         for proposal, result in zip(self._wanted, future.result().results):
+=======
+    def _on_set(self, wanted: list[Proposal], answers: list[Any]) -> None:
+        """Log which values were accepted and refused."""
+        for proposal, result in zip(wanted, answers[0].results):
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
             name, value = proposal.name, _text(proposal.values)
             if not result.successful:
                 self._refused[name] = proposal
@@ -222,9 +272,7 @@ class ParameterPush:
         if self._mapping is not None:
             off = Parameter('push.enabled', Parameter.Type.BOOL, False)
             self._owner.set_parameters([off])
-        if self._asked is not None:
-            self._asked.cancel()
-            self._asked = None
+        self._abandon()
         former = dict(self._former)
         if not former:
             response.message = 'nothing was set, so there is nothing to restore'
@@ -234,12 +282,17 @@ class ParameterPush:
             return response
         wanted = [ParameterMessage(name=name, value=value) for name, value in former.items()]
         request = SetParameters.Request(parameters=wanted)
+<<<<<<< HEAD
         self._asked, self._asked_at = self._set.call_async(request), time.monotonic()
         answer = await self._asked
         if answer is None:  # `tick` stopped waiting
+=======
+        self._ask(self._set, [request], list.clear)
+        answer = await self._asked[0]
+        if answer is None:  # `tick` gave up
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
             response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
             return response
-        self._asked = None
         failed = [
             f'{name}: {result.reason or "refused"}'
             for name, result in zip(former, answer.results)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,7 +19,6 @@ from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
@@ -34,7 +32,7 @@ from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, wit
 from ..io.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import full_name, qos_text, subscribe_raw
-from .node import AllanNode, ParameterGroup
+from .node import AllanNode, ParameterGroup, Part
 from .settings import RelaySettings
 from .shell import LATCHED
 
@@ -58,6 +56,18 @@ DISCOVERY_S = 5.0
 SHOWN_UNIT = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
 
+RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
+    'received',
+    'filled',
+    'passed on as they are',
+    'held back',
+    'malformed',
+    'not published',
+    'gyro bias subtracted',
+)
+"""Numbers of messages, as diagnostics name them."""
+
+
 class RelayTopics(NamedTuple):
     """Input, noise model, output and bias topics, and the name of the IMU in diagnostics."""
 
@@ -67,20 +77,6 @@ class RelayTopics(NamedTuple):
     label: str = ''
     hardware_id: str = ''
     bias: str = 'bias'
-
-
-@dataclass
-class RelayCounts:
-    """Numbers of messages."""
-
-    received: int = 0
-    patched: int = 0
-    untouched: int = 0
-    held: int = 0
-    malformed: int = 0
-    other_frame: int = 0
-    unpublished: int = 0
-    unbiased: int = 0
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
@@ -93,7 +89,7 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
     return white_variances(fits, rate, settings.inflate, settings.horizon)
 
 
-class ImuRelay:
+class ImuRelay(Part):
     """Republishes the messages of one Imu with covariances, to another topic (else AllanError)."""
 
     def __init__(
@@ -102,7 +98,8 @@ class ImuRelay:
         self._node, self._topics, self._settings = node, topics, settings
         self._began = time.monotonic()
         self._withdrawn = False
-        self.counts = RelayCounts()
+        self._counts = dict.fromkeys(COUNTS, 0)
+        self._other_frame = 0
         self._results: Results | None = None
         self._problem: tuple[Finding, ...] = ()
         self._variances: dict[str, Variances] = {}
@@ -119,16 +116,19 @@ class ImuRelay:
         node.create_subscription(TwistWithCovarianceStamped, topics.bias, self._on_bias, 10)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        plain = settings.value.plain_callback
-        self._subscription = self._subscribe(topics.source, plain)
+        wait_set = None if settings.value.plain_callback else self._wait_set()
+        self._subscription, drained = subscribe_raw(
+            node, topics.source, self._hand_on, depth, plain=wait_set is None
+        )
         if self._subscription.topic_name == self._publisher.topic_name:
             raise AllanError(
                 f'{self._publisher.topic_name} would be relayed to itself: remap imu/data or '
                 'imu/data_with_covariance'
             )
-        if not plain and not self._start():
-            node.destroy_subscription(self._subscription)
-            self._subscription = self._subscribe(topics.source, True)
+        if drained:
+            sys.setswitchinterval(SWITCH_INTERVAL_S)
+            self._thread = threading.Thread(target=self._work, args=(wait_set,), daemon=True)
+            self._thread.start()
 
     @property
     def description(self) -> str:
@@ -152,17 +152,11 @@ class ImuRelay:
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the relay."""
-        c, findings = self.counts, self._findings(now)
+        findings = self._findings(now)
         pairs: list[tuple[str, object]] = [
             ('from', self._subscription.topic_name),
             ('to', self._publisher.topic_name),
-            ('received [messages]', c.received),
-            ('filled [messages]', c.patched),
-            ('passed on as they are [messages]', c.untouched),
-            ('held back [messages]', c.held),
-            ('malformed [messages]', c.malformed),
-            ('not published [messages]', c.unpublished),
-            ('gyro bias subtracted [messages]', c.unbiased),
+            *((f'{what} [messages]', count) for what, count in self._counts.items()),
             ('variance', self._settings.value.variance),
             ('messages taken by', 'a thread' if self._thread else 'a plain callback'),
             *(
@@ -186,29 +180,34 @@ class ImuRelay:
 
     # --- the messages -----------------------------------------------------------------------------
 
-    def _hand_on(self, payload: bytes) -> None:
+    def _hand_on(self, payload: bytes, _info: Any = None) -> None:
         """Publish one message with the known covariances filled in."""
-        counts = self.counts
-        counts.received += 1
+        counts = self._counts
+        counts[RECEIVED] += 1
         if not self._made_of and self._settings.value.until_model == 'hold':
-            counts.held += 1
+            counts[HELD] += 1
             return
         try:
             unbiased = self._without_bias(payload)
             handed_on = self._patch.patch(unbiased)
         except MalformedMessage as error:
-            counts.malformed += 1
+            counts[MALFORMED] += 1
             self._last_malformed = str(error)
             handed_on = unbiased = payload
         if handed_on is not unbiased:
-            counts.patched += 1
+            counts[FILLED] += 1
         else:
-            counts.untouched += 1
+            counts[PASSED] += 1
             self._note_frame(payload)
         try:
             self._publisher.publish(handed_on)
+<<<<<<< HEAD
         except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
             counts.unpublished += 1
+=======
+        except rclpy_implementation.RCLError:  # a reliable subscriber's queue stayed full
+            counts[UNPUBLISHED] += 1
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     def _without_bias(self, payload: bytes) -> bytes:
         """Return the message with the gyro bias subtracted, if this is enabled and allowed."""
@@ -223,7 +222,7 @@ class ImuRelay:
         window = end_ns - valid_ns, end_ns + valid_ns
         bias_xyz = (rates.x, rates.y, rates.z)
         unbiased = without_gyro_bias(payload, bias_xyz, settings.bias_rate_limit, *window)
-        self.counts.unbiased += unbiased is not payload
+        self._counts[UNBIASED] += unbiased is not payload
         return unbiased
 
     def _on_bias(self, message: TwistWithCovarianceStamped) -> None:
@@ -237,30 +236,26 @@ class ImuRelay:
         except MalformedMessage:
             return
         if results is not None and results.identity.frame_id not in ('', frame_id):
-            self.counts.other_frame += 1
+            self._other_frame += 1
             self._last_frame = frame_id
 
+<<<<<<< HEAD
     def _subscribe(self, topic: str, plain: bool) -> Subscription:
         depth = self._settings.value.queue_depth
         return subscribe_raw(self._node, topic, self._hand_on, depth, plain)
 
     def _start(self) -> bool:
         """Start the thread; return False if this client library has no wait set."""
+=======
+    def _wait_set(self) -> Any:
+        """Return a wait set for one subscription; None where this client library has none."""
+>>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
         try:
-            wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
-            wait_set.clear_entities()
-            wait_set.add_subscription(self._subscription.handle)
-            taken = self._subscription.handle.take_message(Imu, True)
+            return rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
         except (AttributeError, TypeError):
-            return False
-        if taken is not None:
-            self._hand_on(taken[0])
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
-        self._thread = threading.Thread(target=self._work, args=(wait_set,), daemon=True)
-        self._thread.start()
-        return True
+            return None
 
-    def _work(self, wait_set: rclpy_implementation.WaitSet) -> None:
+    def _work(self, wait_set: Any) -> None:
         """Republish messages until the node is closed; an error must not end the thread."""
         handle = self._subscription.handle
         with handle, wait_set:
@@ -312,7 +307,7 @@ class ImuRelay:
 
     def _findings(self, now: float) -> list[Finding]:
         """Return the present problems, causes before their effects."""
-        counts, results, found = self.counts, self._results, list(self._problem)
+        counts, results, found = self._counts, self._results, list(self._problem)
 
         def add(id: str, count: int, **values: Any) -> None:
             if count:
@@ -331,8 +326,8 @@ class ImuRelay:
                 if sensor in known - self._variances.keys():
                     found.append(finding('relay_nothing_to_fill', sensor=sensor))
             expected = results.identity.frame_id
-            add('relay_other_frame', counts.other_frame, found=self._last_frame, expected=expected)
+            add('relay_other_frame', self._other_frame, found=self._last_frame, expected=expected)
         source, reason = self._subscription.topic_name, self._last_malformed
-        add('relay_malformed', counts.malformed, reason=reason, topic=source)
-        add('relay_unpublished', counts.unpublished)
+        add('relay_malformed', counts[MALFORMED], reason=reason, topic=source)
+        add('relay_unpublished', counts[UNPUBLISHED])
         return found

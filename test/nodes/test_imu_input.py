@@ -47,7 +47,10 @@ def test_messages_come_whole_and_in_order(graph, still_imu, settings):
 
 
 def test_a_client_library_without_take_gets_the_plain_path(graph, still_imu, monkeypatch):
-    monkeypatch.setattr(ImuInput, '_can_drain', lambda self: False)
+    def missing(subscription: object) -> None:
+        raise AttributeError('take_message')
+
+    monkeypatch.setattr('allan_ros.nodes.imu_input._take', missing)
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
     assert not imu_input.lean
     publisher = graph.publisher()
