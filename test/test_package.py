@@ -95,3 +95,27 @@ def test_every_licence_that_is_named_is_there_and_every_configuration_is_install
     folders = [path.name for path in (ROOT / 'config').iterdir() if path.is_dir()]
     assert len(folders) > 2
     assert [name for name in folders if f"glob('config/{name}/" not in setup] == []
+
+
+NO_ROSDEP_KEY = {'lz4', 'zstandard'}
+
+
+def test_dependencies_are_the_same_everywhere() -> None:
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    (block,) = re.findall(r'install_requires=\[(.*?)\n    \]', setup, re.DOTALL)
+    required = set(re.findall(r"'(\w+)>=", block))
+    depends = ElementTree.parse(ROOT / 'package.xml').findall('exec_depend')
+    names = {str(each.text) for each in depends}
+    keys = {f'python3-{name.lower().removeprefix("py")}' for name in required - NO_ROSDEP_KEY}
+    assert {name for name in names if name.startswith('python3-')} == keys
+    readme = (ROOT / 'README.md').read_text(encoding='utf-8')
+    assert all(f'python3-{name}' in readme for name in NO_ROSDEP_KEY)
+    declaration = (ROOT / 'QUALITY_DECLARATION.md').read_text(encoding='utf-8')
+    assert [name for name in required if name not in declaration] == []
+
+
+def test_the_workflow_runs_every_python_that_is_declared() -> None:
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    declared = re.findall(r"Python :: (3\.\d+)'", setup)
+    workflow = (ROOT / '.github' / 'workflows' / 'ci.yml').read_text(encoding='utf-8')
+    assert len(declared) > 2 and [v for v in declared if f"'{v}'" not in workflow] == []

@@ -131,12 +131,6 @@ class ImuEstimate(Part):
         self._fit_ended, self._next_fit = now, now + wait
         self._publish(self._results)
 
-<<<<<<< HEAD
-    def close(self) -> None:
-        """Do nothing, because all data are in the sums."""
-
-=======
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return one status per axis, from the first message on."""
         if self._snapshot is None:

@@ -123,17 +123,12 @@ def _take(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
 
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
-<<<<<<< HEAD
-) -> Subscription:
-    """Subscribe Imu messages as raw bytes; outside the executor's wait set unless ``plain``."""
-=======
 ) -> tuple[Subscription, bool]:
     """Subscribe Imu as raw bytes; return the subscription, and whether it is to be drained.
 
     Without ``plain`` it stays out of the executor's wait set, where this client library can drain
     a queue explicitly. A message taken to find that out goes to the callback.
     """
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT

@@ -38,14 +38,8 @@ RETRY_S = 1.0
 """Period in s of the search for a missing node."""
 
 
-<<<<<<< HEAD
-class ParameterPush:
-    """Keeps parameters of the node ``push.node`` ('' for none) equal to the values from the noise
-    model.
-=======
 class ParameterPush(Part):
-    """Keeps parameters of the node ``push.node`` ('' for none) equal to those of the noise model.
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
+    """Keeps parameters of the node ``push.node`` ('' for none) equal to the noise model.
 
     The node that owns this object gets the parameters ``push.*`` and the service ``~/restore``.
     AllanError is raised if the mapping cannot be read.
@@ -83,14 +77,7 @@ class ParameterPush(Part):
         self._results = results if results.axes else None
 
     def tick(self, now: float) -> None:
-<<<<<<< HEAD
         """Start to set parameters if this is due, and stop waiting for late answers."""
-        if self._asked is not None:
-            if now - self._asked_at > ANSWER_S:
-                self._asked.cancel()
-                self._asked = None
-=======
-        """Start to set parameters if it is due, and give up on late answers."""
         if self._asked:
             if all(future.done() for future in self._asked):
                 answers = [future.result() for future in self._asked]
@@ -98,7 +85,6 @@ class ParameterPush(Part):
                 self._then(answers)
             elif now - self._asked_at > ANSWER_S:
                 self._abandon()
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         settings = self._settings.value
@@ -115,17 +101,9 @@ class ParameterPush(Part):
             return
         self._due_at = now + settings.period
         self._notes.pop('', None)
-<<<<<<< HEAD
-        self._unread, self._wanted = ready, []
-        self._proceed()
-
-    def close(self) -> None:
-        """Do nothing: the parameters stay unchanged."""
-=======
         # one by one: where one of several is not declared, a node returns no value at all
         requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
         self._ask(self._get, requests, partial(self._on_read, ready))
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the state of the parameters; no status if none are set."""
@@ -175,31 +153,6 @@ class ParameterPush(Part):
             future.cancel()
         self._asked = []
 
-<<<<<<< HEAD
-        They are read one by one: if one of several is not declared, a node returns none of them.
-        """
-        if self._unread:
-            request = GetParameters.Request(names=[self._unread[0].name])
-            self._ask(self._get.call_async(request), self._on_read)
-        elif self._wanted:
-            messages = [_message(p, self._current[p.name]) for p in self._wanted]
-            request = SetParameters.Request(parameters=messages)
-            self._ask(self._set.call_async(request), self._on_set)
-
-    def _on_read(self, future: Any) -> None:
-        """Store the value of the node, and whether it differs from the proposal."""
-        if future is not self._asked:
-            return
-        self._asked = None
-        proposal = self._unread.pop(0)
-        value = next(iter(future.result().values), ParameterValue())
-        if self._fits(proposal, value):
-            self._current[proposal.name] = value
-            self._notes.pop(proposal.name, None)
-            if proposal.differs(_numbers(value), self._settings.value.change):
-                self._wanted.append(proposal)
-        self._proceed()
-=======
     def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
         """Keep the values that the node has, and set those that differ from the proposals."""
         wanted = []
@@ -214,7 +167,6 @@ class ParameterPush(Part):
             messages = [_message(p, self._current[p.name]) for p in wanted]
             request = SetParameters.Request(parameters=messages)
             self._ask(self._set, [request], partial(self._on_set, wanted))
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     def _fits(self, proposal: Proposal, value: ParameterValue) -> bool:
         """Return whether the node's parameter can have the proposed value; store the reason if
@@ -230,18 +182,9 @@ class ParameterPush(Part):
         self._note(proposal.name, f'is {what} in {self.node}: the mapping sets {kind}')
         return False
 
-<<<<<<< HEAD
-    def _on_set(self, future: Any) -> None:
-        """Log the accepted and the rejected values."""
-        if future is not self._asked:
-            return
-        self._asked = None
-        for proposal, result in zip(self._wanted, future.result().results):
-=======
     def _on_set(self, wanted: list[Proposal], answers: list[Any]) -> None:
-        """Log which values were accepted and refused."""
+        """Log the accepted and the rejected values."""
         for proposal, result in zip(wanted, answers[0].results):
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
             name, value = proposal.name, _text(proposal.values)
             if not result.successful:
                 self._refused[name] = proposal
@@ -282,15 +225,9 @@ class ParameterPush(Part):
             return response
         wanted = [ParameterMessage(name=name, value=value) for name, value in former.items()]
         request = SetParameters.Request(parameters=wanted)
-<<<<<<< HEAD
-        self._asked, self._asked_at = self._set.call_async(request), time.monotonic()
-        answer = await self._asked
-        if answer is None:  # `tick` stopped waiting
-=======
         self._ask(self._set, [request], list.clear)
         answer = await self._asked[0]
-        if answer is None:  # `tick` gave up
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
+        if answer is None:  # `tick` stopped waiting
             response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
             return response
         failed = [

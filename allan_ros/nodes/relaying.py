@@ -201,13 +201,8 @@ class ImuRelay(Part):
             self._note_frame(payload)
         try:
             self._publisher.publish(handed_on)
-<<<<<<< HEAD
         except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
-            counts.unpublished += 1
-=======
-        except rclpy_implementation.RCLError:  # a reliable subscriber's queue stayed full
             counts[UNPUBLISHED] += 1
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
 
     def _without_bias(self, payload: bytes) -> bytes:
         """Return the message with the gyro bias subtracted, if this is enabled and allowed."""
@@ -239,17 +234,8 @@ class ImuRelay(Part):
             self._other_frame += 1
             self._last_frame = frame_id
 
-<<<<<<< HEAD
-    def _subscribe(self, topic: str, plain: bool) -> Subscription:
-        depth = self._settings.value.queue_depth
-        return subscribe_raw(self._node, topic, self._hand_on, depth, plain)
-
-    def _start(self) -> bool:
-        """Start the thread; return False if this client library has no wait set."""
-=======
     def _wait_set(self) -> Any:
-        """Return a wait set for one subscription; None where this client library has none."""
->>>>>>> 418793c (Merge the fallbacks of the relay and the input, and ask another node for all parameters at once)
+        """Return a wait set for one subscription; None if this client library has none."""
         try:
             return rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
         except (AttributeError, TypeError):
