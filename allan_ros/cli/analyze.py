@@ -58,7 +58,7 @@ WRITTEN = (
     FAIL_ON,
     Settings('pictures', PictureSettings),
 )
-"""Options of the results, and of the files that are written."""
+"""Options of the results and of the written files."""
 
 READ = (
     """
@@ -84,7 +84,7 @@ several recordings:
 def read_jobs(
     paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
 ) -> list[ReadJob]:
-    """Return the recordings to read, by the options `READ`."""
+    """Return the recordings to read, from the options `READ`."""
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
@@ -182,7 +182,8 @@ def _read_text(recorded: RecordingSums) -> str:
     """Return the source of one recording and the settings of reading."""
     (source,) = recorded.provenance.sources
     what = ' '.join(word for word in (source.topic, source.type) if word)
-    used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}  # alike is shown once
+    # identical texts are shown once
+    used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}
     each = (f'{number} of {sensor}' if len(used) > 1 else number for number, sensor in used.items())
     return (
         f'{source.path}: {recorded.provenance.counts.received:,} samples from {source.storage}'

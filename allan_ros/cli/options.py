@@ -3,8 +3,8 @@
 """Options of the command line: from a text or settings, with defaults from a config file.
 
 `allan.toml` or the section [tool.allan] of pyproject.toml sets defaults. Keys are the names of
-options, as in ``units = "si"``. Those at the top apply to every verb that has the option; those of
-a table, as [analyze], for this verb. The command line takes precedence.
+options, as in ``units = "si"``. Keys at the top level apply to every verb with this option, keys in
+a table such as [analyze] only to this verb. The command line takes precedence.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ T = TypeVar('T')
 
 
 class Settings(NamedTuple):
-    """Options made of a settings class: one for each field but those ``without``."""
+    """The options of a settings class, one for each field except ``without``."""
 
     title: str
     kind: type[Any]
@@ -39,7 +39,7 @@ class Command:
     """One verb of the command line."""
 
     description: str  # the first part of its help text, with examples
-    options: Sequence[str | Settings]  # as for `add_options`, or from a settings class
+    options: Sequence[str | Settings]  # text for `add_options`, or a settings class
     run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
     # exit codes in addition to the common ones
     exits: Mapping[int, str] = field(default_factory=dict)
@@ -77,15 +77,16 @@ TYPES: dict[str, Callable[[str], Any]] = {
     'N=..,B=..': _terms,
     'START:LENGTH': _period,
 }
-"""Placeholder of an option in `add_options` -> type of its value; a text if it is not here."""
+"""Placeholder of an option in `add_options` -> type of its value; others are text."""
 
 
 def add_options(parser: argparse.ArgumentParser, text: str) -> None:
     """Add the options that a text lists.
 
-    One option a line, its help after two spaces, further lines of it indented deeper. An argument
-    has its name before its placeholder; ``...`` allows several values or uses, ``?`` none. A line
-    that ends with a colon begins a group. Options marked with ``|`` exclude one another.
+    Each line contains one option and, after two spaces, its help, which continues on lines with
+    deeper indentation. An argument has its name before its placeholder. ``...`` allows several
+    values or uses, ``?`` makes it optional. A line that ends with a colon begins a group. Options
+    marked with ``|`` are mutually exclusive.
 
         inputs INPUT...             an argument
         group:

@@ -33,7 +33,7 @@ NOISES = {
     **{sensor: f'all {sensor} axes' for sensor in SENSORS},
     **{axis: axis for axis in AXES},
 }
-"""Option whose value is terms -> what they apply to."""
+"""Option whose value contains noise terms -> axes to which they apply."""
 
 NOISE_OPTIONS = '\n  '.join(
     f'--{name.replace("_", "-")} N=..,B=..  noise terms of {what}' for name, what in NOISES.items()

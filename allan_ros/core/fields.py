@@ -37,14 +37,14 @@ MAX_ITEMS = 1_000_000
 _REQUIRED = object()
 
 NO_NAMES: Mapping[str, str] = {}
-"""Field of a record -> its key, for a document that uses the names of the fields."""
+"""Field of a record -> its key, for documents that use the names of the fields."""
 
 
 def plain(value: Any, names: Mapping[str, str] = NO_NAMES) -> Any:
     """Return dataclasses, named tuples, mappings, sequences and arrays as JSON values.
 
-    Numbers that are not finite become None. ``names`` has the keys of fields that have another
-    name.
+    Numbers that are not finite become None. ``names`` maps fields to keys that differ from the
+    field name.
     """
     if dataclasses.is_dataclass(value):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
@@ -69,10 +69,10 @@ def located(where: str) -> Iterator[None]:
 
 
 class Fields:
-    """The fields of one JSON object; every getter raises `AllanError` naming the place.
+    """The fields of one JSON object; every getter raises `AllanError` that names the position.
 
-    Numbers of a `record` are 0 or above, except under the keys ``signed``. ``names`` has the keys
-    of its fields that have another name.
+    Numbers of a `record` are 0 or above, except under the keys ``signed``. ``names`` maps its
+    fields to keys that differ from the field name.
     """
 
     def __init__(
@@ -200,7 +200,7 @@ class Fields:
     def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are keys of this object.
 
-        Those in ``known`` have the given values and are not read; see `of` for the others.
+        Fields in ``known`` have the given values and are not read; for the other fields see `of`.
         """
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for name, hint in _hints(kind).items():  # type: ignore[arg-type]
@@ -210,9 +210,10 @@ class Fields:
         return kind(**known)
 
     def of(self, key: str, hint: Any) -> Any:
-        """Return the value of a key as a type: a text, a number, (low, high), a literal, an array.
+        """Return the value of a key as the given type.
 
-        Or a dataclass or named tuple, a tuple of texts or of those, or any of these or None.
+        Possible types are a text, a number, (low, high), a literal, an array, a dataclass or named
+        tuple, a tuple of texts or records, or an optional one of these.
         """
         origin, args = get_origin(hint), get_args(hint)
         least = -MAX_FLOAT if key in self._of_records[0] else 0.0

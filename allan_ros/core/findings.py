@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings: messages to the user, each worded in one place, the catalogue ``findings.txt``.
+"""Findings: messages to the user, whose texts are all in the catalogue ``findings.txt``.
 
 A message states the cause and the number, a remedy the next step; each is one short sentence.
 """

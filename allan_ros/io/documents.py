@@ -3,7 +3,7 @@
 """The JSON documents: `results.json` (``allan_ros/results/1``) and `sums.json`.
 
 Unknown values are null, never NaN. Reading is strict: another version, a wrong type, or a missing
-field without a default is an error that names the place.
+field without a default raises an error that names the position.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'me
 """Keys whose numbers may be negative."""
 
 NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
-"""Field -> its key, where they differ."""
+"""Field -> key, if they differ."""
 
 
 def results_to_document(

@@ -65,7 +65,8 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """Return the text of a regular UTF-8 file of at most ``limit`` bytes, line ends unchanged."""
+    """Return the text of a regular UTF-8 file of at most ``limit`` bytes, with unchanged line
+    ends."""
     try:
         return read_bounded(path, limit).decode('utf-8')
     except OSError as error:

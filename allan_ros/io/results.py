@@ -105,7 +105,7 @@ class Results:
             object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
 
     def _judged(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
-        """Return the comparisons, none of them settled if the record is too short."""
+        """Return the comparisons; none is settled if the record is too short."""
         short = self.duration_s < TOO_SHORT_S
         return tuple(replace(c, verdict='open') if short else c for c in comparisons)
 

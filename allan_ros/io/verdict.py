@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on an IMU, and its results as a short text or HTML table, for all outputs."""
+"""The verdict on an IMU, and its summary as text or HTML table, for all outputs."""
 
 from __future__ import annotations
 

@@ -159,8 +159,8 @@ class ImuWatch(Part):
     def _outlook(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return the health and the findings of the stream, and publish sums that were replaced.
 
-        The sums are expensive. They are computed if no message arrived since the last call, or if
-        anything but the addition of data at rest happened since then.
+        Computing the sums is expensive. They are computed if no message arrived since the last
+        call, or if anything except the addition of data at rest happened since then.
         """
         quiet, self._counted = self._input.received == self._counted, self._input.received
         if self._outdated:
@@ -192,7 +192,7 @@ class ImuWatch(Part):
         self._known = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()
         self._outdated = True  # whether samples were added since these were computed
-        self._events = ()  # at the last status
+        self._events = ()  # number of messages at the last status
 
     def _update(self) -> None:
         """Accumulate the drained messages."""

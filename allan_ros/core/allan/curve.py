@@ -167,7 +167,8 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 def _local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
     """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
 
-    NaN where fewer than two points in reach have a weight, (factors,), and a positive variance.
+    It is NaN if fewer than two points in the range have a weight, (factors,), and a positive
+    variance.
     """
     x = np.log(m.astype(float))
     span = np.log(SLOPE_SPAN) * (1.0 + 1e-9)

@@ -44,7 +44,7 @@ LEAST_DIFFERENCES = 200
 """Smallest number of differences of a part that is used."""
 
 SCATTER_PROBABILITY = 1e-3
-"""Probability of the scatter between parts or periods above which it is that of normal noise."""
+"""Probability above which the scatter between parts or periods is explained by normal noise."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,12 @@ def _parts_of_each(recordings: Sequence[Recording]) -> int:
 
 
 def level_scatter(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
-    """Return the standard deviation of ln N, (axes,), in excess of that of normal noise.
+    """Return the standard deviation of ln N, (axes,), in excess of normal noise.
 
-    That of the parts `level_changes` compares, whether their differences matter or not. Heavy tails
-    or bursts also scatter the variances of single periods more than chi-squared; what they add to
-    the variance of the mean is their excess over the number of periods. Scatter that is not
-    significant counts as 0.
+    It is computed from the parts that `level_changes` compares, even if their differences are not
+    relevant. With heavy tails or bursts, the variances of single periods scatter more than
+    chi-squared. This increases the variance of the mean by the excess scatter over the number of
+    periods. Scatter that is not significant counts as 0.
     """
     variance = np.zeros(axes)
     for parts in (_parts_of_each(recordings), 0):

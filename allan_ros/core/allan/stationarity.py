@@ -96,19 +96,20 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
 
 
 THRESHOLDS = {'warm_up': (17.5, 27.0, 31.0), 'early_drift': (22.0, 24.0, 27.0)}
-"""Significant values of twice the log likelihood ratio: of one axis, one sensor, and all axes. By
-the tails of 60 records of table 1, X, about one clean record in 1000 exceeds each of the six."""
+"""Significant values of twice the log likelihood ratio: of one axis, one sensor, and all axes.
+According to the tails of 60 records of table 1, X, about one clean record in 1000 exceeds each of
+the six values."""
 
 SCREENED = 0.5
-"""Axes are only fitted if a score reaches this fraction of its threshold. In 130 simulated axes
+"""Axes are fitted only if a score reaches this fraction of its threshold. In 130 simulated axes
 with a significant ratio, the score was above 0.65 of the threshold."""
 
 SHARES = 3.5
-"""Twice the log likelihood ratio of one axis from which it is named with the others."""
+"""Twice the log likelihood ratio above which an axis is named together with the others."""
 
 
 def _groups(axes: int, sensors: Sequence[Sequence[int]], kind: str) -> Iterator[tuple[Axes, float]]:
-    """Yield the axes that are tested together, and their threshold."""
+    """Yield the axes that are tested together and their threshold."""
     of_axis, of_sensor, of_all = THRESHOLDS[kind]
     yield from (((axis,), of_axis) for axis in range(axes))
     yield from ((tuple(sensor), of_sensor) for sensor in sensors)
@@ -254,7 +255,8 @@ STEP_PRICE, STEPS_THRESHOLD = 8.0, 22.0
 is a finding."""
 
 STEP_INTERVALS = 256
-"""Largest number of intervals with whose means steps are searched; they may lie between two."""
+"""Largest number of intervals whose means are used to search for steps; a step may lie between two
+of them."""
 
 
 def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
@@ -289,8 +291,10 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
 def _most_likely_steps(
     values: Floats, model: VarianceModel, steps: Floats, start: Floats
 ) -> tuple[list[int], Likelihood, Likelihood, float] | None:
-    """Return the columns of the steps of one axis, the likelihoods without and with them, and the
-    excess; None if they are not significant.
+    """Return the steps of one axis, or None if they are not significant.
+
+    The result contains the columns of the steps, the likelihoods without and with them, and the
+    excess.
     """
     chosen: list[int] = []
     null: Likelihood | None = None

@@ -64,7 +64,9 @@ class Level:
 
     @property
     def no_interval(self) -> bool:
-        """Whether it is an estimate without an interval: its method gives none, or it is likely."""
+        """Whether it is an estimate without an interval, because the method gives none or it is
+        only likely.
+        """
         return self.ci95 is None and not self.is_limit and self.raised_from is None
 
     @property
@@ -93,15 +95,15 @@ class AxisReduction:
 
 
 def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
-    """Return the level of a term on one axis: its estimate, else its 95 % upper limit.
+    """Return the level of a term on one axis: its estimate, or else its 95 % upper limit.
 
-    With the limit a filter overestimates the noise and relies more on its other sensors.
+    With the limit, a filter overestimates the noise and relies more on its other sensors.
 
     Raises
     ------
     AllanError
-        When there is neither a positive estimate nor a finite limit, or ``strict`` and no 95 %
-        interval. The message names ``axis``.
+        When there is neither a positive estimate nor a finite limit, or no 95 % interval and
+        ``strict`` is set. The message names ``axis``.
     """
     coefficient = fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -121,7 +123,7 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
 
 
 def _accepted(level: Level, strict: bool) -> Level:
-    """Return the level, unless ``strict`` refuses it because it has no interval."""
+    """Return the level; raise AllanError if it has no interval and ``strict`` is set."""
     if strict and level.no_interval:
         raise AllanError(
             f'{level.term} of {level.axis} has no 95 % interval: record longer, fit by method gls, '
@@ -141,7 +143,7 @@ def reduce_axis(
     """Return the reduction of the selected model of one axis for the states of a filter.
 
     Terms outside the selected model count as 0, with two exceptions: N is replaced by its upper
-    limit, and if nothing drifts, K is.
+    limit, and K is, too, if the model has no drift.
 
     Parameters
     ----------
@@ -152,15 +154,15 @@ def reduce_axis(
     horizons : Horizons
         Range of times over which the filter integrates.
     strict : bool
-        Refuse upper limits, values without a 95 % interval, and reductions that are off by more
-        than `POOR_RATIO`. A value that the reduction raises is accepted.
+        Whether to reject upper limits, values without a 95 % interval, and reductions that are off
+        by more than `POOR_RATIO`. Values raised by the reduction are accepted.
     expect_walk : bool
         Whether an unresolved K counts as in `expected_model`.
 
     Raises
     ------
     AllanError
-        When a needed term has neither a value nor a limit, or ``strict`` refuses.
+        When a needed term has neither a value nor a limit, or ``strict`` rejects the result.
     """
     white = axis_level(axis, fit, 'N', strict)
     model = drift_model(fit.selected)

@@ -352,12 +352,14 @@ def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
 
 
 LEAST_NEIGHBORS = 1e-5
-"""Share of the samples below which those between two gaps do not matter."""
+"""Fraction of the samples below which the samples between two gaps are negligible."""
 
 
 @lru_cache(maxsize=1024)
 def _common(k: int, after: int, m: int) -> float:
-    """Return what gaps of k and ``after`` around one sample add to `_excess`, over all starts."""
+    """Return the contribution of gaps of k and ``after`` around one sample to `_excess`, over all
+    starts.
+    """
     base = _weights(m, k + after + 3)
     left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
     right = np.correlate(base, np.arange(after, 0, -1) / (after + 1))

@@ -260,7 +260,8 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return tau and variance of `POINTS_PER_OCTAVE` valid points at most, shortest first."""
+    """Return tau and variance of at most `POINTS_PER_OCTAVE` valid points per octave, shortest
+    first."""
     good = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
     order = np.argsort(tau[good])
     tau, avar = tau[good][order], adev[good][order] ** 2

@@ -75,17 +75,17 @@ Z_CUT = 6.0
 samples are filtered. Real disturbances give values of hundreds."""
 
 CUT_LOSS = 4.0
-"""The shortest averages are not left out if N is then less certain than with a model error on the
-complete table by more than this factor."""
+"""The shortest averages are kept if N would otherwise be less certain by more than this factor than
+with a model error on the complete table."""
 
 IMITATES = 8.0
-"""Scale of a process over m_min below which it may imitate a filter."""
+"""Scale of a process, relative to m_min, below which it may imitate a filter."""
 
 IMITATION_LOSS = 2.0
-"""How much less certain N may be without such processes."""
+"""Largest factor by which N may become less certain without such processes."""
 
 CUT_ERROR = 1.1
-"""Least relative error of N over sqrt(m_min/samples), q being free."""
+"""Smallest relative error of N over sqrt(m_min/samples), with free q."""
 
 ROUNDS = 6
 """Largest number of rounds of search and covariance; shapes usually converge in two."""
@@ -94,8 +94,8 @@ SAME_SHAPE = 0.05
 """Relative change of a shape that has no effect on the covariance."""
 
 FILTER_SHARES = ((1.5, 0.1), (32.0, 0.95))
-"""Correlation time in samples, and the part of the long-term white level from which Gauss-Markov
-processes of at most this time have taken the place of white noise: the samples are filtered."""
+"""Correlation time in samples, and fraction of the long-term white level. If Gauss-Markov processes
+up to this time exceed the fraction, they have replaced white noise: the samples are filtered."""
 
 Z_SLACK = 1.0
 """A model with processes may exceed the goodness of fit of an accepted model by this much."""
@@ -393,16 +393,16 @@ def _z(fit: PointFit) -> float:
 def _of_a_part(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
-    """Return the good fits without the shortest averages, best first, and those to use if none is.
+    """Return the good fits without the shortest averages, best first, and the fits to use otherwise.
 
-    With a small model error the complete table may determine N far better than a part of it.
+    With a small model error, the complete table may determine N far better than a part of it.
 
     Parameters
     ----------
     pooled : PooledTable
     axis : int
     fit : PointFit
-        Of the five terms.
+        Fit of the five terms.
     tried : list of PointFit
         Fits of the complete table, none of them good.
     """
@@ -425,8 +425,8 @@ def _without_the_shortest(
 ) -> list[PointFit]:
     """Return fits with an increasing smallest factor, until one passes well.
 
-    A table that just passes may still deviate at its short end. The relative error of N may be
-    ``most`` at the most.
+    A table that barely passes may still deviate at its short end. ``most`` is the largest relative
+    error of N.
     """
     out: list[PointFit] = []
     for m_min in M_MIN:
@@ -457,13 +457,13 @@ def _is_good(fit: PointFit) -> bool:
 
 
 def _loosened(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with the fractional model error that makes it pass."""
+    """Return the fit with the fractional model error with which it passes."""
     misfit = misfit_of(fit.table, fit.power, fit.options.signed)
     return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.power)
 
 
 def _white_error(pooled: PooledTable, axis: int, fit: PointFit) -> float:
-    """Return the standard error of N over N, model error and uncertain shapes included."""
+    """Return the relative standard error of N, including model error and uncertain shapes."""
     options = fit.options
     table = options.table(pooled, axis, options.noise(fit.power), tangents=True)
     power = np.concatenate([fit.power, np.zeros(table.terms.shape[1] - len(fit.power))])

@@ -40,9 +40,9 @@ TESTED_RECORDINGS = 8
 """Number of the longest recordings that are tested."""
 
 LEAST_TESTED_S = 120.0
-"""Seconds of a recording from which steps and the size of its drift are tested, and from which an
-early part is reported although no coefficient leaves its interval. Means of shorter ones are those
-of less than a quarter of a second, which vibration moves rather than drift."""
+"""Shortest recording in s in which steps and the size of the drift are tested, and in which an
+early part is reported even if no coefficient leaves its interval. In shorter ones, means over less
+than a quarter of a second would be compared, which change because of vibration, not drift."""
 
 STEPS_MATTER = 0.96
 """Steps are reported if the variance of the walk without them is below this fraction."""
@@ -289,7 +289,8 @@ def _rest(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
 
 
 def _unsettled(sums: AllanSums, parts: list[EarlyPart], age: int) -> Finding:
-    """Return the finding of a warm-up after which, at an age, too little data remains for a fit."""
+    """Return the finding of a warm-up that ends at an age after which too few data remain for a
+    fit."""
     tau0 = sums.tau0 or 0.0
     duration = age * tau0
     remaining = duration - sums.history.length * tau0

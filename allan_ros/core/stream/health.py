@@ -54,31 +54,32 @@ WEIGHTLESS = 0.05
 
 @dataclass
 class Counts:
-    """What happened to the samples since the start of a stream.
+    """Counts of the samples since the start of a stream, by their use.
 
-    Where the sensors have different rates all but ``received`` and ``skipped`` are counted per
-    sensor stream. received + bridged = used + skipped + not_finite + duplicate + backward +
-    untimed + moving + stuck + louder + those still buffered.
+    If the sensors have different rates, all counts except ``received`` and ``skipped`` are per
+    sensor stream. received + bridged = used + skipped + not_finite + duplicate + backward + untimed
+    + moving + stuck + louder + the samples still buffered.
     """
 
     received: int = 0
-    used: int = 0  # in the sums, interpolated ones included
+    used: int = 0  # in the sums, including interpolated ones
     # dropped
-    skipped: int = 0  # at the start, for the warm-up
+    skipped: int = 0  # at the start, during the warm-up
     not_finite: int = 0
-    duplicate: int = 0  # stamp and values of the sample before
+    duplicate: int = 0  # repeat stamp and values of the previous sample
     backward: int = 0  # a stamp before the latest
     untimed: int = 0  # a thousand equal stamps in a row
     # missing according to the stamps
     lost: int = 0
-    bridged: int = 0  # of the lost ones: interpolated
+    bridged: int = 0  # lost samples that were interpolated
     # not at rest, and dropped
     moving: int = 0
-    stuck: int = 0  # an axis showed one value
-    saturated: int = 0  # of the moving ones: at the end of the range
+    stuck: int = 0  # an axis repeated one value
+    saturated: int = 0  # moving samples at the end of the range
     louder: int = 0  # at rest, but much louder than the noise floor
     spikes: int = 0  # isolated spikes that were replaced, per axis
-    cuts: Counter[str] = field(default_factory=Counter)  # reason -> how often the data were split
+    # reason -> number of times the data were split
+    cuts: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
         """Add the counts of another sensor stream."""
@@ -145,15 +146,15 @@ class StreamHealth:
     state: State = 'waiting'
     rate_hz: float | None = None  # None before it is learned
     bursty: bool = False  # whether stamps come in bursts
-    first_ns: int | None = None  # first and latest stamp of the present frame
+    first_ns: int | None = None  # first and latest stamp with the present frame_id
     last_ns: int | None = None
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
     frame_id: str = ''  # of the latest sample
     evidence_frame_id: str = ''  # of the sums with the longest time
     frame_changes: int = 0
-    discarded: int = 0  # how often sums were discarded: they were taken in motion
+    discarded: int = 0  # how often sums were discarded because they were taken in motion
     loudest: Mapping[str, float] = field(default_factory=dict)
-    """How many times louder than its floor an axis became at rest; empty if none did."""
+    """Ratio of the noise of an axis at rest to its floor; only axes that became louder."""
 
     @property
     def still_share(self) -> float | None:
@@ -275,7 +276,7 @@ EVENTS = (
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return how often each of the `EVENTS` happened."""
+    """Return the number of occurrences of each of the `EVENTS`."""
     c = health.counts
     jumps, changes = c.cuts['clock jump'], c.cuts['rate change']
     counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
@@ -283,7 +284,7 @@ def events(health: StreamHealth) -> Counter[str]:
 
 
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
-    """Return the findings on events that happened; ``when`` completes their text."""
+    """Return the findings about events that occurred; ``when`` completes their text."""
     now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
     happened = [id for id in EVENTS if counts[id] > 0]
     return [finding(id, count=counts[id], times=counts[id], **now) for id in happened]

@@ -415,7 +415,7 @@ def classify_windows(
 ) -> WindowClass:
     """Compare windows of ``size`` samples with the floor, by the ``motion_ratio`` of `MotionGate`.
 
-    The mean of the window before the first, (axes,), is None when it does not follow any.
+    ``before``, (axes,), is the mean of the window before the first, or None if there is none.
     """
     # (axes, 1) each; infinite if the floor is unknown
     scale, lsb = floor.scale[:, None], floor.lsb[:, None]

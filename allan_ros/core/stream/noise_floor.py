@@ -75,12 +75,13 @@ rings, after a spike it does not."""
 class RestLimits:
     """Limits of the slow changes that a sensor can show at rest, (axes,) arrays.
 
-    White noise has no limit: large values mean another unit, which is reported elsewhere.
+    White noise has no limit: large values indicate another unit, which is reported elsewhere.
     """
 
     deviation: Floats  # standard deviation within a window of noise at low frequencies
-    step: Floats  # between the means of neighboring windows, if more than that of white noise
-    turn: Floats  # of the mean rate from that at rest
+    # of the step between the means of neighboring windows, if larger than that of white noise
+    step: Floats
+    turn: Floats  # of the change of the mean rate from its value at rest
     gravity: NDArray[np.bool_]  # the axes that measure gravity
 
     @classmethod
@@ -141,7 +142,7 @@ def smoothness(stretches: Iterable[Floats]) -> Floats:
 class NoiseFloor:
     """The noise of a sensor at rest, (axes,) arrays in the unit of the samples (squared).
 
-    It was learned in windows of ``size`` samples.
+    It is learned in windows of ``size`` samples.
     """
 
     variance: Floats  # about the mean of a still window
@@ -149,7 +150,8 @@ class NoiseFloor:
     mean: Floats
     lsb: Floats  # smallest change between two samples: the resolution of the sensor, or less
     smooth: Floats  # `smoothness` of the samples
-    heavy: NDArray[np.bool_]  # whether they have heavy tails: large values are noise, not spikes
+    # whether the samples have heavy tails: single large values are noise, not spikes
+    heavy: NDArray[np.bool_]
     size: int
     limits: RestLimits
 
@@ -194,7 +196,7 @@ class NoiseFloor:
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
     def can_be_rest(self) -> bool:
-        """Return whether a sensor at rest can have this floor."""
+        """Return whether this can be the floor of a sensor at rest."""
         white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
         steps = (self.step > self.limits.step) & (self.step > COLOURED_STEP * white)
         swings = (self.variance > self.limits.deviation**2) & (self.smooth < SLOW)
@@ -234,11 +236,11 @@ class NoiseFloor:
         return self
 
     def louder(self, rows: Floats, block: Windows) -> Floats | None:
-        """Return how many times louder a block at rest is, (axes,); None if it is motion.
+        """Return the ratio of the noise of a block at rest to the floor, (axes,); None in motion.
 
-        Noise that became louder is stationary, as broad in its spectrum as the floor or as white
-        noise, and leaves the mean rate and the direction of gravity where they were. The samples
-        of the block are ``rows``, (axes, n).
+        Louder noise is stationary, has a spectrum as broad as that of the floor or of white noise,
+        and does not change the mean rate and the direction of gravity. The samples of the block are
+        ``rows``, (axes, n).
         """
         level = _quantile(block.variance, 0.5)
         scale = self.scale

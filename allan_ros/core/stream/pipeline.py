@@ -114,14 +114,14 @@ class ImuStream:
         )
 
     def outlook(self, sums: tuple[AllanSums, ...]) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return health and findings without the cost of `result`, with sums of an earlier one.
+        """Return health and findings from the sums of an earlier `result`, at a lower cost.
 
-        The latest samples, on which nothing is decided yet, count as buffered.
+        The latest samples, which are not classified yet, count as buffered.
         """
         state = self._present.state
         if state not in ('waiting', 'learning'):
             return self._health(state, sums)
-        now = copy.deepcopy(self)  # all samples are buffered, and there are few
+        now = copy.deepcopy(self)  # all samples are buffered, and there are few of them
         now.end()
         return now._health(state, sums)
 

@@ -48,15 +48,15 @@ REGULAR_SHARE = 0.6
 mean of these steps is at least this share of the mean of all steps."""
 
 JITTER_SHARE = 0.01
-"""Stamps jitter when more steps than this share are below half the period."""
+"""Stamps have jitter if more than this fraction of the steps is below half the period."""
 
 
 @dataclass(frozen=True)
 class Clock:
     """Working period and median step of the stamps of a stream.
 
-    ``bursty`` stamps come in bursts, so that single steps carry no information. With ``jitter``
-    not every single loss is found.
+    ``bursty`` stamps come in bursts, so single steps contain no information. With ``jitter``, some
+    single losses are not detected.
     """
 
     period_ns: float
@@ -114,9 +114,10 @@ def learn_clock(stamps: Stamps) -> Clock | None:
 
 
 def lattice_period(stamps: Stamps, period: float, reach: float) -> float:
-    """Return the period of which the stamps are most nearly multiples, within a fraction of one.
+    """Return the period, within a fraction of ``period``, whose multiples fit the stamps best.
 
-    Lost samples do not change it, and jitter only lowers the contrast: |sum exp(2 pi i t / p)|.
+    It maximises |sum exp(2 pi i t / p)|. Lost samples do not change the result, and jitter only
+    lowers the contrast.
     """
     step = np.diff(stamps) / period
     t = np.cumsum(np.where(step > LATTICE_GAP, 1.0, step))
@@ -128,13 +129,14 @@ def lattice_period(stamps: Stamps, period: float, reach: float) -> float:
 
 
 LATTICE_RANGE, LATTICE_TRACKING = 0.05, 0.003
-"""Range in which the period is searched, at first and later."""
+"""Ranges of the search for the period, as fractions of it: for the first search, and for later
+ones."""
 
 LATTICE_GAP = 16.0
-"""Longest silence, in periods, behind which the phase of the samples is assumed to go on."""
+"""Longest silence, in periods, after which the phase of the samples is assumed to continue."""
 
 LATTICE_STEP = 0.25
-"""Cycles by which two tried periods differ over all stamps."""
+"""Phase difference, in cycles over all stamps, between two tried periods."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,8 @@ RATE_CHANGE_BURSTY = 0.10
 """Change of the period over `TRACK_BLOCKS` that indicates another rate if stamps are bursty."""
 
 BRIDGED_SHARE = 0.5
-"""Most interpolated samples per received one in a block; beyond, lost samples split the data."""
+"""Largest number of interpolated samples per received sample in a block; if more samples are lost,
+the data are split."""
 
 
 class SampleClock:
@@ -217,7 +220,7 @@ class SampleClock:
         self._index: NDArray[np.int64] = np.empty(0, np.int64)  # of the past samples
         self._since_cut = 0  # past samples since the last cut, at most `_reach`
         self._blocks = 0
-        self._suspect = False  # whether the last block looked like another rate
+        self._suspect = False  # whether the last block seemed to have another rate
         self._track_start: tuple[int, int] | None = None  # stamp and index; None after a gap
 
     @property
@@ -337,9 +340,10 @@ class SampleClock:
     def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
         """Return how many of the samples come before a change of the rate.
 
-        The steps of a block show the change, its first unusual step the place. With jitter it takes
-        two blocks, because one may have several losses that were not found. The samples that the
-        period was learned from are exempt, so that every clock makes progress.
+        The steps of a block show whether the rate changed, the first unusual step shows where. With
+        jitter, two blocks are needed, because one block may have several losses that were not
+        detected. The samples from which the period was learned are exempt, so that every clock
+        makes progress.
         """
         if self.clock.bursty:
             return len(step)

@@ -45,14 +45,15 @@ LIVE_FINDINGS = (
 
 @dataclass
 class TransportStatistics:
-    """What happened to the messages in transport."""
+    """Counts of the messages in transport."""
 
     received: int = 0
-    sent_before: int = 0  # by publishers before the first one received: not yet subscribed, or lost
-    skipped_numbers: int = 0  # sequence numbers of the publishers that are missing
-    reported_lost: int = 0  # losses that the middleware reported
-    malformed: int = 0  # of those received: no Imu messages
-    incompatible_qos: int = 0  # publishers from which nothing arrives for their QoS
+    sent_before: int = 0  # sent before the first received one: before the subscription, or lost
+    skipped_numbers: int = 0  # missing sequence numbers of the publishers
+    reported_lost: int = 0  # losses reported by the middleware
+    malformed: int = 0  # received messages that are not Imu messages
+    # publishers whose messages do not arrive because their QoS is incompatible
+    incompatible_qos: int = 0
 
     @property
     def lost(self) -> int:
@@ -193,7 +194,7 @@ class TransportMonitor:
         """Return the findings of the last minute, causes before their effects."""
         more = self._tallies[-1][1].copy()
         more.subtract(self._tallies[0][1])
-        # the first stamps after a backward clock step are dropped as backward ones
+        # the first stamps after a backward clock step are dropped as backward stamps
         more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
         found = event_findings(more, health, LATELY)
         if more['leapt'] > 0 and health.rate_hz:

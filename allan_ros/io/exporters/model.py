@@ -76,7 +76,7 @@ class SensorProcess(NamedTuple):
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
-    """Return a number, or all numbers of nested lists, with the digits that are written."""
+    """Return a number, or all numbers of nested lists, rounded to the digits that are written."""
     if isinstance(value, (list, tuple)):
         return [rounded(each, digits) for each in value]
     return float(f'{value:.{digits}g}')

@@ -75,7 +75,7 @@ class DecodedImus:
     stamps_ns: NDArray[np.int64]
     samples: NDArray[np.float64]  # (n, 6), SI, in the order of `AXES`; NaN: the sensor is absent
     frame_ids: list[str]  # the distinct frame_ids
-    frames: NDArray[np.intp]  # for each message the index of its frame_id
+    frames: NDArray[np.intp]  # index of the frame_id of each message
     kept: dict[str, int] = field(default_factory=dict)
     """Sensor -> messages that declare it absent by covariance[0] = -1 or NaN, but contain valid
     data, which are kept."""

@@ -64,7 +64,7 @@ class Columns:
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
     stamp: tuple[tuple[int, int], ...]  # (column, factor to ns), whose sum is the stamp
     record: tuple[tuple[int, int], ...]  # the same for the record time
-    temperature: int | None  # column in degC
+    temperature: int | None  # column of the temperature in degC
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> a column, where neither names nor options state a unit
 

@@ -72,7 +72,7 @@ EARLIEST_S = 978_307_200
 """2001-01-01. An earlier first stamp is not a date, but the time since a machine was started."""
 
 FOLDED, STEPS = 3, 4
-"""Most notes that are not folded away under their number, and most next steps that are shown."""
+"""Number of notes above which they are folded, and largest number of next steps that are shown."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
 
 
 def _size(path: Path) -> str:
-    """Return the size of an input, or '' if it is not there any more."""
+    """Return the size of an input, or '' if it no longer exists."""
     try:
         files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
         return f'{sum(file.stat().st_size for file in files):,} bytes' if files else ''

@@ -50,7 +50,7 @@ ERRORS = {
     'gyro': {'datasheet': ShownUnit('°', 180.0 / math.pi), 'si': ShownUnit('rad', 1.0)},
     'accel': dict.fromkeys(SYSTEMS, ShownUnit('m/s', 1.0)),
 }
-"""Sensor -> system of units -> the unit of what grows without correction."""
+"""Sensor -> system of units -> unit of the error that grows without correction."""
 
 COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
 """Columns of the table for spreadsheets."""
@@ -62,7 +62,7 @@ def in_units(html_of: Callable[[str], str]) -> str:
 
 
 def headline_table(sensor: str, axes: Axes) -> str:
-    """Return the small table of N, B and K of the verdict section."""
+    """Return the small table of N, B and K for the verdict section."""
     rows = _coefficient_rows(sensor, axes, ADVISED_TERMS, named=False)
     return _table('coefficients', axes, '', rows, f'<caption>{SENSOR_NAMES[sensor]}</caption>')
 
@@ -129,7 +129,8 @@ def _size(
     units: Mapping[str, ShownUnit],
     below: bool = False,
 ) -> str:
-    """Return a standard deviation with its interval: ``below`` it, or in line with the unit."""
+    """Return a standard deviation with its interval, ``below`` it or on the same line before the
+    unit."""
     low, high = interval or (size, size)
 
     def shown(system: str) -> str:
@@ -267,7 +268,7 @@ def _comparison(caption: str, axes: Axes, rows: Sequence[Row], corner: str = 'te
 
 
 def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str = '') -> str:
-    """Return a table with a column for each axis, and their letters as its head."""
+    """Return a table with one column per axis, with the letters of the axes as its header."""
     first = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
     head = ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes)
     body = ''.join(f'<tr><th scope="row">{th}</th>{"".join(cells)}</tr>' for th, cells in rows)
