@@ -393,7 +393,7 @@ def _z(fit: PointFit) -> float:
 def _of_a_part(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
-    """Return the good fits without the shortest averages, best first, and the fits to use otherwise.
+    """Return the good fits without the shortest averages, best first, and fits to use otherwise.
 
     With a small model error, the complete table may determine N far better than a part of it.
 

@@ -415,7 +415,7 @@ def classify_windows(
 ) -> WindowClass:
     """Compare windows of ``size`` samples with the floor, by the ``motion_ratio`` of `MotionGate`.
 
-    ``before``, (axes,), is the mean of the window before the first, or None if there is none.
+    ``previous_mean``, (axes,), is the mean of the window before the first; None if there is none.
     """
     # (axes, 1) each; infinite if the floor is unknown
     scale, lsb = floor.scale[:, None], floor.lsb[:, None]

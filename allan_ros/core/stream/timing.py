@@ -114,7 +114,7 @@ def learn_clock(stamps: Stamps) -> Clock | None:
 
 
 def lattice_period(stamps: Stamps, period: float, reach: float) -> float:
-    """Return the period, within a fraction of ``period``, whose multiples fit the stamps best.
+    """Return the period, within a fraction ``reach`` of ``period``, whose multiples fit best.
 
     It maximises |sum exp(2 pi i t / p)|. Lost samples do not change the result, and jitter only
     lowers the contrast.
