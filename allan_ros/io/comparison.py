@@ -197,8 +197,12 @@ def _of_pair(pair: Pair, family_error: float) -> str:
     # Coefficients take precedence; deviations are named if no coefficient differs.
     named = [d for d in beyond if d.tau is None] or list(beyond)
     # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
-    most = max(named, key=lambda d: (d.ratio is not None, _least_difference(d)))
-    said = f'{pair.second} is {_by(most)} {pair.first} in {quantity_text(most)} {_interval(most)}'
+    most = max(named, key=lambda d: (d.ratio is not None, _noisier_over_quieter(d)[1]))
+    ratio, low, high = (r and significant(r, RATIO_DIGITS) for r in _noisier_over_quieter(most))
+    times = f'{ratio}x ' if ratio else ''
+    word = 'noisier' if most.verdict == 'higher' else 'quieter'
+    interval = f'at least {low}x' if high == 'inf' else f'{low}..{high}'
+    said = f'{pair.second} is {times}{word} than {pair.first} in {quantity_text(most)} ({interval})'
     others = len(beyond) - 1
     opposite = sum(d.verdict != most.verdict for d in beyond)
     if others:
@@ -208,28 +212,12 @@ def _of_pair(pair: Pair, family_error: float) -> str:
     return said
 
 
-def _least_difference(difference: Difference) -> float:
-    """Return the logarithm of the end of the interval that is closest to 1."""
-    low, high = difference.ci95 or (1.0, 1.0)
-    return math.log(low) if difference.verdict == 'higher' else -math.log(high)
-
-
-def _by(difference: Difference) -> str:
-    noisier = difference.verdict == 'higher'
-    word = 'noisier' if noisier else 'quieter'
-    if difference.ratio is None:
-        return f'{word} than'
-    factor = difference.ratio if noisier else 1.0 / difference.ratio
-    return f'{significant(factor, RATIO_DIGITS)}x {word} than'
-
-
-def _interval(difference: Difference) -> str:
-    low, high = difference.ci95 or (1.0, 1.0)
-    if difference.verdict == 'lower':
-        low, high = (1.0 / high, math.inf if low == 0.0 else 1.0 / low)
-    if math.isinf(high):
-        return f'(at least {significant(low, RATIO_DIGITS)}x)'
-    return f'({significant(low, RATIO_DIGITS)}..{significant(high, RATIO_DIGITS)})'
+def _noisier_over_quieter(difference: Difference) -> tuple[float | None, float, float]:
+    """Return the ratio of a significant difference, at least 1, and the ends of its interval."""
+    (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
+    if difference.verdict == 'higher':
+        return ratio, low, high
+    return ratio and 1.0 / ratio, 1.0 / high, 1.0 / low if low else math.inf
 
 
 def _of_datasheet(label: str, comparison: DatasheetComparison) -> str:
