@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pkgutil import get_data
 from typing import Literal
 
@@ -19,28 +19,6 @@ Severity = Literal['info', 'warning', 'error']
 
 SEVERITIES: tuple[Severity, ...] = ('error', 'warning', 'info')
 """Severities, the most severe first."""
-
-
-@dataclass(frozen=True)
-class Wording:
-    """The text of one kind of finding; ``message`` and ``remedy`` are `str.format` templates."""
-
-    severity: Severity
-    message: str
-    remedy: str
-
-
-def _parsed(text: str) -> Iterator[tuple[str, Wording]]:
-    """Yield id and text of each kind of finding."""
-    for entry in re.split(r'\n(?=\w)', re.sub(r'(?m)^(#.*)?\n', '', text)):
-        head, _, words = entry.partition('\n')
-        id, _, severity = head.partition(': ')
-        message, _, remedy = (' '.join(part.split()) for part in words.partition('  > '))
-        yield id, Wording(severity, message, remedy)  # type: ignore[arg-type]
-
-
-CATALOGUE = dict(_parsed((get_data(__package__, 'findings.txt') or b'').decode()))
-"""id -> text."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +36,20 @@ class Finding:
         return f'{where}{self.message} {self.remedy}'
 
 
+def _catalogue(text: str) -> Iterator[Finding]:
+    """Yield each kind of finding, with its texts as templates of `str.format`."""
+    for entry in re.split(r'\n(?=\w)', re.sub(r'(?m)^(#.*)?\n', '', text)):
+        head, _, words = entry.partition('\n')
+        id, _, severity = head.partition(': ')
+        message, _, remedy = (' '.join(part.split()) for part in words.partition('  > '))
+        yield Finding(id, severity, message, remedy)  # type: ignore[arg-type]
+
+
+_TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
+
+CATALOGUE = {one.id: one for one in _catalogue(_TEXT)}
+"""id -> templates."""
+
 PLURAL = re.compile(r'\{(\w+):([^{}|]*)\|([^{}|]*)\}')
 """A field of a template with the texts for one, and for any other number."""
 
@@ -73,10 +65,9 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
 
     No axes means all of them.
     """
-    wording = CATALOGUE[id]
-    values = {'when': '', **values}
-    message, remedy = (_filled(text, values) for text in (wording.message, wording.remedy))
-    return Finding(id, wording.severity, message, remedy, axes)
+    known, values = CATALOGUE[id], {'when': '', **values}
+    message, remedy = (_filled(text, values) for text in (known.message, known.remedy))
+    return replace(known, message=message, remedy=remedy, axes=axes)
 
 
 def duration_text(seconds: float, digits: int = 2) -> str:
