@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ from allan_ros.io.results import Results, analyse_sums
 # The time an example takes depends on the machine, not on the law that is tested.
 settings.register_profile('allan_ros', deadline=None)
 settings.load_profile('allan_ros')
+
+# A shell starts background jobs with SIGINT ignored, and a process hands that on to its children.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
