@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The one base error of the package: its message states what is wrong, where, and what to do."""
+"""The base error of the package; its message states the problem, the place and the remedy."""
 
 SHOWN_START, SHOWN_END = 1500, 500
 """Number of characters that are kept at the start and the end of a longer line: the place and the

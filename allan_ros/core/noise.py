@@ -157,7 +157,7 @@ def gauss_markov_sums(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return A and B of D(n) = A n - B (1 - exp(-n/T)), the variance of the sum of n samples.
 
-    The samples are those of a first-order Gauss-Markov process of unit variance with the
+    The samples belong to a first-order Gauss-Markov process of unit variance with the
     autocovariance exp(-k/T) at lag k: A = coth(1/(2T)) and B = 1 / (2 sinh(1/(2T))^2).
 
     Parameters
@@ -229,8 +229,8 @@ class ProcessModel:
         tau : (times,) array
             Averaging times in s.
         tau0 : float
-            Sample period in s. With 0 the curve is in continuous time, with a positive period it is
-            that of samples (discrete walk, aliased sinusoids).
+            Sample period in s. With 0 the curve is in continuous time, with a positive period it
+            describes samples (discrete walk, aliased sinusoids).
 
         Returns
         -------

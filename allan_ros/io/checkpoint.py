@@ -36,7 +36,7 @@ NOTHING: Total = (), Provenance()
 
 
 class Checkpoint:
-    """Adds the sums of earlier runs of a node to those of this run, and saves the total in a file.
+    """Adds the sums of earlier runs of a node to the current sums, and saves the total in a file.
 
     A damaged file is renamed. A file of another version or IMU is never overwritten: nothing is
     written until it is moved away, or until its IMU is connected again. Only regular files are

@@ -137,7 +137,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     """Return the results of a results.json, or of the folder of an analysis.
 
     A sums.json or a checkpoint is fitted first. Results of a folder can be merged and saved, since
-    the folder holds their sums.
+    the folder contains their sums.
 
     Raises
     ------

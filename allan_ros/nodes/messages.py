@@ -178,7 +178,7 @@ class BiasPublisher:
             self._publisher.publish(bias_message(known, snapshot.frame_id))
 
     def use(self, results: Results | None) -> None:
-        """Replace the models by those of these results."""
+        """Replace the models by the models of these results."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.use({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})

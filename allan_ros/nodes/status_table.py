@@ -141,7 +141,7 @@ def picture(rows: Sequence[Row], columns: int) -> RenderableType:
 
 
 class Display(Protocol):
-    """Output of the rows; the hint names what to check if there are no rows."""
+    """Output of the rows; the hint is shown if there are no rows."""
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
         """Show the present state."""

@@ -124,7 +124,7 @@ class Watch(Node):
         return most_severe_first(row(status, now - at) for at, status in self._latest.values())
 
     def _hint(self) -> str:
-        """Return what to check when no status is received."""
+        """Return the hint for the case that no status is received."""
         speakers = self.get_publishers_info_by_topic(TOPIC)
         others = f', although {len(speakers)} publish there' if speakers else ''
         given = [f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)]

@@ -135,7 +135,7 @@ def _packed(values: NDArray[Any]) -> str:
 def _unpacked(fields: Fields, key: str, most: int, former: str) -> NDArray[Any]:
     """Return the at most ``most`` numbers of a packed text.
 
-    Texts of earlier versions are not compressed; ``former`` is the type of their numbers.
+    Texts of earlier versions are not compressed; their numbers have the type ``former``.
     """
     where = f'{fields.where}.{key}'
     kind, _, coded = fields.text(key, longest=12 * most + 100).rpartition(':')

@@ -63,7 +63,7 @@ class EarlyPart:
     amplitudes: Floats  # (axes,) change of the mean due to warm-up, for all axes; 0 for early drift
     # correlation time or duration of the warm-up in samples; the age itself for early drift
     decay: float
-    excess: float  # twice the log likelihood ratio beyond its threshold
+    excess: float  # twice the log likelihood ratio less its threshold
     age: int  # age in samples after which the effect is negligible
 
 
@@ -241,7 +241,7 @@ class BiasSteps:
     # variance of the random walk per sample, without and with the steps
     walk_before: float
     walk_after: float
-    excess: float  # twice the log likelihood ratio beyond its threshold
+    excess: float  # twice the log likelihood ratio less its threshold
 
 
 MOST_STEPS = 8

@@ -114,7 +114,7 @@ class FilterParameter:
     name: str  # as the node declares it
     sensor: str  # 'gyro' or 'accel'
     # formula of the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants.
-    # In an expression with K, N and K are those of the reduction of the selected model.
+    # In an expression with K, N and K come from the reduction of the selected model.
     expression: Expression
     rule: str = 'worst'  # one of `RULES`; with 'each' the parameter is an array of three
     # range that the filter accepts; values outside are clamped

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise models of one axis for the states of a filter: exact, or reduced to fewer states.
 
-`StateSpace` holds all processes as states, with the exact discrete matrices. The states are the
-integral of the samples (angle or velocity) and the parts of the bias:
+`StateSpace` represents all processes as states, with the exact discrete matrices. The states are
+the integral of the samples (angle or velocity) and the parts of the bias:
 
     angle' = walk + sum gauss_markov_i + white noise of density N
     walk' = slope + white noise of density K        (slope: a constant, only on request)
@@ -217,7 +217,7 @@ class Reduction:
     gauss_markov: Processes  # tuple of (sigma, tau)
     # range in which the growth predicted by the filter bounds that of the complete model
     horizons: Horizons
-    # smallest and largest ratio of predicted growth to that of the complete model over the horizons
+    # smallest and largest ratio of the predicted growth to the growth of the complete model
     ratio: tuple[float, float]
 
     @property
@@ -240,7 +240,7 @@ def reduce_model(
     walk          N is kept and K raised until the growth is bounded.
     gauss_markov  N is kept; of the processes that bound the growth, the closest one is used.
     processes     Everything is kept: B becomes four Gauss-Markov processes. Only a ramp and slow
-                  sinusoids, for which there is no state, raise K.
+                  sinusoids, for which there are no states, raise K.
     ============  ================================================================================
 
     If the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count as

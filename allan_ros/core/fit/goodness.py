@@ -16,7 +16,8 @@ from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
 from .table import Table
 
 Z_FAIL = 3.0
-"""Tables with noise of the model exceed this deviation once in several hundred."""
+"""Normal deviate above which the model is rejected; by chance, one table in several hundred exceeds
+it."""
 
 Z_HOPELESS = 50.0
 """A table with this deviation is not tested again with another walk."""

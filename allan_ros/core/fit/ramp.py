@@ -60,7 +60,7 @@ fourth difference of its covariance."""
 
 
 class Noise(NamedTuple):
-    """Variance coefficients q, w, b, k and those of Gauss-Markov processes, (4 + processes,), with
+    """Variance coefficients q, w, b, k and of Gauss-Markov processes, (4 + processes,), with
     the correlation times of the processes in samples.
     """
 

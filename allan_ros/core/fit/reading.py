@@ -230,7 +230,7 @@ B_RESOLVED = 8.5
 """Smallest B, relative to N/sqrt(T), that is resolved in T seconds if K is not resolved."""
 
 B_RESOLVED_BESIDE_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
-"""K T/N, and the smallest B, relative to sqrt(N K), that is resolved if K is resolved."""
+"""Values of K T/N, and for each the smallest B/sqrt(N K) that is resolved, if K is resolved."""
 
 K_RESOLVED = 51.0
 """Smallest K, relative to N/T, that is resolved."""

@@ -211,7 +211,7 @@ def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) 
             precise = _precise(new)
             without = _surprise(before.rows(precise), fit)
             gain = min(gain, LIKELIER_SLACK + without - _surprise(new.table.rows(precise), new))
-    except AllanError:  # beyond the precision of the covariance: not a better description
+    except AllanError:  # below the precision of the covariance: no better description
         return None
     return new if gain > (LIKELIER_LINE if is_line else LIKELIER) else None
 
@@ -299,13 +299,14 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
 
 
 def _criterion(fit: PointFit) -> float:
-    """Return -2 log likelihood of the table (as Gaussian) plus twice the number of parameters."""
+    """Return -2 log likelihood of the table, assumed Gaussian, plus twice the number of
+    parameters."""
     parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
     return minus_log_likelihood(fit.table, fit.power) + 2.0 * parameters
 
 
 def minus_log_likelihood(table: Table, power: Floats) -> float:
-    """Return -2 log likelihood of the table (as Gaussian), less a constant."""
+    """Return -2 log likelihood of the table, assumed Gaussian, less a constant."""
     whitening = Whitening.of(weights_at(table, power, NO_MISFIT))
     rest = whitening.apply((table.avar - table.terms @ power)[:, None])
     size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
@@ -346,7 +347,7 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
             break
         try:
             fit = point_fit(pooled, axis, replace(options, extras=extras), found.power)
-        except AllanError:  # beyond the precision of the covariance: not a better description
+        except AllanError:  # below the precision of the covariance: no better description
             break
         if settled or search.z(found) > hopeless:
             break

@@ -86,7 +86,7 @@ class _Change:
 
     @property
     def size(self) -> float:
-        """Magnitude of the logarithm of their ratio."""
+        """Magnitude of the logarithm of the ratio of both values."""
         a, b = self._sizes
         return abs(math.log(a / b)) if a and b else 0.0
 

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion gate: passes on the samples of an IMU at rest.
 
-The stream is judged in windows of about half a second. A window is moving if its variance, its most
-distant sample, a step of its mean or its mean rate differs from that of the sensor at rest. The
-thresholds are so high that stationary noise is not trimmed (the probability that a window of white
-noise is moving is below 1e-12, so N has no bias), and that a sensor passes whose noise grew by
-half. A motion ends at a lower threshold than it begins. Margins before and after it are excluded,
-too.
+The stream is classified in windows of about half a second. A window is moving if its variance, its
+most distant sample, a step of its mean or its mean rate differs from the noise floor of the sensor
+at rest. The thresholds are so high that stationary noise is not trimmed (the probability that a
+window of white noise is moving is below 1e-12, so N has no bias), and that a sensor passes whose
+noise grew by half. A motion ends at a lower threshold than it begins. Margins before and after it
+are excluded, too.
 
 Before, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
 they stay and do not count as motion. Noise that becomes louder while the IMU stays at rest is

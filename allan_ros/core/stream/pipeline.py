@@ -48,7 +48,7 @@ KEPT_RATES = 8
 
 
 class StreamOptions(NamedTuple):
-    """What is accumulated: the settings, and whether spectra and means are kept."""
+    """Options of the accumulation: the settings, and whether spectra and means are kept."""
 
     settings: SegmenterSettings
     with_spectra: bool

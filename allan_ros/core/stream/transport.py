@@ -69,10 +69,10 @@ class TransportMonitor:
         self._began = time_s
         self._last_message = self._last_usable = time_s
         self._messages = self._usable = self._samples = 0
-        self._tallies: deque[tuple[float, Counter[str]]] = deque()  # time, and the counts then
+        self._tallies: deque[tuple[float, Counter[str]]] = deque()  # time, counts at this time
         self._missing = 0  # according to the stamps, in this pass; also the next two
         self._leapt = 0  # by stamps that jumped ahead
-        self._elsewhere = 0  # while samples of another frame arrived
+        self._elsewhere = 0  # while samples with another frame_id arrived
         self._frame_changes = 0
         self._absent = 0  # never sent
         self._absent_before = 0  # the same, at the last call
@@ -160,7 +160,7 @@ class TransportMonitor:
         elif health.rate_hz and missing > (passed_s + LEAP_S) * health.rate_hz:
             self._leapt += missing
         # Dropped samples and messages lost in transport are missing according to the stamps, too;
-        # the latter from both sensor streams, if there are two. They are dropped before they are
+        # messages in both sensor streams, if there are two. They are dropped before they are
         # found missing, so the maximum is used. The decision on the latest samples may still
         # change, so only the number on which two calls agree is used.
         explained = c.not_finite + c.backward + 2 * (transport.lost - self._lost_before)

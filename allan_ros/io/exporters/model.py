@@ -85,7 +85,7 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 class FilterNoise:
     """The noise of one IMU, with one set of options, for one target; ``rule`` is the axis rule.
 
-    The filter steps at ``rate`` Hz; reductions hold over ``horizons``. Every method raises
+    The filter steps at ``rate`` Hz; reductions are valid over ``horizons``. Every method raises
     AllanError if an option does not apply to the target, a sensor is absent, or an axis has neither
     a value nor a limit.
     """

@@ -207,7 +207,7 @@ def _described(path: Path) -> BagFiles:
     first_bytes(path / METADATA)
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     described: dict[tuple[str, str], Described] = {}
-    # all exceptions that content other than that of rosbag2 can cause
+    # all exceptions that the content of another program can cause
     errors = (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError)
     with translated(path / METADATA, errors, remedy):
         text = read_bounded(path / METADATA, MAX_METADATA).decode()

@@ -22,7 +22,7 @@ Report = Callable[[Finding], None]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options for reading, which state what the recording itself does not."""
+    """Options for reading: information that the recording itself does not contain."""
 
     topic: str = parameter('', 'Imu topic of a bag, or instance of a log; empty: the only one')
     columns: tuple[str, ...] = parameter(

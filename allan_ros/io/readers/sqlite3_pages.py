@@ -117,7 +117,7 @@ class Rows:
 
 
 class MessagePages:
-    """The pages of the table ``messages``, from ``root`` on, of a database that nobody writes.
+    """The pages of the table ``messages``, from ``root`` on, of a database without a writer.
 
     Raises Unusual when the file is not an SQLite database.
     """

@@ -197,7 +197,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
         plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
     except AllanError:
         raise
-    except Exception as error:  # each library raises errors of its own
+    except Exception as error:  # each library raises its own exceptions
         raise ValueError(str(error) or type(error).__name__) from error
     if len(plain) > limit:
         raise ValueError(f'the data expand to more than {limit} bytes')
@@ -228,7 +228,7 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
     """
     remedy = 'copy it again; check the space for temporary files'
     with (
-        translated(source, (Exception,), remedy),  # each library raises errors of its own
+        translated(source, (Exception,), remedy),  # each library raises its own exceptions
         open_regular(source) as file,
         target.open('wb') as out,
     ):

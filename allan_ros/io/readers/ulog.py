@@ -84,7 +84,7 @@ def _parsed(path: Path) -> Any:
             raise AllanError(f'{path}: is larger than {MAX_BYTES} bytes: split the log')
         try:
             return core.ULog(_Limited(file), list(TOPICS))
-        except Exception as error:  # the parser raises whatever the damage leads to
+        except Exception as error:  # the parser may raise any exception
             raise damaged(path, error, REMEDY) from error
 
 
