@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..core.allan.spectrum import SpectrumSums
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
-from ..core.findings import Finding
+from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Segment
 from ..core.stream.pipeline import ImuStream
@@ -171,7 +171,9 @@ def read_recording(
 
 
 def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
-    why = '; '.join(str(each) for each in findings if each.id != 'nothing_left')
+    causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
+    causes.sort(key=lambda f: SEVERITIES.index(f.severity))
+    why = '; '.join(map(str, causes))
     if counts.skipped and counts.skipped == counts.received:
         why = f'--skip {job.segmenter.skip:g} (s) leaves out all of it: skip less'
     why = why or ('it is too short' if counts.received else 'it has no samples')

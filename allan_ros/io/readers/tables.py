@@ -94,6 +94,8 @@ def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
             break
     else:
         raise AllanError(f'{path}: has no line of data: record or export it again')
+    if '\0' in line:
+        raise AllanError(f'{path}: is UTF-16 or no text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in line), '')
     try:
         rows = _split(chain([line], lines), delimiter)
@@ -319,9 +321,11 @@ class _Rows:
     def _not_a_number(self, row: int, column: int) -> AllanError:
         cell = self.cells[row][column].strip()[:40]
         name = f' ({self.table.names[column]})' if self.table.names else ''
+        comma = ',' in cell and _is_number(cell.replace(',', '.'))
+        remedy = 'write decimals with a point' if comma else 'correct or remove the line'
         return AllanError(
             f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '
-            'not a number: correct or remove the line'
+            f'not a number: {remedy}'
         )
 
 
