@@ -413,9 +413,11 @@ def _stopped(line: str, code: int) -> int:
 
 def console() -> None:
     """Exit with the exit code of `main`: the entry point of ``allan``."""
-    for stream in (sys.stdout, sys.stderr):
+    for name in ('stdout', 'stderr'):
+        if getattr(sys, name) is None:  # it was closed by the parent
+            setattr(sys, name, open(os.devnull, 'w'))  # noqa: SIM115
         # a file name may contain characters outside the encoding of the terminal
-        stream.reconfigure(errors='backslashreplace')  # type: ignore[union-attr]
+        getattr(sys, name).reconfigure(errors='backslashreplace')
     if '_ARGCOMPLETE' in os.environ:
         complete()
     # on SIGTERM, clean up as after Ctrl-C

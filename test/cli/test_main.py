@@ -160,6 +160,12 @@ def test_what_a_user_can_mend_is_one_line_and_exit_1(
     assert said in lines[0]
 
 
+@pytest.mark.parametrize('closed', ['>&-', '2>&-'])
+def test_closed_streams_are_no_error(closed: str) -> None:
+    call = f"{sys.executable} -c 'from allan_ros.cli.main import console; console()' sensors"
+    assert subprocess.run(f'{call} {closed}', shell=True, stdout=subprocess.PIPE).returncode == 0
+
+
 def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
     endless = tmp_path / 'endless.mcap'
     process = subprocess.Popen(

@@ -137,7 +137,7 @@ def fit_stationary(
     parts = [part for one in longest for part in early_parts(one, _sensors(sums))]
     used, model, found = _without_early_part(sums, method, settle, parts)
     age = max((part.age for part in parts), default=0)
-    found += [_steps_finding(sums, steps) for steps in _steps(sums, age)]
+    found += [_steps_finding(sums, steps, model) for steps in _steps(sums, age)]
     model, scattered = _with_scatter(sums, age, model)
     return used, replace(model, findings=(*found, *scattered, *model.findings))
 
@@ -230,15 +230,19 @@ def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
     return [best[axis] for axis in sorted(best)]
 
 
-def _steps_finding(sums: AllanSums, steps: BiasSteps) -> Finding:
+def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Finding:
+    """Return the finding on steps: no coefficient includes those between two segments."""
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
     (size,), size_unit = _shown(axis, 'B', float(np.abs(steps.sizes).max()))
-    walks = (math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after))
+    walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]
+    known = model.axes[axis].noise['K']
+    most = known.ci95[1] if known.ci95 is not None else known.upper95
+    if sum(each.samples > 0 for each in sums.segments) > 1 and most and most < walks[0]:
+        return finding('bias_differs', (axis,), size=size, unit=size_unit)
     (before, after), unit = _shown(axis, 'K', *walks)
     return finding(
         'bias_steps',
         (axis,),
-        count=len(steps.ages),
         size=size,
         size_unit=size_unit,
         before=before,

@@ -139,6 +139,18 @@ def test_steps_of_the_bias_are_found_where_they_are():
     assert len(named) == 3 and 'deg/h' in named[0].message
 
 
+def test_a_change_of_the_bias_between_segments_is_no_random_walk():
+    """As after a restart: no coefficient includes it, so it is not stated as K."""
+    rng, engine = np.random.default_rng(2), RunningAllan(axes=AXES)
+    for first, bias in ((0, 0.0), (20_000, 400 * DEG_H)):
+        y = np.stack([simulate_axis(18_000, 1.0, NOISE, rng) for _ in AXES], axis=1) + bias
+        engine.update(y, first * 10**9, (first + 17_999) * 10**9)
+        engine.end_segment()
+    _, model = fit_stationary(engine.sums)
+    found = {f.id for f in model.findings}
+    assert 'bias_differs' in found and 'bias_steps' not in found
+
+
 def test_a_random_walk_is_no_row_of_steps():
     """0.05 % of such axes fail by design: chance of one in 9 below 0.5 %; seeds fixed."""
     terms = NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)
