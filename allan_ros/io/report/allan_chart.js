@@ -11,7 +11,7 @@ const AllanChart = (() => {
   const LIMIT = [1, 5];
   const BESIDE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
-  // The level part of the curve is 0.664 B: the label says so, as the table gives B.
+  // The level part of the curve is 0.664 B: the label states this, because the table contains B.
   const caption = (term, likely = []) => (term === 'B' ? '0.664 B' : term) + (likely.includes(term) ? '?' : '');
   const isTerm = (name) => name in DASHES;
 
@@ -51,7 +51,7 @@ const AllanChart = (() => {
       { series: [5 * i + 5, 5 * i + 3], fill: () => colour(`${a.label}-band`) },
     ]);
 
-    // The whole picture: every visible curve, and the marks that lie not far below them.
+    // The complete range: all visible curves, and the marks slightly below them.
     function rangeY() {
       const some = visible().length ? visible() : axes;
       const values = some.flatMap((a) => scaled(a.adev)).filter((v) => v > 0);
@@ -100,8 +100,8 @@ const AllanChart = (() => {
       ctx.restore();
     }
 
-    // A cross where the coefficient is read off as in IEEE Std 952 (N at 1 s, K at 3 s), if it is in
-    // the picture; the letter stands beside it, or else where the line enters or leaves the picture.
+    // A cross where the coefficient is read as in IEEE Std 952 (N at 1 s, K at 3 s), if it is in the
+    // picture. The letter is next to it, or else where the line enters or leaves the picture.
     function letter(u, term, values, ink) {
       const ratio = devicePixelRatio;
       const [x, y] = term in near.read ? at(u, ...near.read[term]) : [NaN, NaN];
@@ -128,7 +128,7 @@ const AllanChart = (() => {
       label(u, caption(term, near.likely), up, ink, 'center');
     }
 
-    // The name of the limit of a term that is not resolved stands below its line, away from the curves.
+    // The name of the limit of an unresolved term is below its line, away from the curves.
     function nameLimit(u, term, values) {
       const curves = visible().flatMap((a) => places(u, a.adev));
       const spots = places(u, values).flatMap(([x, y]) => [14, 34, 60].map((down) => [x, y + down * devicePixelRatio])).map(([x, y]) => {
@@ -139,7 +139,7 @@ const AllanChart = (() => {
       label(u, `${term} limit`, spots.map(([, x, y]) => [x, y]), colour('ink-2'), 'center');
     }
 
-    // A label at the first of its places where no other label is.
+    // A label at the first of its possible places that is free.
     function label(u, words, spots, ink, align) {
       const { ctx, bbox } = u;
       const ratio = devicePixelRatio;
@@ -159,7 +159,7 @@ const AllanChart = (() => {
     const at = (u, tau, v) => [u.valToPos(tau, 'x', true), u.valToPos(v * unit()[1], 'y', true)];
     const inside = (u, x, y) => x >= u.bbox.left && x <= u.bbox.left + u.bbox.width && y >= u.bbox.top && y <= u.bbox.top + u.bbox.height;
 
-    // The name of a line of comparison stands beside it, where it is farthest from all curves.
+    // The name of a reference line is next to it, at the largest distance from all curves.
     function name(u, words, values, ink) {
       const ratio = devicePixelRatio;
       const curves = visible().flatMap((a) => places(u, a.adev));
@@ -171,7 +171,7 @@ const AllanChart = (() => {
       label(u, words, spots.map(([, x, y]) => [x, y]), ink, 'center');
     }
 
-    // Where a line runs in the picture.
+    // The part of a line that is in the picture.
     const places = (u, values) => values
       .map((v, i) => [u.valToPos(sensor.tau[i], 'x', true), v > 0 ? u.valToPos(v * unit()[1], 'y', true) : NaN])
       .filter(([x, y]) => x >= u.bbox.left && x <= u.bbox.left + u.bbox.width && y > u.bbox.top + 8 && y < u.bbox.top + u.bbox.height - 8);
@@ -207,7 +207,7 @@ const AllanChart = (() => {
       visible().forEach((a, row) => strip(u, a, row));
     }
 
-    // Above the picture a strip for each axis: which part of the model dominates where.
+    // Above the picture, a strip for each axis shows which part of the model dominates.
     function strip(u, a, row) {
       const { ctx } = u;
       const ratio = devicePixelRatio;
@@ -223,7 +223,7 @@ const AllanChart = (() => {
         ctx.fillStyle = colour(`${a.label}-${i % 2 ? 'tint' : 'faint'}`);
         ctx.fillRect(from, top, to - from - ratio, (STRIP - 2) * ratio);
         ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
-        // a narrow part has the kinds of its processes only
+        // the label of a narrow part contains only the kinds of its processes
         const kinds = term.replace(/ [^+]*/g, '');
         const words = [term, kinds].find((text) => ctx.measureText(text).width + 4 * ratio < to - from);
         if (!words) return;
@@ -235,7 +235,7 @@ const AllanChart = (() => {
       ctx.restore();
     }
 
-    // The axis whose curve is nearest to the cursor is the one whose parts are drawn.
+    // The parts of the axis whose curve is nearest to the cursor are drawn.
     function focus(u, at) {
       let best = Infinity;
       let found = near;
@@ -313,9 +313,9 @@ const AllanChart = (() => {
       Chart.toggles('parts', Object.keys(DASHES).filter((t) => terms.includes(t)).map((t) => ({ key: t, text: caption(t), dash: DASHES[t] })), change),
       Chart.toggles('also', others, change),
     );
-    const said = ['The strips on top say which part of the model dominates where; the crosses mark where a coefficient is read off. '];
+    const said = ['The strips above the chart show which part of the model dominates; crosses mark where coefficients are read. '];
     if (axes.some((a) => a.likely.length)) said.push('"?": likely but not resolved. ');
-    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded above a model: what terms that are not resolved may add, up to their 95 % upper limits (dotted). ');
+    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: possible contribution of unresolved terms, up to their 95 % upper limits (dotted). ');
     host.append(element('p', { class: 'note' }, ...said, parts, element('span', { class: 'hint' }, ', the curve nearest to the cursor. Drag to zoom, double-click to go back'), '.'));
     tell();
     return {

@@ -1,6 +1,6 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// What all charts share: colours of the theme, numbers, logarithmic axes, zoom, the cursor and its note.
+// Common parts of all charts: colours of the theme, numbers, logarithmic axes, zoom, cursor and its note.
 'use strict';
 
 const Chart = (() => {
@@ -9,7 +9,7 @@ const Chart = (() => {
   const FONT = '12px system-ui, sans-serif';
   const LABEL_ROOM = { x: 46, y: 26 };  // pixels that a label of a logarithmic axis takes along it
 
-  // A colour of the page as it is now: light, dark or printed.
+  // A colour of the current theme of the page: light, dark or printed.
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
   // Four significant digits, with a power of ten where zeros would hide them.
@@ -56,7 +56,7 @@ const Chart = (() => {
     return values;
   }
 
-  // The labelled values of a logarithmic axis so many pixels long: at least three wherever they fit.
+  // The labelled values of a logarithmic axis with a given length in pixels: at least three if they fit.
   function labelled(min, max, pixels, room) {
     const log = (v) => (Math.log10(v) * pixels) / Math.log10(max / min);
     const fits = (values) => values.every((v, i) => i === 0 || log(v) - log(values[i - 1]) >= room);
@@ -73,7 +73,7 @@ const Chart = (() => {
     return even(min, max, 3);
   }
 
-  // Grid lines of a logarithmic axis: every digit of every decade, and all that is labelled.
+  // Grid lines of a logarithmic axis: every digit of every decade, and all labelled values.
   function splits(min, max, labels) {
     const fine = Math.log10(max / min) > 7 ? round(min, max, [1]) : round(min, max, [1, 2, 3, 4, 5, 6, 7, 8, 9]);
     return [...new Set([...fine, ...labels])].sort((a, b) => a - b);
@@ -119,9 +119,9 @@ const Chart = (() => {
     };
   }
 
-  // Make a chart that fills its host, follows the theme, and tells its numbers at the cursor.
+  // Create a chart that fills its host, follows the theme, and shows its numbers at the cursor.
   //   options.describe(u, index) returns the lines of the note: [text, colour or null] each.
-  //   options.x.full and options.y.full return the range of the whole picture.
+  //   options.x.full and options.y.full return the complete range.
   function create(host, options, data) {
     const height = options.height || 360;
     const box = element('div', { class: 'plot', tabindex: '0', role: 'group', 'aria-label': options.label });

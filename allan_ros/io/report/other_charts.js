@@ -1,6 +1,6 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// The spectrum of one sensor with that of its fit, and its raw signal with what was left out.
+// The spectrum of one sensor and of its fit, and its raw signal with the excluded parts.
 'use strict';
 
 const OtherCharts = (() => {
@@ -84,7 +84,7 @@ const OtherCharts = (() => {
     context.restore();
   }
 
-  // Time as it is drawn: in seconds, minutes or hours.
+  // Time in the unit of the chart: seconds, minutes or hours.
   function clock(seconds) {
     const length = seconds[seconds.length - 1];
     if (length > 7200) return [3600, 'h'];
@@ -116,7 +116,7 @@ const OtherCharts = (() => {
         sync: 'signal',
         padding: [4, 14, 0, 0],
         x: { axis: { size: 26 }, label: last ? `time [${name}]` : '' },
-        // What was used fills the picture; a knock that was left out may leave it.
+        // The used samples fill the picture; an excluded knock may exceed it.
         y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], axis: { space: 24 } },
         series: [
           { label: 'low', stroke: () => colour(label), width: 0.6, points: { show: false } },
@@ -149,18 +149,18 @@ const OtherCharts = (() => {
       tell();
       made.push((next) => { system = next; tell(); u.setData(columns()); });
     });
-    const said = ['Lowest and highest sample of each short span.'];
+    const said = ['Lowest and highest sample of each short interval.'];
     const reasons = new Set(leftOut.map(([, , why]) => why));
     if (reasons.has('motion')) said.push('Hatched upwards: left out because the IMU moved.');
-    if (reasons.has('stuck')) said.push('Hatched downwards, red: left out because an axis showed one value.');
+    if (reasons.has('stuck')) said.push('Hatched downwards, red: left out because an axis repeated one value.');
     if (reasons.has('')) said.push('Hatched downwards, grey: left out (warm-up, or another rate).');
     if (gaps.length) said.push('Grey: no samples.');
-    if (starts.length > 1) said.push('Upright lines: the next recording begins.');
+    if (starts.length > 1) said.push('Vertical lines: start of the next recording.');
     inner.append(element('p', { class: 'note' }, said.join(' ')));
     return { units(next) { made.forEach((update) => update(next)); } };
   }
 
-  // The reading that was taken nearest to a time.
+  // The reading nearest to a time.
   function nearest({ time, celsius }, at) {
     let best = null;
     let distance = Infinity;

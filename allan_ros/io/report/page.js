@@ -1,6 +1,6 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// Puts the charts into the page, and lets one switch units, copy and print.
+// Inserts the charts into the page, and provides the switch of units, copying and printing.
 'use strict';
 
 (() => {
@@ -78,7 +78,7 @@
     }
   }
 
-  // On paper, white and without its raw signals, each Allan chart is a vector picture.
+  // In print, each Allan chart is a vector picture on white, and raw signals are omitted.
   addEventListener('beforeprint', () => {
     document.documentElement.classList.add('printing');
     for (const folded of document.querySelectorAll('details:not([open]):not(.fold)')) {

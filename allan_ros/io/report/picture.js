@@ -1,6 +1,6 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// A chart as a picture of its own, SVG or PNG: drawn again, with a title, on white.
+// A chart as a separate picture, SVG or PNG: drawn again, with a title, on white.
 'use strict';
 
 const Picture = (() => {
@@ -60,7 +60,7 @@ const Picture = (() => {
   const f = (v) => String(Math.round(v * 10) / 10);
   const escape = (text) => String(text).replace(/[&<>"]/g, (c) => ({ '&': '&amp;', '<': '&lt;', '>': '&gt;', '"': '&quot;' })[c]);
 
-  // Draw a chart as it stands, zoomed and switched, on any pen.
+  // Draw a chart with its current zoom and switches on any pen.
   function draw(pen, u, title) {
     const ratio = devicePixelRatio;
     const { left, top, width, height } = u.bbox;
@@ -92,7 +92,7 @@ const Picture = (() => {
     if (u.above) u.above({ ...facade(u), ctx: pen });
   }
 
-  // What a drawing hook asks of a chart.
+  // The part of a chart that a drawing hook uses.
   const facade = (u) => ({ bbox: u.bbox, data: u.data, cursor: u.cursor, scales: u.scales, valToPos: (...of) => u.valToPos(...of) });
 
   function ticks(pen, u, axis, isX, ratio) {
@@ -167,7 +167,7 @@ const Picture = (() => {
     pen.fill();
   }
 
-  // Paper is white: pictures are drawn in the light colours whatever the page has.
+  // Pictures are always drawn in the light colours, because paper is white.
   function onPaper(work) {
     const root = document.documentElement.classList;
     const already = root.contains('printing');
@@ -183,7 +183,7 @@ const Picture = (() => {
     return `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 ${-HEAD * ratio} ${width} ${height}" width="${width / ratio}" height="${height / ratio}" font-family="system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif">${pen.parts.join('\n')}</svg>\n`;
   }
 
-  // Three pixels for each of the screen: sharp in print.
+  // Three pixels for each pixel of the screen, which is sharp in print.
   function png(u, title, done) {
     const [ratio, scale] = [devicePixelRatio, 3 / devicePixelRatio];
     const canvas = document.createElement('canvas');
