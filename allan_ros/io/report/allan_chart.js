@@ -301,7 +301,7 @@ const AllanChart = (() => {
     }
     const terms = [...new Set(axes.flatMap((a) => Object.keys(a.parts)))];
     const others = [{ key: 'fit', text: 'model' }, { key: 'limits', text: '68 % limits' }];
-    if (axes.some((a) => Object.keys(a.upper).length)) others.push({ key: 'upper', text: 'limits of unresolved terms' });
+    if (axes.some((a) => Object.keys(a.upper).length)) others.push({ key: 'upper', text: 'limits of unresolved terms', dash: LIMIT });
     if (terms.some((t) => !isTerm(t))) others.push({ key: 'other', text: 'processes', dash: PROCESS });
     if (sensor.references.length) others.push({ key: 'beside', text: [...new Set(sensor.references.map((r) => r.name))].join(', '), dash: BESIDE[0] });
     const title = () => `${heading.dataset.sensor}: Allan deviation`;
@@ -315,7 +315,7 @@ const AllanChart = (() => {
     );
     const said = ['The strips above the chart show which part of the model dominates; crosses mark where coefficients are read. '];
     if (axes.some((a) => a.likely.length)) said.push('"?": likely but not resolved. ');
-    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: possible contribution of unresolved terms, up to their 95 % upper limits (dotted). ');
+    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: possible contribution of unresolved terms, up to their 95\u00a0% upper limits (dotted). ');
     host.append(element('p', { class: 'note' }, ...said, parts, element('span', { class: 'hint' }, ', the curve nearest to the cursor. Drag to zoom, double-click to go back'), '.'));
     tell();
     return {

@@ -245,6 +245,7 @@ const OtherCharts = (() => {
         ...data.lines.filter((line) => line.values[i] !== null).map((line) => [`${label(line)}  ${number(line.values[i] * unit()[1])} ${unit()[0]}`, colour(label(line))]),
       ],
     }, columns());
+    heading.append(...data.lines.map((line) => element('span', { class: 'key', style: `color: var(--${label(line)})` }, label(line))));
     heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => caption, `${data.kind}_${sensor.sensor}`));
     const note = element('p', { class: 'note' }, notes());
     host.append(note);

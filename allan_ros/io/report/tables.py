@@ -84,12 +84,14 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
             ('dominant noise', (f'<td class="regions">{"<br>".join(t)}</td>' for t in texts))
         )
     yield f'<div class="scroll">{_table("coefficients", axes, "term", rows)}</div>'
-    also = [
-        f'{_letter(name)}: {f"{part}, likely but not resolved (?)" if part in TERMS else part}'
-        for name, axis in axes.items()
-        for part in axis.part_adev(np.ones(1, int))
-        if part not in TERMS or part in axis.fit.likely
-    ]
+    also = []
+    for name, axis in axes.items():
+        parts = [
+            f'{part}, likely but not resolved (?)' if part in TERMS else part
+            for part in axis.part_adev(np.ones(1, int))
+            if part not in TERMS or part in axis.fit.likely
+        ]
+        also += [f'{_letter(name)}: {", ".join(parts)}'] if parts else []
     yield _note(
         '95 % intervals below the values. "<" is the 95 % upper limit of a term that is not '
         'resolved. B is the coefficient; the level part of the curve lies at 0.664 B.'
@@ -102,7 +104,7 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
     rows: list[Row] = []
     for of_time in zip(*(axis.growth for axis in axes.values())):
         cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in of_time)
-        rows.append((f'after {of_time[0].horizon:g} s', cells))
+        rows.append((f'after {of_time[0].horizon:g}&nbsp;s', cells))
     if rows:
         unit = in_units(
             lambda system: f'Predicted {WALKS[sensor][0]} error [{ERRORS[sensor][system].name}]'
@@ -141,7 +143,7 @@ def _size(
         elif interval:
             ends = '..'.join(significant(end * factor, 2) for end in interval)
         if below:
-            return value + (f'<small>{ends}</small>' if ends else '')
+            return value + _ends(ends)
         return f'{value} {escape(pretty_unit(name))}' + (f' ({ends})' if ends else '')
 
     return in_units(shown)
@@ -231,10 +233,8 @@ def _coefficient_rows(
         def shown(units: str) -> str:
             unit = shown_unit(axis, term, units)
             value = value_text(c, unit)
-            low, _, high = interval_text(c, unit).partition('..')
-            # an interval may be broken at its dots in a narrow column
-            ends = f'<small>{low}<wbr>..{high}</small>' if high else ''
-            return f'<b>{"–" if value == NOTHING_KNOWN else escape(value)}</b>{ends}'
+            known = '–' if value == NOTHING_KNOWN else escape(value)
+            return f'<b>{known}</b>{_ends(interval_text(c, unit))}'
 
         return f'<td class="{c.status}">{in_units(shown)}</td>'
 
@@ -278,8 +278,13 @@ def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str
     )
 
 
+def _ends(interval: str) -> str:
+    """Return an interval below its value, broken only at its dots in a narrow column."""
+    return f'<small>{interval.replace("..", "<wbr>..")}</small>' if interval else ''
+
+
 def _note(text: str) -> str:
-    return f'<p class="note">{escape(text, quote=False)}</p>'
+    return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'
 
 
 def _letter(axis: str) -> str:

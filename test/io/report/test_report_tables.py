@@ -40,10 +40,10 @@ def test_the_growth_is_that_of_the_axis(small_results: Results, units: str, fact
     assert f'Predicted angle error [{"°" if units == "datasheet" else "rad"}]' in html
     expected = []
     for row in zip(*(axis.growth for axis in axes.values())):
-        assert f'after {row[0].horizon:g} s' in html
+        assert f'after {row[0].horizon:g}&nbsp;s' in html
         for growth in row:
             low, high = (significant(end * factor, 2) for end in growth.ci95)
-            expected.append(f'{significant(growth.std * factor, 2)} {low}..{high}')
+            expected.append(f'{significant(growth.std * factor, 2)} {low} ..{high}')
     assert cells(html, units) == expected
 
 
