@@ -32,14 +32,6 @@ from .options import Command, add_options, words_with_config
 HELP_COLUMN = 26
 """Column at which the explanations of options begin."""
 
-NUMBERS: dict[str | int | None, str] = {
-    '+': '{0} [{0} ...]',
-    '*': '[{0} ...]',
-    '?': '[{0}]',
-    None: '{0}',
-}
-"""``nargs`` of a positional argument -> its notation in the usage."""
-
 CLOSE = 0.6
 """Similarity (ratio of difflib) above which a word counts as a misspelling of another one."""
 
@@ -102,11 +94,12 @@ class AllanParser(argparse.ArgumentParser):
     def shorten_usage(self) -> None:
         """Remove the options from the usage, since the help lists them; call it after adding them
         all."""
-        arguments = [
-            NUMBERS.get(action.nargs, '{0}').format(action.metavar or action.dest)
+        forms: dict[Any, str] = {'+': '{0} [{0} ...]', '?': '[{0}]'}
+        arguments = (
+            forms.get(action.nargs, '{0}').format(action.metavar)
             for action in self._get_positional_actions()
-        ]
-        self.usage = ' '.join(['%(prog)s', '[options]', *map(str, arguments)])
+        )
+        self.usage = f'%(prog)s [options] {" ".join(arguments)}'
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None

@@ -8,7 +8,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from .comparison import (
 )
 from .datasheets import VERDICT_TEXT
 from .files import to_json, write_atomic, write_together
-from .format import interval_text, shown_unit, value_text
+from .format import interval_text, markdown_rows, shown_unit, value_text
 from .plot_style import PictureSettings, load_style
 from .result_files import made_folder
 
@@ -68,49 +68,40 @@ def write_comparison(
 
 def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
     """Return the comparison as Markdown: headlines, then a table for each pair and datasheet."""
-    return '\n'.join(_markdown_lines(comparison, units)) + '\n'
-
-
-def _markdown_lines(comparison: RunComparison, units: str) -> Iterator[str]:
-    yield from (f'{line}\n' for line in comparison_headline(comparison))
+    parts = [f'{line}\n' for line in comparison_headline(comparison)]
     for pair in comparison.pairs:
-        first, second = _cell_text(pair.first), _cell_text(pair.second)
-        yield f'## {second} against {first}\n'
-        yield f'| axis | quantity | unit | {first} | {second} | ratio | |'
-        yield '|---|---|---|---|---|---|---|'
+        first, second = _safe(pair.first), _safe(pair.second)
+        rows = [['axis', 'quantity', 'unit', first, second, 'ratio', '']]
         for d in pair.differences:
-            yield _markdown_row(comparison, pair, d, units)
-        yield ''
+            what = ['' if d.tau is None else f'deviation at {d.tau:.3g} s', '', '', '']
+            if d.tau is None:
+                unit = shown_unit(d.axis, d.quantity, units)
+                both = _coefficients(comparison, pair, d)
+                values = (f'{value_text(c, unit)} {interval_text(c, unit)}'.strip() for c in both)
+                what = [d.quantity, unit.name, *values]
+            rows.append([d.axis, *what, ratio_text(d), verdict_text(d)])
+        parts += _section(f'{second} against {first}', rows)
     for label, of_run in comparison.datasheets:
-        yield f'## {_cell_text(label)} and the datasheet of {_cell_text(of_run.datasheet.name)}\n'
-        yield '| axis | term | limit | stated | |'
-        yield '|---|---|---|---|---|'
+        rows = [['axis', 'term', 'limit', 'stated', '']]
         for c in of_run.comparisons:
             unit = shown_unit(c.axis, c.term, units)
             limit = f'{c.limit * unit.factor:.3g} {unit.name}'
-            stated = _cell_text(of_run.limit(c).stated)
-            yield f'| {c.axis} | {c.term} | {limit} | {stated} | {VERDICT_TEXT[c.verdict]} |'
-        yield ''
-
-
-def _cell_text(text: str) -> str:
-    """Return a user's text, escaped for a Markdown table."""
-    return one_line(text).replace('|', '\\|').replace('<', '&lt;')
-
-
-def _markdown_row(comparison: RunComparison, pair: Pair, d: Difference, units: str) -> str:
-    values: tuple[str, ...] = ('', '')
-    if d.tau is not None:
-        what, unit = f'deviation at {d.tau:.3g} s', ''
-    else:
-        shown = shown_unit(d.axis, d.quantity, units)
-        what, unit = d.quantity, shown.name
-        values = tuple(
-            f'{value_text(c, shown)} {interval_text(c, shown)}'.strip()
-            for c in _coefficients(comparison, pair, d)
+            stated = _safe(of_run.limit(c).stated)
+            rows.append([c.axis, c.term, limit, stated, VERDICT_TEXT[c.verdict]])
+        parts += _section(
+            f'{_safe(label)} and the datasheet of {_safe(of_run.datasheet.name)}', rows
         )
-    cells = (d.axis, what, unit, *values, ratio_text(d), verdict_text(d))
-    return f'| {" | ".join(cells)} |'
+    return '\n'.join(parts)
+
+
+def _safe(text: str) -> str:
+    """Return text of a user that Markdown does not take for HTML."""
+    return one_line(text).replace('<', '&lt;')
+
+
+def _section(title: str, rows: list[list[str]]) -> list[str]:
+    heading = title.replace('|', '\\|')
+    return [f'## {heading}\n', markdown_rows(rows)]
 
 
 def csv_table(comparison: RunComparison) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +19,8 @@ from ...core.fit import TERMS
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
 from ..axis_result import AxisResult
-from ..datasheets import DatasheetComparison
 from ..format import (
     SENSOR_NAMES,
-    ShownUnit,
     part_text,
     pretty_unit,
     shown_density_unit,
@@ -67,15 +65,18 @@ def sensor_charts(
         'units': {units: _units(sensor, units) for units in SYSTEMS},
         'tau': rounded(tau),
         'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
-        'references': [
-            *_datasheet_curves(axes, results.datasheet, tau),
-            *_former_curves(axes, results.baselines, tau),
-        ],
+        'references': [*_references(axes, results, tau)],
         'spectrum': _spectrum(axes, spectra),
         'signal': None if summary is None else _signal(axes, summary),
         'courses': courses(results, sensor, summary),
         'copy': {units: copies(results, list(axes), units) for units in SYSTEMS},
     }
+
+
+def rounded(values: ArrayLike, digits: int = CHART_DIGITS) -> list[float | None]:
+    """Return numbers to significant digits, None for what is not finite."""
+    numbers = np.asarray(values, float).tolist()
+    return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
 
 
 def to_script(data: object) -> str:
@@ -91,17 +92,14 @@ def to_script(data: object) -> str:
 
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
+    """Return what is drawn -> its unit, and the factor from SI to it."""
     of = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_signal_unit(sensor, units),
         'density': shown_density_unit(sensor, units),
         **{term: shown_unit(sensor, term, units) for term in TERMS},
     }
-    return {what: _unit(unit) for what, unit in of.items()}
-
-
-def _unit(unit: ShownUnit) -> list[Any]:
-    return [pretty_unit(unit.name), unit.factor]
+    return {what: [pretty_unit(unit.name), unit.factor] for what, unit in of.items()}
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
@@ -139,50 +137,45 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _datasheet_curves(
-    axes: Mapping[str, AxisResult], comparison: DatasheetComparison | None, tau: Sequence[float]
-) -> Iterable[dict[str, Any]]:
-    """Yield the curve of the terms that a datasheet states."""
-    stated = comparison.datasheet.values() if comparison else {}
+def _references(
+    axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
+) -> Iterator[dict[str, Any]]:
+    """Yield the curves of the datasheet and of each earlier run, at these averaging times."""
+    stated = results.datasheet.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
-        limits = stated.get(name, {})
-        if comparison and limits and tau:
-            factors = np.asarray(tau) / axis.tau0
-            adev = np.sqrt(term_avar(factors, axis.tau0, NoiseTerms(**limits)).sum(axis=1))
-            yield {'name': comparison.datasheet.name, 'axis': name, 'adev': rounded(adev)}
-
-
-def _former_curves(
-    axes: Mapping[str, AxisResult], former: Mapping[str, Results], tau: Sequence[float]
-) -> Iterable[dict[str, Any]]:
-    """Yield the curve of each earlier run, interpolated at the averaging times of this one."""
-    for run, results in former.items():
+        if results.datasheet and stated.get(name) and tau:
+            terms = NoiseTerms(**stated[name])
+            avar = term_avar(np.asarray(tau) / axis.tau0, axis.tau0, terms).sum(axis=1)
+            sheet = results.datasheet.datasheet.name
+            yield {'name': sheet, 'axis': name, 'adev': rounded(np.sqrt(avar))}
+    for run, former in results.baselines.items():
         for name in axes:
-            curve = results.axes[name].curve if name in results.axes else None
+            curve = former.axes[name].curve if name in former.axes else None
             if curve is None or not np.any(curve.adev > 0.0):
                 continue
             some = curve.adev > 0.0
-            logs = np.interp(
-                np.log(tau), np.log(curve.tau[some]), np.log(curve.adev[some]), np.nan, np.nan
-            )
-            yield {'name': run, 'axis': name, 'adev': rounded(np.exp(logs))}
+            known = np.log(curve.tau[some]), np.log(curve.adev[some])
+            adev = np.exp(np.interp(np.log(tau), *known, np.nan, np.nan))
+            yield {'name': run, 'axis': name, 'adev': rounded(adev)}
 
 
 def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
-    """Return the root of the spectral density of each axis, and of its fit."""
-    for spectrum in spectra:
-        columns = [name for name in axes if name in spectrum.axes]
-        if not columns:
-            continue
-        shown = []
-        for name in columns:
-            i = spectrum.axes.index(name)
-            roots = (np.sqrt(a[:, i]) for a in (spectrum.psd, spectrum.low, spectrum.high))
-            model = np.sqrt(model_density(axes[name], spectrum.frequency))
-            density, low, high, fit = (rounded(np.where(a > 0, a, np.nan)) for a in (*roots, model))
-            shown.append({'name': name, 'density': density, 'low': low, 'high': high, 'fit': fit})
-        return {'frequency': rounded(spectrum.frequency), 'axes': shown}
-    return None
+    """Return the root of the density of each axis, and that of its fit."""
+    spectrum = next((s for s in spectra if set(axes) & set(s.axes)), None)
+    if spectrum is None:
+        return None
+    shown = []
+    for i, name in enumerate(spectrum.axes):
+        if name in axes:
+            columns = {
+                'density': spectrum.psd[:, i],
+                'low': spectrum.low[:, i],
+                'high': spectrum.high[:, i],
+                'fit': model_density(axes[name], spectrum.frequency),
+            }
+            roots = {k: rounded(np.sqrt(np.where(v > 0, v, np.nan))) for k, v in columns.items()}
+            shown.append({'name': name, **roots})
+    return {'frequency': rounded(spectrum.frequency), 'axes': shown}
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
@@ -190,17 +183,9 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str,
     shown = []
     for name in axes:
         i = AXES.index(name)
-        middle = float(summary.middle[i])
-        low, high = summary.low[:, i] - middle, summary.high[:, i] - middle
-        shown.append(
-            {
-                'name': name,
-                'middle': rounded([middle])[0],
-                'reach': rounded([summary.reach[i]])[0],
-                'low': _short(low),
-                'high': _short(high),
-            }
-        )
+        middle, reach = rounded([summary.middle[i], summary.reach[i]])
+        low, high = (rounded(v[:, i] - summary.middle[i], 3) for v in (summary.low, summary.high))
+        shown.append({'name': name, 'middle': middle, 'reach': reach, 'low': low, 'high': high})
     return {
         'time': rounded(summary.time_s),
         'axes': shown,
@@ -217,13 +202,6 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
     temperature = summary.temperature
     time, celsius = (rounded(values) for values in (temperature.time_s, temperature.celsius))
     return {'source': temperature.source, 'time': time, 'celsius': celsius}
-
-
-def _short(values: ArrayLike) -> list[float | None]:
-    """Return numbers with three digits; None for values that are not finite."""
-    return [
-        float(f'{v:.3g}') if math.isfinite(v) else None for v in np.asarray(values, float).tolist()
-    ]
 
 
 def model_density(axis: AxisResult, frequency: Floats) -> Floats:
@@ -254,14 +232,6 @@ class Course(NamedTuple):
     time: Floats
     values: Floats
     span: float
-
-
-def rounded(values: ArrayLike) -> list[float | None]:
-    """Return numbers with `CHART_DIGITS` digits; None for values that are not finite."""
-    return [
-        float(f'{v:.{CHART_DIGITS}g}') if math.isfinite(v) else None
-        for v in np.asarray(values, float).tolist()
-    ]
 
 
 def courses(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
