@@ -18,7 +18,6 @@ from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
 from ..io.format import (
     ShownUnit,
     deviation_text,
-    grouped,
     interval_text,
     region_text,
     shown_unit,
@@ -27,7 +26,15 @@ from ..io.format import (
     value_text,
 )
 from ..io.results import Results
-from ..io.verdict import CHANGES_NUMBERS, WORDS, Level, Verdict, finding_text, headline, too_short
+from ..io.verdict import (
+    WORDS,
+    Level,
+    Verdict,
+    finding_text,
+    findings_and_notes,
+    headline,
+    too_short,
+)
 from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
 
 LEVEL_COLOURS: dict[Level, str] = {
@@ -137,33 +144,27 @@ def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list
 def findings_lines(
     results: Results, units: str, columns: int, colours: bool, complete: bool
 ) -> Iterator[str]:
-    """Yield one line for each cause: five at most, or on demand all with their remedies."""
-    findings = grouped(results.findings)
-    if not findings:
+    """Yield one line for each cause, five at most; all of them with their remedies on demand."""
+    shown, notes = findings_and_notes(results)
+    if not shown and not notes:
         return
     yield ''
-    if complete:
-        for finding in findings:
-            text = text_in_units(finding_text(finding, results), units)
-            lines = wrapped(f'{finding.severity}: {text} {finding.remedy}', columns, '  ')
-            colour = SEVERITY_COLOURS[finding.severity]
-            yield from (painted(lines[0], finding.severity, colour, colours), *lines[1:])
-        return
-    shown = [f for f in findings if f.severity != 'info' or f.id in CHANGES_NUMBERS]
-    shown.sort(key=lambda f: f.id not in CHANGES_NUMBERS)
-    notes = len(findings) - len(shown)
-    if len(findings) <= MOST_FINDINGS:
-        shown, notes = list(findings), 0
-    cut = shown[: MOST_FINDINGS - (notes > 0 or len(shown) > MOST_FINDINGS)]
-    for finding in cut:
-        text = text_in_units(finding_text(finding, results), units)
-        line = textwrap.shorten(f'{finding.severity}: {text}', columns - 1, placeholder=' ...')
-        yield painted(line, finding.severity, SEVERITY_COLOURS[finding.severity], colours)
-    hidden = [
-        f'{number} {word}{"" if number == 1 else "s"}'
-        for number, word in ((len(shown) - len(cut), 'warning'), (notes, 'note'))
-        if number
-    ]
+    first = [*shown, *notes]
+    if len(first) > MOST_FINDINGS and not complete:
+        first = shown[: MOST_FINDINGS - (bool(notes) or len(shown) > MOST_FINDINGS)]
+    for finding in first:
+        colour = SEVERITY_COLOURS[finding.severity]
+        line = f'{finding.severity}: {text_in_units(finding_text(finding, results), units)}'
+        if complete:
+            lines = wrapped(f'{line} {finding.remedy}', columns, '  ')
+        else:
+            lines = [textwrap.shorten(line, columns - 1, placeholder=' ...')]
+        yield from (painted(lines[0], finding.severity, colour, colours), *lines[1:])
+    left = {
+        'warning': sum(f not in first for f in shown),
+        'note': sum(f not in first for f in notes),
+    }
+    hidden = [f'{n} {word}{"" if n == 1 else "s"}' for word, n in left.items() if n]
     if hidden:
         yield f'and {" and ".join(hidden)}: -v shows all, with remedies'
 

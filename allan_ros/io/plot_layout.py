@@ -11,18 +11,20 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context, rcParams
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
 from .plot_style import STYLES
 
 Floats = NDArray[np.float64]
+
+Entry = tuple[str, Mapping[str, Any]]
+"""Text of an entry of a key, and the style of its line; none if that is empty."""
 
 RC: dict[str, Any] = {
     'font.size': 8.0,
@@ -119,7 +121,7 @@ def new_figure(
             box = (left, FOOT_IN + row * i, unit * ratio, row - gap)
             sizes = (width, height, width, height)
             panel = figure.add_axes(tuple(inches / size for inches, size in zip(box, sizes)))
-            panel.tick_params(labelbottom=i == 0)
+            panel.xaxis.set_visible(i == 0)
             of_row.append(panel)
             left += unit * ratio + between
         panels.append(of_row)
@@ -127,35 +129,18 @@ def new_figure(
     return figure, panels
 
 
-def heading(
-    figure: Figure,
-    title: str,
-    facts: str,
-    handles: Sequence[Artist],
-    columns: int,
-    beside: bool = False,
-) -> None:
-    """Draw title and facts, and the legend of all panels below them or ``beside`` them."""
+def heading(figure: Figure, title: str, facts: str, entries: Sequence[Entry], columns: int) -> None:
+    """Draw title, facts, and below them the key of all panels in evenly spaced columns."""
     width, height = figure.get_size_inches()
-    left, top = LEFT_IN / width, 1.0 - 0.09 / height
-    drawn = [
-        figure.text(left, top, title, va='top', weight='bold', size='large'),
-        figure.text(left, top - 0.19 / height, facts, va='top', size=SMALL),
-    ]
-    below = {'loc': 'upper left', 'bbox_to_anchor': (left, top - (0.33 if facts else 0.2) / height)}
-    right = {'loc': 'upper right', 'bbox_to_anchor': (1.0 - MARGIN_IN / width, top + 0.04 / height)}
-    legend = figure.legend(
-        handles=handles,
-        **(right if beside else below),
-        borderaxespad=0.0,
-        borderpad=0.0,
-        ncol=min(len(handles), columns),
-        fontsize=SMALL,
-        frameon=False,
-        columnspacing=1.0,
-        handlelength=1.6 if beside else 3.2,
-    )
-    for text in (*drawn, *legend.get_texts()):
+    inches, top = figure.dpi_scale_trans, height - 0.09
+    figure.text(LEFT_IN, top, title, transform=inches, va='top', weight='bold', size='large')
+    figure.text(LEFT_IN, top - 0.19, facts, transform=inches, va='top', size=SMALL)
+    for i, entry in enumerate(entries):
+        row, column = divmod(i, columns)
+        left = LEFT_IN + column * (width - LEFT_IN - MARGIN_IN) / columns
+        down = (0.33 if facts else 0.2) + row * LEGEND_ROW_IN
+        _draw_entry(figure, inches, left, top - down, entry)
+    for text in figure.texts:
         text.set_parse_math(False)  # labels of users may contain dollar signs
 
 
@@ -167,8 +152,9 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
     panel.set(xscale='log', yscale='log', xlim=across, ylim=up)
     for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
         labelled, fine = _ticks(*limits)
-        direction.set_ticks(labelled, [tick_text(value) for value in labelled])
-        direction.set_ticks([], minor=True)
+        direction.set_major_locator(FixedLocator(labelled.tolist()))
+        direction.set_major_formatter(FixedFormatter([tick_text(value) for value in labelled]))
+        direction.set_minor_locator(NullLocator())
         is_x = direction is panel.xaxis
         panel.add_collection(
             LineCollection(
@@ -208,21 +194,23 @@ def tick_text(value: float) -> str:
     return power if digit == '1' else f'{digit}·{power}'
 
 
-def draw_key(panel: Axes, entries: Sequence[tuple[str, dict[str, Any]]], wide: bool) -> None:
-    """Draw the key to the right of a panel, or in two columns above it.
-
-    Texts at fixed positions take a third of the time of a legend.
-    """
+def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
+    """Draw the key to the right of a panel, or in two columns above it."""
     axes: Any = panel.transAxes
     rows = len(entries) if wide else math.ceil(len(entries) / 2)
     for first in range(0, len(entries), rows or 1):
         corner = ScaledTranslation(1.0 if wide else first / (2.0 * rows), 1.0, axes)
-        inches = panel.figure.dpi_scale_trans + corner
         left, y = (0.08, 0.0) if wide else (0.0, 0.04 + rows * LINE_IN)
-        for text, style in entries[first : first + rows]:
-            if style:
-                at = [y - 0.5 * LINE_IN] * 2
-                line = Line2D([left, left + 0.22], at, transform=inches, clip_on=False, **style)
-                panel.add_artist(line)
-            panel.text(left + 0.28, y, text, transform=inches, va='top', size=SMALL)
-            y -= LINE_IN * (1 + text.count('\n')) + KEY_GAP_IN * wide
+        for entry in entries[first : first + rows]:
+            _draw_entry(panel, panel.figure.dpi_scale_trans + corner, left, y, entry)
+            y -= LINE_IN * (1 + entry[0].count('\n')) + KEY_GAP_IN * wide
+
+
+def _draw_entry(owner: Figure | Axes, inches: Any, left: float, top: float, entry: Entry) -> None:
+    """Draw an entry at a fixed place, which takes a third of the time of a legend."""
+    text, style = entry
+    if style:
+        at = [left, left + 0.11, left + 0.22], [top - 0.5 * LINE_IN] * 3
+        line = Line2D(*at, transform=inches, clip_on=False, markevery=[1], **style)
+        owner.add_artist(line)
+    owner.text(left + 0.28, top, text, transform=inches, va='top', size=SMALL)

@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context, rcParams
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from ..core.fit import TERMS
@@ -58,6 +55,9 @@ NARROW_ENTRIES = 6
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
 """Opacity of the 68 % limits, and of the range that unresolved terms may add to the model."""
+
+BAND_STYLE: dict[str, Any] = {'lw': 6.0, 'solid_capstyle': 'butt'}
+"""Line of a band in the key."""
 
 LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
 """Line of the 95 % upper limit of a term that is not resolved."""
@@ -124,30 +124,33 @@ def sensor_figure(
         f'{results.samples:,} samples at {results.rate_hz:.4g} Hz, '
         f'{results.duration_s / 3600.0:.3g} h'
     )
+    head = HEAD_IN + LEGEND_ROW_IN
     with rc_context({**RC, **style}):
         wide = rcParams['figure.figsize'][0] >= NARROW_IN
         if wide and summary is not None:
             between = KEY_BESIDE_IN + LEFT_IN - 0.2
-            figure, panels = new_figure(len(axes), HEAD_IN, between=between, ratios=(2.0, 1.0))
+            figure, panels = new_figure(len(axes), head, between=between, ratios=(2.0, 1.0))
             facts += _hatch_text(summary)
         elif wide:
-            figure, panels = new_figure(len(axes), HEAD_IN, right=MARGIN_IN + KEY_BESIDE_IN)
+            figure, panels = new_figure(len(axes), head, right=MARGIN_IN + KEY_BESIDE_IN)
         else:
-            figure, panels = new_figure(len(axes), HEAD_IN + LEGEND_ROW_IN, gap=KEY_ABOVE_IN)
+            figure, panels = new_figure(len(axes), head, gap=KEY_ABOVE_IN)
         for of_axis, (name, axis) in zip(panels, axes.items()):
             _draw_axis(of_axis[0], name, axis, units, wide)
             if len(of_axis) > 1 and summary is not None:
                 _draw_signal(of_axis[1], name, summary, units)
                 of_axis[1].set_xlabel(f'time [{_clock(summary)[1]}]' * (of_axis is panels[-1]))
         ink = rcParams['text.color']
-        handles: list[Artist] = [
-            Line2D([], [], ls='', marker='o', ms=3, mfc='none', mec=ink, mew=0.7, label='measured'),
-            Patch(color=ink, alpha=BAND_ALPHA, lw=0, label='68 % limits'),
-            Line2D([], [], color=ink, lw=0.9, label='model'),
-            Patch(color=ink, alpha=LIMIT_ALPHA, lw=0, label='unresolved terms, at most'),
+        points = {'ls': '', 'marker': 'o', 'ms': 3, 'mfc': 'none', 'mec': ink, 'mew': 0.7}
+        entries = [
+            ('measured', points),
+            ('68 % limits', {'color': ink, 'alpha': BAND_ALPHA, **BAND_STYLE}),
+            ('model', {'color': ink, 'lw': 0.9}),
+            ('unresolved terms, at most', {'color': ink, 'alpha': LIMIT_ALPHA, **BAND_STYLE}),
         ]
         of = f' of {results.identity.label}' if results.identity.label else ''
-        heading(figure, f'{SENSOR_NAMES[sensor]}{of}', facts, handles[: 4 if wide else 3], 4, wide)
+        columns = 4 if wide else 3
+        heading(figure, f'{SENSOR_NAMES[sensor]}{of}', facts, entries[:columns], columns)
     return figure
 
 
@@ -189,12 +192,12 @@ def comparison_figure(
         if ratios:
             panels[-1][1].set_xlabel(TAU_LABEL)
         styles = [_run_style(i) for i in range(len(comparison.runs))]
-        handles = [
-            Line2D([], [], color=colour, marker=mark, ls=dashes, ms=4.0, lw=1.1, label=run.label)
+        entries = [
+            (run.label, {'color': colour, 'marker': mark, 'ls': dashes, 'ms': 4.0, 'lw': 1.1})
             for run, (colour, mark, dashes) in zip(comparison.runs, styles)
         ]
         facts = f'right: ratio to {comparison.runs[0].label}, filled where significant'
-        heading(figure, SENSOR_NAMES[sensor], facts if ratios else '', handles, columns)
+        heading(figure, SENSOR_NAMES[sensor], facts if ratios else '', entries, columns)
     return figure
 
 
@@ -300,7 +303,7 @@ def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> 
     panel.yaxis.set_major_locator(MaxNLocator(4, steps=STEPS, symmetric=True))
     panel.xaxis.set_major_locator(MaxNLocator(4, steps=STEPS))
     panel.set_axisbelow(True)
-    panel.grid(color=rcParams['grid.color'], lw=0.5)
+    panel.grid(axis='y', color=rcParams['grid.color'], lw=0.5)
     panel.margins(x=0.01)
 
 

@@ -129,7 +129,7 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
     if beyond and not too_short(results):
         return f'Above {_references(beyond)}: {_and(list(_excesses(results, beyond, units)))}.'
     if faults:
-        return f'{_where(faults[0], results)}{faults[0].message}'
+        return finding_text(faults[0], results)
     if not measured(results):
         errors = [f for f in results.findings if f.severity == 'error']
         why = errors[0].message if errors else 'No coefficient is resolved.'
@@ -219,7 +219,7 @@ def _warnings(results: Results) -> Iterator[str]:
     """Yield the warnings and errors, one for each cause."""
     for finding in grouped(results.findings):
         if finding.severity != 'info':
-            yield f'{_where(finding, results)}{finding.message}'
+            yield finding_text(finding, results)
 
 
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
@@ -260,14 +260,22 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
         yield 'Write a file for a filter: allan export FOLDER --to openvins.'
 
 
+def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
+    """Return one finding for each cause: those that are always shown, and those that are not.
+
+    The first say which data was used, then the most severe.
+    """
+    found = grouped(results.findings)
+    notes = [f for f in found if f.severity == 'info' and f.id not in CHANGES_NUMBERS]
+    shown = sorted((f for f in found if f not in notes), key=lambda f: f.id not in CHANGES_NUMBERS)
+    return shown, notes
+
+
 def finding_text(finding: Finding, results: Results) -> str:
     """Return the message of a finding after the names of its axes (or its sensor, for all
     three)."""
-    return f'{_where(finding, results)}{finding.message}'
-
-
-def _where(finding: Finding, results: Results) -> str:
-    return f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
+    where = f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
+    return where + finding.message
 
 
 def _axis(axis: str) -> str:

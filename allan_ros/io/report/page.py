@@ -30,10 +30,10 @@ from ..format import SENSOR_NAMES, grouped, significant, text_in_units
 from ..results import Results
 from ..signal import SignalSummary
 from ..verdict import (
-    CHANGES_NUMBERS,
     WORDS,
     Verdict,
     finding_text,
+    findings_and_notes,
     too_short,
     used_samples,
     verdict_of,
@@ -259,14 +259,11 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def _findings_section(results: Results) -> Iterator[str]:
-    """Yield one block for each cause; if there are many notes, they are folded."""
-    findings = grouped(results.findings)
-    if not findings:
+    """Yield one block for each cause; many notes are folded."""
+    shown, notes = findings_and_notes(results)
+    if not shown and not notes:
         return
     yield '<section id="findings"><h2>Findings</h2>'
-    notes = [f for f in findings if f.severity == 'info' and f.id not in CHANGES_NUMBERS]
-    first = [f for f in findings if f.id in CHANGES_NUMBERS]
-    shown = [*first, *(f for f in findings if f not in (*first, *notes))]
     yield from (_block(finding, results) for finding in shown)
     if len(notes) > FOLDED:
         yield f'<details><summary>{len(notes)} notes</summary>'
