@@ -19,6 +19,8 @@ Z_FAIL = 3.0
 """Normal deviate above which the model is rejected; by chance, one table in several hundred exceeds
 it."""
 
+Z_LOOK = 1.0
+
 Z_HOPELESS = 50.0
 """A table with this deviation is not tested again with another walk."""
 
@@ -40,6 +42,9 @@ MISFIT_LIMIT = 10.0
 
 MISFIT_START = 0.1
 """First value of the search for the misfit, typical of real sensors."""
+
+MISFIT_GROWTH = 2.0
+"""How many times larger the misfit may become when fewer factors have one."""
 
 MISFIT_TOLERANCE = 0.04
 """Relative accuracy of chi^2 in this search, which gives 2 % of the misfit."""
@@ -162,12 +167,39 @@ def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Mi
     return Misfit(high, m_min)
 
 
-def misfit_of(table: Table, power: Floats, signed: bool, m_min: int = 1) -> Misfit:
+def misfit_of(table: Table, power: Floats, signed: bool) -> Misfit:
+    """Return the fractional error at which chi^2 is as expected, at as few factors as possible.
+
+    Only the factors above the largest one up to which the terms do describe the table get an
+    error: what makes the long averages deviate, such as a daily cycle, tells nothing about N. The
+    error may be `MISFIT_GROWTH` times that of all factors at the most, so that the long averages
+    keep their weight.
+    """
+    misfit = _misfit_from(table, power, signed, 1)
+    most = MISFIT_GROWTH * misfit.size
+    octaves = 2 ** np.arange(1, int(table.m.max()).bit_length())
+    low, high = 0, len(octaves)
+    while low < high:
+        middle = (low + high) // 2
+        split = int(octaves[middle])
+        short = table.rows(table.m < split)
+        if len(short.m) > 2 * len(RANDOM_TERMS):
+            other = _misfit_from(table, power, signed, split)
+            best = solve(table, power, signed=signed, misfit=other)
+            if other.size > most or goodness(short, best).fails:
+                high = middle
+                continue
+            misfit = other
+        low = middle + 1
+    return misfit
+
+
+def _misfit_from(table: Table, power: Floats, signed: bool, m_min: int) -> Misfit:
     """Return the fractional error eps, from ``m_min`` on, at which chi^2 is as expected.
 
-    The covariance is C + eps^2 diag(V_model^2), and eps is 0 if the terms describe the table. For
-    large eps, the fit minimises relative residuals over the complete curve. chi^2 decreases about
-    as 1/eps^2, so the search uses the logarithms of both.
+    C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
+    into one of relative residuals over the complete curve. chi^2 falls from its value at 0 about
+    as 1/eps^2 does, so the search steps in the logarithms of both.
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
