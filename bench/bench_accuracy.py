@@ -5,7 +5,7 @@
     python bench/bench_accuracy.py                                   a short version, minutes
     python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
 
-Samples go through the engine like any recording's. The sums of the draws can be kept and used
+Samples go through the engine like any recording's. The sums of the draws can be stored and used
 again, so that methods are compared on the same records.
 """
 
@@ -29,7 +29,7 @@ from allan_ros.core.imu import from_datasheet, to_datasheet
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
-"""Draws are fitted six at a time, as the six axes of one IMU."""
+"""Number of axes that are fitted together, as the axes of one IMU."""
 
 CONFIDENCE = 0.95
 
@@ -57,7 +57,7 @@ class Scenario:
     line : (amplitude, frequency)
         An additional sinusoid: amplitude relative to the white noise per sample, and Hz.
     gauss_markov : (share, correlation time)
-        Gauss-Markov noise: variance relative to that of the white noise per sample, and s.
+        Gauss-Markov noise: variance relative to the white noise per sample, and s.
     """
 
     truth: NoiseTerms
@@ -114,7 +114,7 @@ Y = gyro(Q=0.124, N=0.168, B=4.972, K=8.169, R=11.068)
 Z = gyro(Q=0.100, N=0.245, B=6.058, K=50.568, R=66.250)
 HOUR = 3600.0
 DAY = 24 * HOUR
-# The month of bench/soak_month.py, cut by every drive and knock, at a rate that is enough.
+# The month of bench/soak_month.py, split at every drive and knock, at a sufficient rate.
 MONTH = gyro(N=0.172, K=6.19)
 WITH_FLICKER = replace(MONTH, B=from_datasheet('B', 'gyro', 1.24))
 SCENARIOS = {
@@ -149,8 +149,9 @@ SCENARIOS = {
 def read_slopes(sums: AllanSums) -> list[dict[str, float | None]]:
     """Return coefficients read from lines of the right slope, as most tools do.
 
-    On the curve up to a ninth of the record: B from its least value over 0.664, the others from a
-    line of slope -1, -1/2, 1/2, 1 through the point where the curve's slope is nearest to that.
+    The curve is used up to a ninth of the record. B is its smallest value over 0.664. The other
+    coefficients come from lines of slope -1, -1/2, 1/2 and 1 through the point at which the slope
+    of the curve is closest to that of the line.
     """
     tau = sums.m * sums.tau0
     keep = 9 * sums.m <= sums.samples
@@ -169,7 +170,7 @@ def read_slopes(sums: AllanSums) -> list[dict[str, float | None]]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one fit for one term; NaN where the fit gives no number."""
+    """Result of one fit for one term; NaN if the fit gives no number."""
 
     value: float
     low: float
@@ -178,7 +179,7 @@ class Outcome:
 
     @classmethod
     def of(cls, c: Coefficient) -> Outcome:
-        """Return the outcome of a coefficient; its limit serves as an interval from zero."""
+        """Return the outcome of a coefficient; its limit becomes an interval from zero."""
         nan = float('nan')
         low, high = c.ci95 or (0.0, nan if c.upper95 is None else c.upper95)
         return cls(c.value or 0.0, low, high, c.status == 'estimated')
@@ -295,7 +296,7 @@ def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the scenarios asked for."""
+    """Run the requested scenarios."""
     parser = argparse.ArgumentParser(description='Monte Carlo of the fits.')
     parser.add_argument('scenarios', nargs='*', default=['table1_x', 'white', 'five_minutes'])
     parser.add_argument('--runs', type=int, default=24)

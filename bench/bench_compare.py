@@ -5,8 +5,8 @@
     python bench/bench_compare.py                           20 pairs, a minute or two
     python bench/bench_compare.py --pairs 200 --seed 2026   the count in docs/compare.md, 8 min
 
-Each pair is two simulated runs of the six axes of one IMU; every sample goes through the engine,
-every fit is that of `allan analyze`, every comparison that of `allan compare`.
+Each pair consists of two simulated recordings of the six axes of one IMU. Every sample goes through
+the engine; fits are done as by `allan analyze`, comparisons as by `allan compare`.
 """
 
 from __future__ import annotations

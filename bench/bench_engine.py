@@ -5,8 +5,8 @@
     python bench/bench_engine.py           to 10 h at 1 kHz x 6 axes, about half a minute
     python bench/bench_engine.py --full    to 100 h: 360 M samples, some minutes
 
-Between 8 and 16 doubles are 2^-49 apart: noise on an offset of 9.8 is a row of whole numbers, whose
-phase and second differences integers hold exactly.
+Between 8 and 16, doubles are 2^-49 apart. So noise on an offset of 9.8 is a sequence of whole
+numbers, whose phase and second differences are exact in integers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OFFSET = 9.8
 BIT = 2.0**-49
 """Spacing of float64 between 8 and 16."""
 SIGMA = 0.02
-"""Standard deviation of the samples in m/s^2: that of a consumer accelerometer."""
+"""Standard deviation of the samples in m/s^2, typical of a consumer accelerometer."""
 RATE_HZ = 1000
 BLOCK = 1 << 20
 STEP = 256

@@ -3,8 +3,8 @@
 """Rounding errors of the engine, against exact integer arithmetic, for
 docs/engineering/reliability.md.
 
-A float64 about 9.8 is a whole number of 2^-49, so the sums of such samples can be had in whole
-numbers of any length, and what the engine says differs from them by its rounding alone.
+A float64 near 9.8 is a multiple of 2^-49. So the sums of such samples can be computed in integers
+of any length, and the result of the engine differs only by its rounding.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UNIT = 2.0**-49
 """Spacing of float64 from 8 to 16."""
 
 OFFSET = 9.8
-"""m/s^2: gravity, which an accelerometer at rest shows."""
+"""Gravity in m/s^2, which an accelerometer at rest measures."""
 
 HEADING = ('samples about 9.8 m/s^2', 'sums', 'largest error of one', 'mean error')
 

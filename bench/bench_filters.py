@@ -79,16 +79,17 @@ SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...],
     'nbk1': ('N + B + K of 8.2 deg/h^1.5', {**N_X, **BK_X, 'K': DEG(K=8.2)['K']}, (), SECONDS),
     'nbk2': ('N + B + K of 15 deg/h^1.5', {**N_X, **BK_X, 'K': DEG(K=15.0)['K']}, (), SECONDS),
 }
-"""Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, seconds of the record."""
+"""Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, length of the record in
+s."""
 
 WEAK_K = ('nbk1', 'nbk2')
-"""Sensors with a K below and near what a record shows."""
+"""Sensors with a K below and near the smallest that a record resolves."""
 
 
 def draw(
     name: str, seconds: int, rng: np.random.Generator, axes: int, rate: float = RATE
 ) -> tuple[Any, Any]:
-    """Return the white part and all of the samples of a sensor, (n, axes) each."""
+    """Return the white part and the sum of all parts of the samples of a sensor, (n, axes) each."""
     _, terms, processes, _ = SENSORS[name]
     n, dt = round(seconds * rate), 1.0 / rate
     white = REALITY['white_noise'](n, dt, terms['N'], rng, axes)
@@ -155,18 +156,19 @@ def units() -> dict[str, Any]:
 
 
 SETTLED_HOURS = {'imu1': 1.1, 'imu2': 1.1, 'imu4': 1.45}
-"""Start of the settled part: the units drift for an hour, and imu4 was knocked until 1.43 h."""
+"""Start of the settled part in h: the units drift for an hour, and imu4 was knocked until 1.43
+h."""
 
 BAND_RECORDS = 200
-"""Simulated records from which the band of the measured growth comes."""
+"""Number of simulated records that determine the band of the measured growth."""
 
 
 def growth() -> None:
     """Print predicted over actual growth of the integral on the settled part of real recordings.
 
-    In brackets: 95 % band of the ratio for a sensor that has the model, because few independent
-    intervals of 300 s fit the record, widened by the interval of the prediction. A ratio outside
-    0.8 to 1.25 is marked by * within this band and by ! outside.
+    The brackets contain the 95 % band of the ratio for a sensor that matches the model, widened by
+    the interval of the prediction. (The record contains few independent intervals of 300 s.) A
+    ratio outside 0.8 to 1.25 is marked by * within this band and by ! outside.
     """
     for name, samples in units().items():
         settled = samples[round(SETTLED_HOURS[name] * 3600 * RATE) :]
@@ -202,7 +204,8 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
         ]
         low, high = np.log(np.quantile(ratios, [0.025, 0.975]))
         if (growth := known.get(horizon)) is not None and growth.ci95 is not None:
-            # errors of the measurement and of the prediction (whose excess lowers the ratio)
+            # errors of the measurement and of the prediction (an excess of the prediction lowers
+            # the ratio)
             below, above = np.log(np.array(growth.ci95) / growth.std)
             low, high = min(low, 0.0), max(high, 0.0)
             low, high = -np.hypot(low, above), np.hypot(high, below)
@@ -211,7 +214,7 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
 
 
 BIAS_RATE = 10.0
-"""Rate in Hz of the records of `bias`: its input are means over 1 s."""
+"""Rate in Hz of the records of `bias`, whose input are means over 1 s."""
 
 
 BIAS_AHEAD_S = (0, 60, 600)
@@ -238,11 +241,12 @@ def bias(records: int) -> None:
 
 
 SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
-"""Shares of its expected variance with which a K that is not resolved may count."""
+"""Fractions of its expected variance with which an unresolved K may count."""
 
 
 def share(names: list[str], records: int, write: bool) -> None:
-    """Print, and write, what shares of an unresolved K do to predicted errors and bias intervals.
+    """Print and write the effect of shares of an unresolved K on predicted errors and bias
+    intervals.
 
     For each sensor and share: the root mean square ratio of actual to predicted error after 300 s
     without correction, and the coverage of the 95 % interval of the bias 600 s later.
@@ -281,7 +285,7 @@ def share(names: list[str], records: int, write: bool) -> None:
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> dict[int, list[bool]]:
-    """Return whether the bias is in its interval, by seconds ahead, at every ``every`` s."""
+    """Return whether the bias is in its interval, by seconds ahead, every ``every`` s."""
     seconds = len(samples) // round(BIAS_RATE)
     means, drift = (
         values.reshape(seconds, -1).mean(axis=1) for values in (samples, samples - white)
@@ -301,14 +305,16 @@ GRAPH_S, GRAPH_RUNS = 150, 12
 """Length of a trajectory of the graph, and number of trajectories."""
 
 TURN_RATE, TURN_START, TURN_END = 0.2, 50, 100
-"""rad/s about z, and the seconds between which the platform turns; before and after it rests."""
+"""Turn rate in rad/s about z, and start and end of the turn in s; before and after it the platform
+rests."""
 
 
 def graph(runs: int) -> None:
     """Print the NEES of attitude and gyro bias of GTSAM with the bare and the default export.
 
     A graph has one pose per second, CombinedImuFactors between them, and a measurement of every
-    pose with 0.1 deg and 1 cm. Compared are the estimates of every tenth second after the first 60.
+    pose with 0.1 deg and 1 cm. The estimates of every tenth second after the first 60 s are
+    compared.
     """
     import gtsam
 
@@ -331,7 +337,8 @@ def graph(runs: int) -> None:
 
 
 def _graph_nees(gtsam: Any, params: Any, noise: Any, drift: Any) -> float:
-    """Return the mean NEES of one trajectory: samples of noise (n, 6), of which drift is bias."""
+    """Return the mean NEES of one trajectory from samples of noise (n, 6), of which drift is the
+    bias."""
     x, v, b = (lambda i, c=c: gtsam.symbol(c, i) for c in 'xvb')
     sigmas = np.array([0.1 * np.pi / 180.0] * 3 + [0.01] * 3)
     measured = gtsam.noiseModel.Diagonal.Sigmas(sigmas)

@@ -88,8 +88,8 @@ def integrated(params: Any, gyro: Floats, accel: Floats) -> Any:
 def noise(terms: NoiseTerms, steps: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return white noise and a bias that is zero at the start of each run; (runs, n, 3) each.
 
-    One record is cut into the runs: a simulated record begins at zero, and so would the white
-    noise of every run.
+    One record is divided into the runs, because a simulated record begins at zero, and so would the
+    white noise of every run.
     """
     white, bias = np.empty((2, RUNS, steps, 3))
     for axis in range(3):

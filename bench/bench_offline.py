@@ -31,7 +31,7 @@ os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
 RATE_HZ = 200.0
 MINUTE, SHORT, LONG = 12_000, 1_000_000, 7_200_000
 PLAIN = 100_000
-"""Messages of the bag for the plain reader, which takes 10 us and more for each."""
+"""Number of messages of the bag for the plain reader, which takes 10 us and more per message."""
 CHUNK_HEAD = 8 + 8 + 8 + 4 + 4 + 4 + 8
 """Bytes before the data of a chunk: times, size, CRC, 'zstd' with its length, length of the data.
 """
@@ -197,7 +197,7 @@ def show_jobs(folder: Path, messages: int, rounds: int) -> None:
 
 
 def command_cpu(words: list[str], rounds: int) -> float:
-    """Return the median CPU seconds of ``allan`` with these words."""
+    """Return the median CPU time in s of ``allan`` with the given arguments."""
     costs = []
     for _ in range(rounds):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -209,7 +209,8 @@ def command_cpu(words: list[str], rounds: int) -> float:
 
 
 def show_analysis(folder: Path, rounds: int) -> None:
-    """Print the cost of a complete analysis of a minute, in which reading costs nothing."""
+    """Print the cost of a complete analysis of one minute, in which reading costs nearly
+    nothing."""
     print('\n| one analysis of 60 s | CPU, s |')
     print('|---|---|')
     path = str(bag(folder, 'mcap zstd', MINUTE))

@@ -26,12 +26,12 @@ from allan_ros.io.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)
 SETTLE_S = 5.0
-"""Seconds after the first fit of the monitor, which takes a minute to come on a busy machine."""
+"""Time in s after the first fit of the monitor, which takes up to a minute on a busy machine."""
 LONGEST_S = 600.0
-"""How long the player plays; it is ended before."""
+"""Longest time in s for which the player plays; it is ended before."""
 MEASURE_S = 20.0
 ONE_FIT = ('estimator.growth:=10.0', 'publish.sums_period:=15.0')
-"""Parameters with which the second fit comes after the measurement."""
+"""Parameters with which the second fit starts after the measurement."""
 EMPTY_SUBSCRIBER = """
 import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -47,7 +47,7 @@ except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
 """
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 150
 PATIENCE_S = 30.0
-"""A status that lags behind the messages is waited for this long."""
+"""Time in s to wait for a status that lags behind the messages."""
 
 
 def cpu(client: Client) -> None:
@@ -55,7 +55,7 @@ def cpu(client: Client) -> None:
     print('CPU per message in microseconds, and its ratio to the empty subscriber')
     print(f'{"":>8} {"empty":>8} {"accumulator":>12} {"ratio":>6} {"monitor":>8} {"ratio":>6}')
     for rate in RATES_HZ:
-        client.spin(2.0)  # receive what is left of the nodes before
+        client.spin(2.0)  # receive the remaining messages of earlier nodes
         client.statuses.clear()
         empty = Process('-c', EMPTY_SUBSCRIBER)
         with (
@@ -66,7 +66,7 @@ def cpu(client: Client) -> None:
             while not client.message('gyro z').startswith('N '):
                 client.spin(0.5)
             watched, age = (empty, accumulator, monitor), 0.0
-            while age < MEASURE_S:  # until there is no fit in the measurement
+            while age < MEASURE_S:  # until no fit is running during the measurement
                 client.spin(SETTLE_S)
                 before, began = [n.cpu_s() for n in watched], time.monotonic()
                 client.spin(MEASURE_S)
@@ -82,7 +82,7 @@ def cpu(client: Client) -> None:
 
 
 def bursts(client: Client) -> None:
-    """Print what became of messages in bursts of 400, with the default QoS."""
+    """Print the number of messages in bursts of 400 that arrive with the default QoS."""
     terms = [NoiseTerms(N=5e-5)] * 3
     client.spin(2.0)
     client.statuses.clear()
@@ -106,7 +106,7 @@ def bursts(client: Client) -> None:
 
 
 def accounted(client: Client, sent: int) -> dict[str, int]:
-    """Return the counts of the input once they add up to ``sent``, or after `PATIENCE_S`."""
+    """Return the counts of the input when they add up to ``sent``, or after `PATIENCE_S`."""
     keys = ('received', 'lost on the way', 'sent before')
     counts: dict[str, int] = {}
     end = time.monotonic() + PATIENCE_S

@@ -43,7 +43,7 @@ RATE = 100.0
 SECONDS = 2 * HOUR
 WINDOW = 100.0
 HORIZONS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-"""Seconds over which the angle is predicted after the bias was averaged over `WINDOW`."""
+"""Times in s for which the angle is predicted after the bias was averaged over `WINDOW`."""
 
 SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared'))
 
@@ -295,7 +295,7 @@ def adis(skip: float, with_gmwm: bool) -> None:
 
 
 def main() -> None:
-    """Run what is asked for."""
+    """Run the requested measurement."""
     parser = argparse.ArgumentParser(description='Accuracy of the process model.')
     parser.add_argument('what', nargs='*', default=['humps', 'growth'])
     parser.add_argument('--blocks', type=int, default=1)

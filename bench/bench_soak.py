@@ -21,7 +21,7 @@ from soak_month import month
 
 
 def main() -> None:
-    """Run what is asked for, by default both."""
+    """Run the requested test, by default both."""
     wanted = sys.argv[1] if len(sys.argv) > 1 else 'both'
     if wanted in ('month', 'both'):
         month()

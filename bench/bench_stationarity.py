@@ -61,7 +61,7 @@ def deg_h(value: float) -> float:
 
 
 def sums_of(y: Floats, gap: tuple[int, int] | None = None, tau0: float = 1.0) -> AllanSums:
-    """Return the sums of samples, with a gap where a knock was cut out."""
+    """Return the sums of samples, with a gap where a knock was excluded."""
     engine = RunningAllan(axes=AXES[: y.shape[1]])
     tick = round(tau0 * 1e9)
     for first, last in ((0, len(y)),) if gap is None else ((0, gap[0]), (gap[1], len(y))):
@@ -221,7 +221,7 @@ def covers(c: Coefficient, truth: float) -> bool:
 
 
 def show_real(folder: Path) -> Iterator[tuple[str, ...]]:
-    """Yield chi^2 per degree of freedom of N, B, K over sixths of what was fitted."""
+    """Yield chi^2 per degree of freedom of N, B, K over sixths of the fitted part."""
     sys.path.insert(0, str(folder / 'adis16405'))
     from load import load
 
@@ -248,7 +248,7 @@ def show_real(folder: Path) -> Iterator[tuple[str, ...]]:
 def chi_squared(parts: Sequence[Coefficient], whole: Coefficient) -> float:
     """Return the mean squared deviation of the parts from the whole, in standard errors.
 
-    A limit agrees if it exceeds the value of the whole.
+    A limit agrees if it exceeds the value of the complete part.
     """
     terms = []
     for part in parts:
@@ -266,7 +266,7 @@ def chi_squared(parts: Sequence[Coefficient], whole: Coefficient) -> float:
 
 
 def deviations(sums: AllanSums, model) -> tuple[str, str]:
-    """Return the median of the measured deviation over that of the model, in two ranges."""
+    """Return the median ratio of the measured deviation to the model, in two ranges."""
     ratios: dict[str, list[float]] = {'near': [], 'far': []}
     tau = sums.m * sums.tau0
     for i, axis in enumerate(sums.axes):

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of the documentation that benchmarks write.
 
-A table stands between two comments that Markdown does not show: ``<!-- table: faults -->`` and
-``<!-- end -->``. Its rows are known by their first cell, so that one row can be measured again
-without the others.
+A table is enclosed by two comments that Markdown does not show: ``<!-- table: faults -->`` and
+``<!-- end -->``. Rows are identified by their first cell, so that a single row can be measured
+again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class DocTable:
     name : str
         As in its opening comment.
     heading : sequence of str
-        Cells of the heading, the first names a row.
+        Cells of the heading; the first column names the rows.
     path : Path
         The document.
     """

@@ -26,7 +26,7 @@ from allan_ros.core.allan.document import sums_from_document
 from allan_ros.core.imu import ImuBatch
 
 HEALTHY_S = 12.0
-"""Static data before a fault, in s: rate and noise floor are known, and sums exist."""
+"""Static data before a fault in s: rate and noise floor are known, and sums exist."""
 AFTER_S = 5.0
 """Duration of a trial in s after static data grow again."""
 PATIENCE_S = 90.0
@@ -60,7 +60,7 @@ REASONS = {
     'stuck': 'stuck',
     'bridged': 'interpolated',
 }
-"""Count in the checkpoint -> its name in the table."""
+"""Count in the checkpoint -> name in the table."""
 
 HEADING = (
     'fault',
@@ -102,9 +102,9 @@ class Hearing:
     Attributes
     ----------
     said : list of (time in s, level and message)
-        Every new message that is not OK; one that differs only in its numbers is not new.
+        Every new message that is not OK; messages that differ only in numbers are equal.
     grew : list of float
-        When the static data had grown.
+        Times at which the static data had grown.
     """
 
     def __init__(self, client: Client, ending: str = 'input') -> None:
@@ -137,11 +137,11 @@ class Hearing:
         return next((each for each in self.said if each[0] >= time_s), (math.nan, ''))
 
     def grew_since(self, time_s: float) -> float:
-        """Return when static data first grew after a time; NaN if they did not."""
+        """Return the time at which static data first grew after a time; NaN if they did not."""
         return next((at for at in self.grew if at > time_s), math.nan)
 
     def until(self, holds: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
-        """Wait until a condition holds and return the time; NaN if it never does."""
+        """Wait until a condition is true and return the time; NaN if it never is."""
         end = time.monotonic() + patience_s
         while not holds():
             if time.monotonic() > end:
@@ -157,13 +157,13 @@ class Trial:
     ----------
     client : Client
     folder : Path
-        Where the checkpoint goes.
+        Folder of the checkpoint.
     ros : sequence of str
         Parameters of the node.
     name : str
         Name of the node.
     stream : callable
-        Makes the stream.
+        Creates the stream.
     label : str
         Label of the IMU, if the node watches several.
     **how
@@ -229,9 +229,9 @@ class Trial:
         Parameters
         ----------
         fault, note : str
-            Name of the fault, and a note on what was lost.
+            Name of the fault, and a note about the lost samples.
         same : bool
-            Whether the sums are compared with an offline run of what was sent.
+            Whether the sums are compared with an offline run of the sent samples.
         """
         self.hearing.until(lambda: not math.isnan(self.hearing.grew_since(self.ended)))
         grows = self.hearing.grew_since(self.ended)
@@ -255,7 +255,9 @@ class Trial:
         return evidence not in ('', 'unknown') and float(evidence) >= HEALTHY_S
 
     def _lost(self, same: bool) -> str:
-        """Return which samples are missing from the sums, why, and whether the sums are right."""
+        """Return which samples are missing from the sums, the reasons, and whether the sums are
+        correct.
+        """
         document = json.loads(self.checkpoint.read_text())
         counts = document['counts']
         held = max(sums_from_document(each).samples for each in document['sums'])

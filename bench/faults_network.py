@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of the network between a robot, where the player runs, and a station with the monitor.
 
-Each is a network namespace with a tap interface. What one sends is handed to the other by
-`lossy_link.py`, which loses packets at random if told to. The shared memory, which both would
-reach, is turned off.
+Each is a network namespace with a tap interface. `lossy_link.py` forwards packets between them and
+loses some at random on request. The shared memory, which both could access, is turned off.
 """
 
 from __future__ import annotations

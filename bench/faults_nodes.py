@@ -19,7 +19,7 @@ DOWN_S = 8.0
 """Seconds until a killed node is restarted, as by an operator."""
 
 QUICK_SUMS = 'publish.sums_period:=2.0'
-"""For trials of a minute; 10 s by default."""
+"""Parameters for trials of a minute; the default period is 10 s."""
 
 
 class Watch:
@@ -174,7 +174,7 @@ def second_node(client: Client, folder: Path) -> Row:
     trial = Trial(client, folder)
 
     def told() -> tuple[float, str]:
-        """Return time and text of the message; at its start a node publishes others, too."""
+        """Return time and text of the message; a node also publishes others at its start."""
         return next((x for x in trial.hearing.said if 'kept by' in x[1]), (math.nan, ''))
 
     with trial.fault():

@@ -4,10 +4,10 @@
 
     python bench/fisher.py table1_x table1_y table1_z
 
-The steps of the samples are a stationary Gaussian sequence, so the information of all samples is
-that of Whittle, 1/2 per frequency and pair of spectra. It errs at the lowest frequencies, where
-the record ends and the ramp is taken out: there the information of the phase at `BLOCKS` points,
-which is small enough to be computed exactly, takes the place of its Whittle approximation.
+The steps of the samples are a stationary Gaussian sequence, so the information of all samples
+follows from Whittle's formula, 1/2 per frequency and pair of spectra. At the lowest frequencies,
+this approximation is wrong because of the ends of the record and the removal of the ramp. There it
+is replaced by the information of the phase at `BLOCKS` points, which is computed exactly.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def bend_covariance(lags: int, step: int) -> Floats:
     fourth = np.convolve([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
     rows = [np.convolve(g, fourth, mode='valid') for g in phase_covariance(at)]
     if step == 1:
-        # For large lags the difference of t^2 ln t / (2 pi) cancels: expansion there.
+        # For large lags the difference of t^2 ln t / (2 pi) loses its digits: use an expansion.
         t = np.arange(lags, dtype=float)
         far = t > 60.0
         rows[2][far] = -(2.0 / t[far] ** 2 + 2.0 / t[far] ** 4) / (2.0 * np.pi)
@@ -55,7 +55,7 @@ def whittle(count: int, power: Floats, step: int) -> Floats:
     """Return the information of ``count`` second differences, (4, 4)."""
     known, rows = spectra(step)
     f = np.arange(1, count // 2 + 1) / count
-    # Divided by sin the flicker spectrum is smooth enough to interpolate.
+    # Divided by the sine, the flicker spectrum is smooth enough to interpolate.
     sine = 2.0 * np.sin(np.pi * known[1:])
     s = np.stack([np.interp(f, known[1:], r[1:] / sine) * 2.0 * np.sin(np.pi * f) for r in rows])
     if step == 1:

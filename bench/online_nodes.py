@@ -31,8 +31,8 @@ RELIABLE = (
 
 
 def use_udp() -> None:
-    """Let all nodes of this run use UDP, because a killed one may leave shared memory locked."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'  # as the profile has it
+    """Let all nodes of this run use UDP, because a killed node may leave shared memory locked."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'  # as in the profile
     for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         os.environ[variable] = str(ROOT / 'config' / 'fastdds' / 'loopback_udp.xml')
 
@@ -45,11 +45,11 @@ class Process:
     *command : str
         Arguments of Python.
     prefix : sequence of str
-        What runs it, such as ``('nice', '-n', '19')``.
+        Command that runs it, such as ``('nice', '-n', '19')``.
     env : mapping of str
         Added to the environment.
     log : Path, optional
-        Where its output goes; by default to ours.
+        File for its output; by default the output of this process.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ def start(
 ) -> Process:
     """Start a node with parameters ``name:=value`` and remappings ``old:=new``.
 
-    ``how`` goes to `Process`.
+    ``how`` is passed to `Process`.
     """
     given = [x for parameter in ros for x in ('-p', parameter)]
     given += [x for names in remap for x in ('-r', names)]
@@ -169,7 +169,8 @@ class Client:
     def call(self, service: str) -> Any:
         """Call a Trigger service that may be called twice, and return its response.
 
-        An answer is lost to a client that the node has not found yet: then it is asked again.
+        An answer to a client that the node has not discovered yet is lost; then the call is
+        repeated.
         """
         from std_srvs.srv import Trigger
 

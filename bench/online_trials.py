@@ -84,9 +84,9 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
 
 
 def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
-    """Kill the accumulator again and again while a bag plays, and account for every sample."""
-    # A process that is killed while it holds a lock in the shared memory of Fast DDS 2.14 blocks
-    # the others there permanently, the player too: observed at the 16th of 20 kills.
+    """Kill the accumulator repeatedly while a bag plays, and account for every sample."""
+    # A process that is killed while it has a lock in the shared memory of Fast DDS 2.14 blocks the
+    # other processes permanently, including the player: observed at the 16th of 20 kills.
     os.environ.update(TRANSPORT)
     # reliable, but the player must not wait for acknowledgements of killed nodes
     forgetful = [
@@ -115,14 +115,14 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
                     accumulator = start('accumulator', ros=ros)
         accumulator.end()
         document = json.loads(checkpoint.read_text())
-    # the sums of the surviving spans of the bag, each a segment of its own, in one uncut run
+    # the sums of the surviving segments of the bag in one complete run
     total = sums_from_document(document['sums'][0])
     spans = sorted(document['segments'], key=lambda span: span['start_ns'])
     stamps = np.concatenate([b.stamps_ns for b in batches])
     samples = np.concatenate([b.samples for b in batches])
     starts = np.searchsorted(stamps, [span['start_ns'] for span in spans])
     expected = RunningAllan(total.identity, AXES)
-    ends, kept = {0: 0}, 0  # samples that were kept -> where in the bag the last of them is
+    ends, kept = {0: 0}, 0  # number of kept samples -> position of the last of them in the bag
     for first, span in zip(starts, spans):
         rows = slice(first, first + span['samples'])
         expected.update(samples[rows], int(stamps[rows][0]), int(stamps[rows][-1]))

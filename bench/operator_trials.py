@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an operator reads after a fault, and how soon: trials over real DDS with a 200 Hz stream.
+"""Messages to an operator after a fault, and their delay: trials over real DDS with a 200 Hz
+stream.
 
     python bench/operator_trials.py                   all, about 12 min
     python bench/operator_trials.py louder_2 qos      these
@@ -35,7 +36,7 @@ HEADING = 'trial', 'change', 'first message', 'after', 'measured'
 LEVELS = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR', b'\3': 'STALE'}
 PATIENCE_S = 120.0
 HEALTHY_S = 30.0
-"""Static data before a fault: the noise model is there."""
+"""Static data in s before a fault, after which there is a noise model."""
 
 TRUE_N = STD[0] / math.sqrt(RATE_HZ)
 """N of the gyro in rad/s/sqrt(Hz)."""
@@ -45,13 +46,13 @@ TRIALS: dict[str, Callable[[Client], Cells]] = {}
 
 
 def trial(function: Callable[[Client], Cells]) -> Callable[[Client], Cells]:
-    """Enter a function into `TRIALS` by its name."""
+    """Register a function in `TRIALS` by its name."""
     TRIALS[function.__name__] = function
     return function
 
 
 def until(client: Client, holds: Callable[[], object], patience_s: float = PATIENCE_S) -> float:
-    """Let time pass until it holds; return the time it took in s, NaN if it never does."""
+    """Wait until a condition is true; return the elapsed time in s, NaN if it never is."""
     began = time.monotonic()
     while not holds():
         if time.monotonic() - began > patience_s:
@@ -61,7 +62,7 @@ def until(client: Client, holds: Callable[[], object], patience_s: float = PATIE
 
 
 def status(client: Client, ending: str) -> str:
-    """Return the level and message of a status; '' where there is none."""
+    """Return the level and message of a status; '' if there is none."""
     for name, found in client.statuses.items():
         if name.endswith(ending):
             return f'{LEVELS[found.level]}: {found.message}'
@@ -69,7 +70,7 @@ def status(client: Client, ending: str) -> str:
 
 
 def says(client: Client, words: str, *endings: str) -> Callable[[], str]:
-    """Return a condition: one of these statuses has a message with these words."""
+    """Return a condition: the message of one of these statuses contains these words."""
 
     def holds() -> str:
         shown = (status(client, ending) for ending in endings or ('input',))
@@ -79,7 +80,7 @@ def says(client: Client, words: str, *endings: str) -> Callable[[], str]:
 
 
 def seconds(value: float) -> str:
-    """Return a time as the table shows it."""
+    """Return a time as text for the table."""
     return 'never' if math.isnan(value) else f'{value:.1f} s'
 
 
@@ -189,7 +190,7 @@ def louder_3(client: Client) -> Cells:
 
 @trial
 def louder_20(client: Client) -> Cells:
-    """Noise as of a loose IMU."""
+    """Multiply the noise by 20, as of a loose IMU."""
     return _louder(client, 20.0, 'WARN')
 
 
@@ -264,7 +265,7 @@ def stamp_leap(client: Client) -> Cells:
 
 @trial
 def advice(client: Client) -> Cells:
-    """Follow what the status of an axis says about the missing coefficients."""
+    """Record the status of an axis about the missing coefficients."""
     node = monitor()
     stream = healthy_stream(client)
     shown: list[str] = []
@@ -365,7 +366,7 @@ def unknown_parameter(client: Client) -> Cells:
 
 
 def main() -> int:
-    """Run the trials that are named, by default all, each in a process of its own."""
+    """Run the named trials, by default all, each in its own process."""
     use_udp()
     if sys.argv[1:2] == ['--here']:
         name = sys.argv[2]

@@ -26,7 +26,7 @@ PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'engineering' / 'ros2_comm
 TRIGGER = 'std_srvs/srv/Trigger'
 LONGEST_S = 90.0
 SHOWN = 220
-"""Characters of the output in the table."""
+"""Number of characters of the output in the table."""
 
 COMMANDS = (
     ('ros2 launch allan_ros allan_ros.launch.py --show-args', "'config'"),
@@ -64,11 +64,11 @@ COMMANDS = (
     ('ros2 allan check run.csv', ''),
     ('ros2 run allan_ros allan sensors', 'adis16475-3'),
 )
-"""Command, and a text of the line of its output that is shown; '' for the last line."""
+"""Command, and a text in the line of its output that is shown; '' for the last line."""
 
 
 def background(command: str, folder: str) -> subprocess.Popen[bytes]:
-    """Start a command in a process group of its own, without its output."""
+    """Start a command in its own process group, without its output."""
     return subprocess.Popen(
         command.split(),
         cwd=folder,
@@ -79,7 +79,7 @@ def background(command: str, folder: str) -> subprocess.Popen[bytes]:
 
 
 def run(command: str, folder: str) -> tuple[str, str]:
-    """Return the exit code and the output of a command; 'none' for one that does not end."""
+    """Return the exit code and the output of a command; 'none' if it does not end."""
     try:
         ended = subprocess.run(
             command,
@@ -97,7 +97,7 @@ def run(command: str, folder: str) -> tuple[str, str]:
 
 
 def line_of(output: str, words: str) -> str:
-    """Return the first line with these words, else the last one."""
+    """Return the first line with these words, else the last line."""
     lines = [' '.join(x.split()) for x in output.splitlines() if x.strip()]
     found = [line for line in lines if words and words in line] or lines[-1:]
     return found[0][:SHOWN] if found else ''

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot's day over real DDS: what the operator sees each hour, what a filter gets, what is true.
+"""A robot's day over real DDS: diagnostics each hour, variances for a filter, and true values.
 
 python bench/simulated_day.py [hours] [rate]     eight hours at 25 Hz take about ten minutes
 
@@ -114,8 +114,8 @@ class Robot:
         assert self.monitor is not None
         self.monitor.end(number)
         self.client.node.destroy_publisher(self.publisher)
-        # A killed node counts as a subscriber for some 20 s more. A publisher would wait for its
-        # acknowledgements, and a new node could miss what was sent meanwhile.
+        # A killed node counts as a subscriber for about 20 s more. A publisher would wait for its
+        # acknowledgements, and a new node could miss messages sent meanwhile.
         while self.client.node.count_subscribers('imu/data'):
             self.client.spin(0.5)
 
@@ -138,7 +138,7 @@ class Robot:
             self.client.spin(0.2)
 
     def settle(self) -> None:
-        """Wait until the coefficients on `/diagnostics` are of the present sums."""
+        """Wait until the coefficients on `/diagnostics` belong to the present sums."""
         self.client.call('/allan_monitor/save')
         deadline = time.monotonic() + FIT_S
         while not (answer := self.client.call('/allan_monitor/fit')).success:

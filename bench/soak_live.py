@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish 1 kHz over DDS to allan_monitor for a given duration.
 
-What is sent is written to a recording first; the sums of the node must be those of its analysis.
+The samples are first written to a recording. The sums of the node must equal the sums of its
+analysis.
 """
 
 from __future__ import annotations

@@ -37,7 +37,8 @@ DAYS = 30
 HOUR_S = 3600
 N = np.array([5e-5] * 3 + [8e-4] * 3)
 K = np.array([5e-7] * 3 + [1e-5] * 3)
-"""White noise and random walk, in rad/s/sqrt(Hz), rad/s^2/sqrt(Hz); m/s^2/sqrt(Hz) and so on."""
+"""White noise and random walk in rad/s/sqrt(Hz), rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz) and
+m/s^3/sqrt(Hz)."""
 START_NS = 1_700_000_000 * 10**9
 FIT_EVERY_H = 12
 

@@ -28,11 +28,11 @@ class Stream:
     Attributes
     ----------
     change : callable
-        What a fault makes of each block before it is sent; set it and put `healthy` back.
+        Changes each block before it is sent: set it to inject a fault, and restore `healthy`.
     made, sent : int
         Samples before and after ``change``.
     truth : list of ImuBatch
-        What was sent.
+        The sent samples.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest
 """Memory is the growth of the process after the first inputs."""
 
 GRACE_S = HANG_SECONDS + 60.0
-"""Time a target may take beyond its share: to start, for the last input, and to shrink."""
+"""Time in s that a target may take in addition: for its start, the last input, and shrinking."""
 
 
 def main() -> int:
@@ -91,7 +91,7 @@ def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally
 
 
 def _kill_group(leader: int) -> None:
-    """Kill a process and those it started, which would keep its output open."""
+    """Kill a process and its child processes, which would keep its output open."""
     with suppress(ProcessLookupError):
         os.killpg(leader, signal.SIGKILL)
 

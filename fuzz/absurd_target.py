@@ -20,7 +20,7 @@ FLOATS = (0.0, 5e-324, 1e-300, 1e-160, 1e-30, 1.0, 1e30, 1e100, 1e150, 1e154, 1e
 
 @st.composite
 def _documents(draw: Any) -> tuple[str, bytes, int]:
-    """Draw a document in which one to four numbers, or whole lists of them, are absurd."""
+    """Draw a document in which one to four numbers, or complete lists of them, are absurd."""
     sums, results = seeds()
     kind = draw(st.sampled_from(['sums', 'sums', 'sums', 'results', 'checkpoint']))
     document = copy.deepcopy(results if kind == 'results' else sums)
@@ -42,7 +42,7 @@ def _places(value: Any) -> Any:
             if isinstance(inner, list) and inner and all(map(_is_number, inner)):
                 yield value, key
                 if len(inner) > 8:
-                    continue  # so that long lists do not crowd out the rest
+                    continue  # so that long lists do not displace all other values
             yield from _places(inner)
 
 

@@ -72,7 +72,7 @@ WIDTHS = {1: '<B', 2: '<H', 4: '<I', 8: '<Q'}
 
 @st.composite
 def damaged(draw: Any, seeds: Sequence[bytes], most: int = 4) -> bytes:
-    """Draw one of the seeds with some bytes or numbers changed, removed, doubled or cut off."""
+    """Draw one of the seeds with some bytes or numbers changed, removed, repeated or cut off."""
     data = bytearray(draw(st.sampled_from(seeds)))
     for _ in range(draw(st.integers(1, most))):
         if not data:
@@ -127,7 +127,7 @@ json_values = (
 
 @st.composite
 def damaged_json(draw: Any, seeds: Sequence[Any], most: int = 3) -> str:
-    """Draw one of the documents as text, with fields replaced, removed, doubled or added."""
+    """Draw one of the documents as text, with fields replaced, removed, repeated or added."""
     document = json.loads(json.dumps(draw(st.sampled_from(seeds))))
     doubled = ''
     for _ in range(draw(st.integers(0, most))):

@@ -38,7 +38,7 @@ from .reading import small_batch
 
 SAMPLES = 3000
 FITTED = 8
-"""One of this many sums is fitted, which takes a hundred times as long as reading."""
+"""One of this number of sums is fitted, which takes a hundred times as long as reading."""
 
 
 @lru_cache(maxsize=1)
@@ -61,7 +61,7 @@ def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
 
 @st.composite
 def _texts(draw: Any) -> tuple[str, bytes, int]:
-    """Draw the kind of file, its bytes, and a number that selects what is done with it."""
+    """Draw the kind of file, its bytes, and a number that selects its use."""
     sums, results = seeds()
     kind = draw(st.sampled_from(['sums', 'results', 'checkpoint']))
     seed = results if kind == 'results' else sums
@@ -73,7 +73,7 @@ def _texts(draw: Any) -> tuple[str, bytes, int]:
 
 
 def check(made: tuple[str, bytes, int], folder: Path) -> bool:
-    """Read the file as that kind, and use it."""
+    """Read the file as the given kind, and use it."""
     kind, data, choice = made
     path = folder / f'{kind}.json'
     path.write_bytes(data)

@@ -69,7 +69,7 @@ def _splits(which: int) -> bytes:
 
 @st.composite
 def _folders(draw: Any) -> tuple[bytes, bytes | None]:
-    """Draw metadata, and the second split (None: missing)."""
+    """Draw metadata and the second file of the bag (None: missing)."""
     metadata = (
         damaged_json([METADATA], 2).map(as_utf8)
         | damaged_json([METADATA], 4).map(as_utf8)

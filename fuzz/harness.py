@@ -30,16 +30,16 @@ from hypothesis.strategies import SearchStrategy
 from allan_ros.core.errors import AllanError
 
 INPUT_SECONDS = 10.0
-"""CPU time that one input may take."""
+"""CPU time in s that one input may take."""
 
 FORKED_SECONDS = 100.0
-"""Time one input may take where other processes are involved, on a loaded machine."""
+"""Time in s that one input may take if other processes are involved, on a loaded machine."""
 
 HANG_SECONDS = 120.0
-"""Time, CPU or not, after which an input hangs: the process prints all stacks and ends."""
+"""Time in s after which an input hangs: the process prints all stacks and ends."""
 
 MEMORY_BYTES = 1 << 30
-"""Address space a target may use beyond that after its first inputs."""
+"""Address space that a target may use in addition to that after its first inputs."""
 
 ROUND = 100
 """Inputs drawn from one seed; the clock is checked after each round."""
@@ -72,13 +72,13 @@ class Target:
     ----------
     name : str
     inputs : strategy
-        Draws what goes in.
+        Draws the inputs.
     check : callable
-        Takes an input and an empty folder to work in, returns whether it was taken for valid (else
-        it was refused in one line), and raises where the rule is broken.
+        Takes an input and an empty working folder, returns whether the input was accepted (else it
+        was rejected in one line), and raises if the rule is broken.
     forks : bool
-        Whether it starts processes of its own, as the nodes' target does: then files, processes
-        and memory are theirs to watch.
+        Whether it starts processes, as the target of the nodes does; it then checks their files and
+        memory itself.
     """
 
     name: str
@@ -100,12 +100,12 @@ class Tally:
 
 
 class BrokenRule(AssertionError):
-    """An input that should have been refused was accepted, or the error message is invalid."""
+    """An input that should have been rejected was accepted, or the error message is invalid."""
 
 
 @dataclass
 class Outcome:
-    """The result of one input: valid until it is refused."""
+    """The result of one input, which is valid unless it is rejected."""
 
     valid: bool = True
 
@@ -138,7 +138,9 @@ def _no_constant(name: str) -> float:
 
 
 class Watch:
-    """Audits what the interpreter opens for writing, changes, starts or connects (PEP 578)."""
+    """Audits which files the interpreter opens for writing, and its processes and connections (PEP
+    578).
+    """
 
     def __init__(self) -> None:
         self.folder: str | None = None
@@ -192,7 +194,7 @@ def run_target(
     def one(value: Any) -> None:
         text = f'seed {first_seed}, input {value!r}'
         current.write_text(text, 'utf-8', errors='surrogatepass')
-        # from a thread of its own: also ends code that waits, or blocks or swallows signals
+        # from a separate thread, which also ends code that waits, or blocks or swallows signals
         faulthandler.dump_traceback_later(HANG_SECONDS, exit=True)
         with tempfile.TemporaryDirectory(dir=scratch) as folder:
             began = clock()

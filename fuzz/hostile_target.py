@@ -27,7 +27,7 @@ from .ros1_target import Odd
 from .ros1_target import build as build_ros1
 
 GROWTH_BYTES = 450 << 20
-"""Memory that reading one of these may take: a chunk of the largest size, three times."""
+"""Memory that reading one of these may take: three chunks of the largest size."""
 
 EXPANDED = (1 << 20, 100 << 20, 1 << 30, 16 << 30)
 RLE_BYTES = 128 << 10
@@ -59,7 +59,7 @@ def zstd_frame(size: int, states_size: bool, byte: bytes = b'\0') -> bytes:
 
 @lru_cache(maxsize=8)
 def packed(how: str, size: int) -> bytes:
-    """Return zeros, compressed; those of slow compressors are fewer."""
+    """Return compressed zeros; slow compressors get fewer."""
     if how == 'bz2':
         return bz2.compress(bytes(min(size, 140 << 20)), 1)
     if how == 'lz4':
@@ -198,7 +198,7 @@ MAKE: dict[str, Callable[..., Path]] = {
 
 
 def check(made: tuple[Any, ...], folder: Path) -> bool:
-    """Read it; raise when that took more memory than allowed."""
+    """Read the file; raise if this takes more memory than allowed."""
     kind, *how = made
     path = MAKE[kind](folder, *how)
     before = _peak()

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized Imu messages of any bytes: the decoder, the patch of the relay, and the stream."""
+"""Serialized Imu messages with arbitrary bytes: the decoder, the patch of the relay, and the
+stream."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from .reading import payloads
 
 VARIANCES = {'gyro': (1.0, 2.0, 3.0), 'accel': (4.0, 5.0, 6.0)}
 REPEATS = (1, 1, 1, 30, 700, 1100)
-"""How often a message is repeated: sometimes enough for the clock to settle."""
+"""How often a message is repeated: sometimes often enough to learn the clock."""
 
 
 @st.composite

@@ -27,7 +27,7 @@ FORMS = {
     'bz2.bag': ('ros1', 'bz2'),
     'run.csv': ('csv', 'none'),
 }
-"""File -> storage and compression; those of rosbag2 have a metadata.yaml next to them."""
+"""File -> storage and compression; rosbag2 files have a metadata.yaml next to them."""
 
 REPORTS = {'count_differs', 'bag_cut', 'table_cut'}
 

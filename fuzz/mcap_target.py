@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """mcap files (https://mcap.dev/spec) built record by record, with damage in chosen fields.
 
-Lengths, offsets, checksums and indexes are those of what was built, except where one is damaged:
-so a reader gets past its first checks, and meets what is behind them.
+Lengths, offsets, checksums and indexes are correct except for the damaged ones, so that a reader
+passes its first checks and the later code is tested, too.
 """
 
 from __future__ import annotations

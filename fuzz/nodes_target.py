@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes over DDS: Imu messages of any bytes, foreign documents, odd parameters.
+"""Running nodes over DDS: Imu messages with arbitrary bytes, foreign documents, odd parameters.
 
 One monitor with a relay and one estimator run all the time. After every input both must still
 publish `/diagnostics`, answer their services and accept a valid message.
@@ -55,7 +55,7 @@ PARAMETERS += ('input.stale_after', 'segmenter.max_bridge', 'segmenter.motion_ra
 PARAMETERS += ('checkpoint.path', 'checkpoint.period', 'input.topics', 'no.such', 'relay.inflate')
 
 NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf)(?!\w)')
-"""Text that a diagnostic must not contain."""
+"""Text that diagnostics must not contain."""
 
 _values = (
     st.booleans()
@@ -117,14 +117,14 @@ class Graph:
         return self.node.create_client(SetParameters, f'/{name}/set_parameters')
 
     def set_parameter(self, name: str, parameter: str, value: Any) -> bool:
-        """Ask a node to change a parameter and return its answer, which must come."""
+        """Ask a node to change a parameter and return its answer, which is required."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
         try:
             message = Parameter(parameter, value=value).to_parameter_msg()
         except (TypeError, ValueError, AssertionError):
-            return False  # a list of nothing has no type
+            return False  # the type of an empty list is unknown
         future = self.clients[name].call_async(SetParameters.Request(parameters=[message]))
         self._until(future.done, f'{name} does not answer about {parameter}')
         (answer,) = future.result().results
@@ -186,7 +186,7 @@ def graph() -> Graph:
 
 @st.composite
 def _attacks(draw: Any) -> tuple[str, Any]:
-    """Draw what is sent: messages, a text on a topic, or a parameter."""
+    """Draw the attack: messages, a text on a topic, or a parameter."""
     sums, results = seeds()
     match draw(st.sampled_from(['imu', 'imu', 'text', 'text', 'parameter'])):
         case 'imu':
@@ -229,7 +229,7 @@ def check(attack: tuple[str, Any], folder: Path) -> bool:
 
 
 def _read(kind: str, what: Any) -> None:
-    """Read messages and texts as the nodes do; raise `AllanError` where they are invalid."""
+    """Read messages and texts as the nodes do; raise `AllanError` if they are invalid."""
     if kind == 'imu':
         try:
             decode_imus(what[0], 'cdr')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read a recording as `allan analyze` does, up to the sums, and check all that comes out."""
+"""Read a recording as `allan analyze` does, up to the sums, and check all results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def payloads(encoding: Any, n: int = MESSAGES) -> list[bytes]:
 
 
 def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
-    """Read a recording to its sums; return whether it is one; raise where it breaks the rule."""
+    """Read a recording to its sums; return whether it is valid; raise if it breaks the rule."""
     before = sorted(path.parent.rglob('*'))
     with refused_or_valid() as outcome:
         for recording in open_recordings([path], options):

@@ -105,7 +105,7 @@ def _npy(draw: Any) -> bytes:
 
 @st.composite
 def _npz(draw: Any) -> bytes:
-    """Draw a zip of npy files, some of them odd."""
+    """Draw a zip archive of npy files, some of them odd."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, 'w', draw(st.sampled_from([0, 8]))) as archive:
         for name in ('imu', 'stamps_ns', 'record_ns', 'frame_id'):

@@ -34,7 +34,7 @@ PARAMETERS = {
     'baseline': 'estimator.baseline',
     'checkpoint': 'checkpoint.path',
 }
-"""Argument -> the parameter that it sets if given; else the configuration file decides."""
+"""Argument -> parameter that it sets if given; otherwise the configuration file applies."""
 
 
 def items(text):
@@ -43,7 +43,7 @@ def items(text):
 
 
 def nodes(context):
-    """Return the nodes that the arguments ask for."""
+    """Return the nodes that the arguments select."""
     given = {name: LaunchConfiguration(name).perform(context) for name in (*ARGUMENTS, 'config')}
     overrides = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
     topics = items(given['imu'])
@@ -85,7 +85,7 @@ def nodes(context):
 
 
 def generate_launch_description():
-    """Return the arguments and what they start."""
+    """Return the launch arguments and the nodes they start."""
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', 'allan_ros.yaml'])
     return LaunchDescription(
         [

@@ -6,10 +6,10 @@ vulnerabilities.
     python scripts/audit.py             # exit 1: something is vulnerable; 2: some was not audited
     python scripts/audit.py --offline   # the list alone, nobody is asked
 
-The list is that of the packages installed here that ``install_requires`` of setup.py leads to.
-pip-audit asks the advisory service of PyPI for each of them, by name and version. A mirror of PyPI
-may have no such service; pip-audit then skips each package and finds nothing wrong, so what was
-skipped is counted here.
+The list contains the installed packages that ``install_requires`` of setup.py requires, directly or
+not. pip-audit asks the advisory service of PyPI for each of them, by name and version. A mirror of
+PyPI may not have this service. pip-audit then skips each package and reports no problem, so skipped
+packages are counted here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ VULNERABLE, NOT_AUDITED = 1, 2
 CLASSIFIER = 'License :: OSI Approved :: '
 REQUIREMENT = re.compile(r'([A-Za-z0-9._-]+)')
 LONGEST_LICENCE = 60
-"""Longest licence name in characters: some packages give the complete text in its place."""
+"""Longest licence name in characters; some packages contain the complete text instead."""
 
 TOOL = [sys.executable, '-m', 'pip_audit']
 ASKED = ['--no-deps', '--disable-pip', '--format', 'json', '--requirement']
@@ -60,7 +60,7 @@ def _requirements(distribution: metadata.Distribution) -> Iterator[str]:
 def licence(distribution: metadata.Distribution) -> str:
     """Return the name of the licence, from the metadata fields of old and new packages."""
     about = distribution.metadata
-    # get_all: a missing field is an error in newer readers of metadata, None in others
+    # get_all: newer readers of metadata raise an error for a missing field, older ones return None
     classifiers = [c for c in about.get_all('Classifier') or () if c.startswith(CLASSIFIER)]
     named = [*(about.get_all('License-Expression') or ()), *(about.get_all('License') or ())]
     named += [classifier.removeprefix(CLASSIFIER) for classifier in classifiers]

@@ -4,7 +4,7 @@
 
 usage: check_table.py DATA
 
-DATA is the folder of real recordings; simulated ones are made in a temporary folder.
+DATA is the folder of real recordings; simulated ones are written to a temporary folder.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ runs it on the same recordings. Exit codes: 0 healthy, 1 not judged, 3 judged an
 
 
 class Case(NamedTuple):
-    """One recording, what is known of it, and the exit code that follows.
+    """One recording, its known state, and the expected exit code.
 
     Attributes
     ----------
     path : str
-        Below the folder of real recordings; a simulated one has none there.
+        Path in the folder of real recordings, or the name of a simulated one.
     simulated : str
         Arguments of `allan simulate`; '' for a real recording.
     """
@@ -84,7 +84,7 @@ def run_cases(data: Path, folder: Path) -> Iterator[tuple[Case, int, str]]:
     data : Path
         The real recordings.
     folder : Path
-        Where the simulated ones are written.
+        Folder for the simulated ones.
     """
     for case in CASES:
         path = folder / case.path

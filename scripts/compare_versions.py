@@ -5,7 +5,7 @@
 usage: compare_versions.py BEFORE AFTER [RECORDING ...]
 
 BEFORE and AFTER are folders of checkouts. Five simulated recordings are written and analyzed by
-both, besides the recordings that are named. Exits with 1 if any sums differ.
+both, in addition to the named recordings. Exits with 1 if any sums differ.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def kept(document: dict[str, Any]) -> list[Any]:
 
 
 def coefficients(results: dict[str, Any]) -> Iterator[tuple[str, float | None]]:
-    """Yield the name and value of each coefficient; None where it is not resolved."""
+    """Yield the name and value of each coefficient; None if it is not resolved."""
     for axis, of_axis in results['axes'].items():
         for term, c in of_axis['noise'].items():
             yield f'{axis} {term}', c['value'] if c['status'] == 'estimated' else None

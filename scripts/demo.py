@@ -30,7 +30,7 @@ from allan_ros.io.results import Results
 from allan_ros.io.user_files import AxesNoise, read_noise, truth_path
 
 CONFIDENCE = 0.95
-"""Expected share of intervals and limits that contain the truth."""
+"""Expected fraction of intervals and limits that contain the truth."""
 
 
 def main() -> int:
@@ -61,7 +61,8 @@ def main() -> int:
 
 
 def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
-    """Yield a table of every coefficient with its true value, then the share of right intervals."""
+    """Yield a table of every coefficient with its true value, then the fraction of correct
+    intervals."""
     yield f'{"":9}{"":17}{"true":>10}{"found":>11}   95 % interval'
     inside = []
     for axis, result in results.axes.items():

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Play a recording to allan_monitor over DDS and show /diagnostics.
 
-The bag is played as fast as the monitor takes it, so hours pass in a minute; at the end the sums of
-the monitor are compared with those of the offline analysis.
+The bag is played as fast as the monitor processes it, so hours pass in a minute. At the end, the
+sums of the monitor are compared with the sums of the offline analysis.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ANSWER_S = 10.0
 
 
 def play(bag: Path, folder: Path, sensor: str) -> int:
-    """Play the bag into a monitor and return 0 when the sums are those of ``sums.json``."""
+    """Play the bag into a monitor and return 0 if the sums equal those in ``sums.json``."""
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'  # no discovery of other machines
     checkpoint = folder / 'online_sums.json'
     checkpoint.unlink(missing_ok=True)

@@ -4,8 +4,7 @@
 
 usage: pictures.py FOLDER
 
-The IMU is that of `allan simulate --preset paper`; what is wrong with some of them are the faults
-of `allan simulate`.
+The IMU is simulated as by `allan simulate --preset paper`, some with faults of `allan simulate`.
 """
 
 from __future__ import annotations
@@ -95,7 +94,7 @@ def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: obje
 
 
 def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float) -> None:
-    """Draw the fit, its parts, and the band that terms which are not resolved may add."""
+    """Draw the fit, its parts, and the range that unresolved terms may add."""
     curve = result.curve
     assert curve is not None
     for name, part in result.part_adev(curve.m).items():
@@ -108,7 +107,7 @@ def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float)
 
 
 def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Sequence[Axes]]:
-    """Return a figure of that size in inches with log-log panels side by side."""
+    """Return a figure of the given size in inches with log-log panels side by side."""
     figure = Figure(figsize=(width, height), layout='constrained')
     panels = figure.subplots(1, columns, squeeze=False)[0]
     for panel in panels:
@@ -118,7 +117,7 @@ def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, S
 
 
 def five_slopes() -> Figure:
-    """Draw the curve of a gyro with all five terms, and where each is read."""
+    """Draw the curve of a gyro with all five terms, and mark where each is read."""
     figure, (panel,) = new_figure(6.4, 4.2)
     tau = np.geomspace(0.01, 1e5, 400)
     avar = DEG_H**2 * term_avar(tau * RATE, 1.0 / RATE, ALL_FIVE)

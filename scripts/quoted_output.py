@@ -4,12 +4,12 @@
 
 usage: quoted_output.py [--check] [PAGE ...]
 
-A quoted block is fenced and stands below a comment that holds its command line:
+A quoted block is fenced and follows a comment with its command line:
 
     <!-- $ allan analyze my_bag | head -5 -->
 
-The commands of one page run in order in one temporary folder. Lines of a comment without a block
-below only prepare it.
+The commands of one page run in order in one temporary folder. Comments without a block only prepare
+later commands.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def quoting_pages() -> list[Path]:
 
 
 def with_new_output(text: str) -> str:
-    """Return the text of a page with the present output of its commands.
+    """Return the text of a page with the current output of its commands.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def with_new_output(text: str) -> str:
         When a command fails.
     """
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as tools:
-        # An installed `allan` may be absent from the PATH (colcon), or be that of another version.
+        # An installed `allan` may be missing on the PATH (colcon), or have another version.
         allan, python = Path(tools, 'allan'), str(Path(sys.executable).parent)
         allan.write_text(
             f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m allan_ros.cli.main "$@"\n'
@@ -74,7 +74,7 @@ def with_new_output(text: str) -> str:
 
 
 def main() -> int:
-    """Rewrite or check the pages; return 1 where a check fails."""
+    """Rewrite or check the pages; return 1 if a check fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or '').splitlines()[0])
     parser.add_argument('--check', action='store_true', help='change nothing; exit 1 if stale')
     parser.add_argument('pages', nargs='*', type=Path)

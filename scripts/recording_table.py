@@ -5,7 +5,7 @@ docs/recording.md.
 
 usage: recording_table.py [--records N]
 
-The three grades are the three axes of one simulated IMU at 100 Hz. A term counts as shown where it
+The three grades are the three axes of one simulated IMU at 100 Hz. A term counts as resolved if it
 is `estimated`; the number is the median half-width of its 95 % interval, in percent of the truth.
 """
 
@@ -21,10 +21,10 @@ import allan_ros as ar
 from allan_ros.core.imu import AXES, from_datasheet, sensor_of
 
 RATE = 100.0
-"""Hz."""
+"""Sample rate in Hz."""
 
 LENGTHS = {'10 min': 600.0, '1 h': 3600.0, '2 h': 7200.0, '8 h': 28800.0}
-"""Label of a duration -> s."""
+"""Label of a duration -> duration in s."""
 
 GRADES = {
     'gyro': {
@@ -38,10 +38,10 @@ GRADES = {
         'tactical': {'N': 0.006, 'B': 4.0, 'K': 8.0},
     },
 }
-"""sensor -> grade -> terms in datasheet units: typical values, not those of a product."""
+"""Sensor -> grade -> terms in datasheet units: typical values, not those of a product."""
 
 MOSTLY = 0.5
-"""Smallest share of records that resolve a term for a number to be shown."""
+"""Smallest fraction of records that resolve a term for which a number is shown."""
 
 
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:

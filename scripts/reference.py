@@ -271,7 +271,8 @@ def troubleshooting_page(text: str) -> str:
     Raises
     ------
     SystemExit
-        Naming the findings without a heading, with two, and the headings without a finding.
+        The message names findings without a heading or with two headings, and headings without a
+        finding.
     """
     head, *entries = re.split(r'^### ', text, flags=re.MULTILINE)
     ids = [entry.split('\n', 1)[0].strip() for entry in entries]
@@ -282,7 +283,7 @@ def troubleshooting_page(text: str) -> str:
 
 
 def _with_words(entry: str) -> str:
-    """Return an entry with the present message below its heading."""
+    """Return an entry with the current message below its heading."""
     id, _, rest = entry.partition('\n')
     rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
     words = CATALOGUE[id.strip()]

@@ -4,7 +4,7 @@
 
 usage: report_pictures.py FOLDER
 
-The IMU is that of `allan simulate --preset paper`. On Tuesday a fan runs next to it, it is
+The IMU is simulated as by `allan simulate --preset paper`. On Tuesday, a fan runs next to it, it is
 moved once, and the recorder loses half a minute.
 """
 
@@ -51,7 +51,7 @@ def photograph(page: Path, picture: Path, scratch: Path) -> None:
 
 
 def main() -> int:
-    """Make the pictures."""
+    """Draw the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('folder', type=Path)
     folder = parser.parse_args().folder.resolve()

@@ -4,7 +4,7 @@
 
 usage: sensor_table.py
 
-A test holds the page against what this writes.
+A test compares the page with the output of this script.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ PLAYER = ['--simulate', '3600', '--clock', '--wait', '99']
 
 PATIENCE_S = 60.0
 SETTLED_S = 3.0
-"""Seconds without a change after which the names of a node are complete."""
+"""Time in s without a change after which the names of a node are complete."""
 
 Names = dict[str, frozenset[str]]
 """'publish', 'subscribe', 'reply', 'request' -> names of topics or services."""
@@ -144,13 +144,14 @@ def policy_of(graph: dict[str, Names]) -> str:
 
 
 def _relative(node: str, names: Iterable[str]) -> list[str]:
-    """Return the names in the notation of policies: ``~/`` for those of the node itself."""
+    """Return the names in the notation of policies: ``~/`` for names of the node itself."""
     own = f'/{node}/'
     return sorted(f'~/{n[len(own) :]}' if n.startswith(own) else n.lstrip('/') for n in names)
 
 
 def _compare(seen: ET.Element, written: ET.Element) -> int:
-    """Print how the enclaves of the graph and the file differ; return 1 if they do."""
+    """Print the differences between the enclaves of the graph and the file; return 1 if there are
+    any."""
     known = {e.get('path'): ET.tostring(e).split() for e in written.iter('enclave')}
     differ = [e.get('path') for e in seen.iter('enclave')
               if ET.tostring(e).split() != known.get(e.get('path'))]  # fmt: skip

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Print the extras that `make venv` installs on this machine: ROS wheels where they exist.
+"""Print the extras that `make venv` installs: ROS wheels, if they exist for this system.
 
 usage: venv_extras.py DISTRO [EXTRA ...]
 
-The given extras are added where there are ROS wheels.
+The given extras are added if there are ROS wheels.
 """
 
 import importlib.util
@@ -13,7 +13,7 @@ import sys
 
 
 def main() -> None:
-    """Print the extras on stdout, and on stderr why the nodes cannot run if they cannot."""
+    """Print the extras on stdout, and on stderr the reason if the nodes cannot run."""
     distro, *more = sys.argv[1:]
     extras = ['test']
     if importlib.util.find_spec('rclpy'):
