@@ -107,7 +107,7 @@ class FilterNoise:
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizons = Horizons.up_to(options.horizon or target.horizon_s)
-        self._used: dict[str, AxisReduction] = {}
+        self._reductions: dict[tuple[str, States, bool], AxisReduction] = {}
 
     def entries(self) -> list[Entry]:
         """Return the entries of the file."""
@@ -198,16 +198,23 @@ class FilterNoise:
         self, axis: str, states: States = 'walk', expect_walk: bool = False
     ) -> AxisReduction:
         """Return the reduction of one axis over the horizons of the file."""
-        fit = self.results.axes[axis].fit
-        return reduce_axis(axis, fit, states, self.horizons, self.options.strict, expect_walk)
+        key, fit = (axis, states, expect_walk), self.results.axes[axis].fit
+        if key not in self._reductions:
+            self._reductions[key] = reduce_axis(
+                axis, fit, states, self.horizons, self.options.strict, expect_walk
+            )
+        return self._reductions[key]
+
+    @property
+    def _used(self) -> dict[str, AxisReduction]:
+        """The reductions to N and K that the file holds."""
+        return {axis: of for (axis, states, _), of in self._reductions.items() if states == 'walk'}
 
     def _axis_level(self, axis: str, term: str) -> Level:
         reduces = term == 'K' or (term == 'N' and self.target.walk)
         if self.options.fidelity == 'coefficients' or not reduces:
             return axis_level(axis, self.results.axes[axis].fit, term, self.options.strict)
-        if axis not in self._used:
-            self._used[axis] = self.reduction(axis)
-        return self._used[axis].levels[term]
+        return self.reduction(axis).levels[term]
 
     def process(self, sensor: str) -> SensorProcess:
         """Return the Gauss-Markov bias of a sensor."""
