@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context, rcParams
@@ -17,7 +17,6 @@ from matplotlib.ticker import MaxNLocator
 from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS
 from .axis_result import AxisResult
-from .comparison import RunComparison
 from .format import (
     NOTHING_KNOWN,
     SENSOR_NAMES,
@@ -43,8 +42,11 @@ from .plot_layout import (
     new_figure,
 )
 from .plot_style import STYLES, TERM_STYLES, DrawnCurve, drawn_curve
-from .results import Results
 from .signal import SignalSummary
+
+if TYPE_CHECKING:
+    from .comparison import RunComparison
+    from .results import Results
 
 NARROW_IN = 5.0
 """Width in inches below which a figure has one panel for each axis, and its legend above the

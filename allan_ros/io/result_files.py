@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.allan.spectrum import spectrum_of
 from ..core.errors import AllanError
@@ -21,8 +22,10 @@ from .exporters import TARGETS, make_export, target_of
 from .files import PathLock, read_json, to_json, write_together
 from .plot_style import FORMATS, PictureSettings, load_style
 from .report import ReportContext, render_report
-from .results import Results
 from .signal import summarize_signal
+
+if TYPE_CHECKING:
+    from .results import Results
 
 SIGNAL_BINS = 1000
 """Number of bins of the raw signal in pictures and page, about the number of pixels of a plot."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,9 +28,11 @@ from ..format import (
     shown_unit,
 )
 from ..plot_style import drawn_curve
-from ..results import Results
 from ..signal import SignalSummary
 from .tables import SYSTEMS, copies
+
+if TYPE_CHECKING:
+    from ..results import Results
 
 Floats = NDArray[np.float64]
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy
 import scipy
@@ -27,7 +28,6 @@ from ...core.findings import Finding, duration_text
 from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, grouped, significant, text_in_units
-from ..results import Results
 from ..signal import SignalSummary
 from ..verdict import (
     WORDS,
@@ -47,6 +47,9 @@ from .tables import (
     headline_table,
     in_units,
 )
+
+if TYPE_CHECKING:
+    from ..results import Results
 
 STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
 

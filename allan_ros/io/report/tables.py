@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
@@ -30,7 +31,9 @@ from ..format import (
     significant,
     value_text,
 )
-from ..results import Results
+
+if TYPE_CHECKING:
+    from ..results import Results
 
 Axes = Mapping[str, AxisResult]
 
