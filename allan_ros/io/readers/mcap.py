@@ -51,8 +51,7 @@ HEAD = np.dtype(
 """A message record up to its payload."""
 
 MAX_GAPS = 64
-"""Largest number of stretches of other records, relative to the messages of a chunk: with more,
-reading record by record is as fast."""
+"""With more stretches of other records in a chunk, reading record by record is as fast."""
 
 
 def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:

@@ -14,6 +14,7 @@ import pytest
 from allan_ros.core.imu import STANDARD_GRAVITY
 from allan_ros.io.readers import arrays
 from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import ReadOptions
 
 RNG = np.random.default_rng(3)
 N = 1000
@@ -128,3 +129,20 @@ def test_damaged_files_are_said(name: str, tmp_path: Path, refused: Any, outcome
         path.write_bytes(bytes(flipped))
         _, said = outcome(path)
         assert '\n' not in said
+
+
+@pytest.mark.parametrize(
+    'times',
+    [
+        {'stamp.sec': STAMPS // 10**9, 'stamp.nanosec': STAMPS % 10**9},
+        {'time': np.zeros(N), 'stamp_ns': STAMPS},
+        {'t [us]': STAMPS / 1e3},
+    ],
+)
+def test_named_columns_are_understood_as_in_a_table(times: dict[str, np.ndarray]) -> None:
+    columns = {f'gyro_{axis} [deg/s]': IMU[:, i] for i, axis in enumerate('xyz', 1)}
+    recording = arrays.recording_in_memory({**times, **columns}, ReadOptions())
+    [batch] = recording.batches()
+    np.testing.assert_allclose(batch.stamps_ns, STAMPS, atol=200)  # of a float in us
+    np.testing.assert_array_equal(batch.samples[:, :3], IMU[:, 1:4] * (np.pi / 180))
+    assert recording.options.gyro_unit == 'deg/s'
