@@ -147,7 +147,7 @@ def _meaning(name: str) -> Meaning:
     Examples
     --------
     >>> _meaning('Gyro X [deg/sec]'), _meaning('label').kind
-    (Meaning(kind='gyro', detail='x', unit='deg/s', is_si=False), '')
+    (Meaning(kind='gyro', detail='x', unit='deg/s', is_si=True), '')
     """
     base, unit = _base_and_unit(name)
     unit = unit.replace(' ', '').replace('°', 'deg')
