@@ -32,6 +32,7 @@ from ...core.imu import AXES, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
 from ..files import open_regular
 from .columns import columns_of, listed
 from .recording import BATCH, ReadOptions, Recording, SourceInfo, in_batches
+from .storage import translated
 
 COLUMNS = 't, gx, gy, gz, ax, ay, az'
 
@@ -83,12 +84,10 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
     """
     with open_regular(path) as file:
         zipped = file.read(4) == b'PK\x03\x04'
-    try:
+    with translated(path, _LIBRARY_ERRORS, REMEDY):
         members = _members(path) if zipped else ('',)
         with ExitStack() as stack:
             n = _open_columns(path, members, options, stack)[0].shape[0]
-    except _LIBRARY_ERRORS as error:
-        raise _unreadable(path, error) from error
     storage = 'npz' if zipped else 'npy'
     info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', storage)
     return Recording(info, n, lambda _: _read(path, members, options), options=options)
@@ -101,10 +100,7 @@ _LIBRARY_ERRORS = (
 )
 """Exceptions of zipfile and numpy for damaged files."""
 
-
-def _unreadable(path: Path, error: Exception) -> AllanError:
-    reason = ' '.join(str(error).split())[:120]
-    return AllanError(f'{path}: cannot be read as a numpy file ({reason}): save or copy it again')
+REMEDY = 'save it again with numpy, or copy it again'
 
 
 def _members(path: Path) -> tuple[str, ...]:
@@ -174,7 +170,7 @@ def _open_columns(
 
 
 def _read(path: Path, members: tuple[str, ...], options: ReadOptions) -> Iterator[ImuBatch]:
-    try:
+    with translated(path, _LIBRARY_ERRORS, REMEDY):
         frame_id = _frame_id(path) if FRAME in members else ''
         with ExitStack() as stack:
             samples, stamps, record = _open_columns(path, members, options, stack)
@@ -191,8 +187,6 @@ def _read(path: Path, members: tuple[str, ...], options: ReadOptions) -> Iterato
                 values = block[:, -len(AXES) :].astype(np.float64)
                 record_ns = None if record is None else record.take(rows).astype(np.int64)
                 yield options.in_si(ImuBatch(stamps_ns, values, record_ns, frame_id))
-    except _LIBRARY_ERRORS as error:
-        raise _unreadable(path, error) from error
 
 
 def _to_nanoseconds(
