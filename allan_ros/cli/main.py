@@ -407,7 +407,7 @@ def _stopped(line: str, code: int) -> int:
 def console() -> None:
     """Exit with the exit code of `main`: the entry point of ``allan``."""
     for name in ('stdout', 'stderr'):
-        if getattr(sys, name) is None:  # it was closed by the parent
+        if getattr(sys, name) is None:  # the parent process has closed it
             setattr(sys, name, open(os.devnull, 'w'))  # noqa: SIM115
         # a file name may contain characters outside the encoding of the terminal
         getattr(sys, name).reconfigure(errors='backslashreplace')

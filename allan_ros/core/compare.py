@@ -98,7 +98,8 @@ def compare_with_limits(
     noise: Mapping[str, Mapping[str, Coefficient]],
     margin: float,
 ) -> tuple[Comparison, ...]:
-    """Return a comparison for each coefficient that has a limit (both axis -> term, in SI).
+    """Return a comparison for each coefficient with a limit (limits and coefficients: axis -> term,
+    in SI).
 
     A complete 95 % interval must lie above the limit by the fraction ``margin`` to be beyond it.
     """

@@ -95,7 +95,7 @@ def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
 
 
 def _safe(text: str) -> str:
-    """Return text of a user that Markdown does not take for HTML."""
+    """Return text of a user that Markdown does not interpret as HTML."""
     return one_line(text).replace('<', '&lt;')
 
 

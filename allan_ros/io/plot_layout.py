@@ -24,7 +24,7 @@ from .plot_style import STYLES
 Floats = NDArray[np.float64]
 
 Entry = tuple[str, Mapping[str, Any]]
-"""Text of an entry of a key, and the style of its line; none if that is empty."""
+"""Text of an entry of a key, and the style of its line (no line if empty)."""
 
 RC: dict[str, Any] = {
     'font.size': 8.0,
@@ -207,7 +207,7 @@ def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
 
 
 def _draw_entry(owner: Figure | Axes, inches: Any, left: float, top: float, entry: Entry) -> None:
-    """Draw an entry at a fixed place, which takes a third of the time of a legend."""
+    """Draw an entry at a fixed position, which takes a third of the time of a legend."""
     text, style = entry
     if style:
         at = [left, left + 0.11, left + 0.22], [top - 0.5 * LINE_IN] * 3

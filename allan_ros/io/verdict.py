@@ -261,9 +261,9 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
-    """Return one finding for each cause: those that are always shown, and those that are not.
+    """Return one finding for each cause: first the findings that are always shown, then the others.
 
-    The first say which data was used, then the most severe.
+    Findings about the data that were used come first, then the most severe.
     """
     found = grouped(results.findings)
     notes = [f for f in found if f.severity == 'info' and f.id not in CHANGES_NUMBERS]

@@ -124,10 +124,10 @@ def _take(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
 ) -> tuple[Subscription, bool]:
-    """Subscribe Imu as raw bytes; return the subscription, and whether it is to be drained.
+    """Subscribe Imu as raw bytes; return the subscription, and whether it must be drained.
 
-    Without ``plain`` it stays out of the executor's wait set, where this client library can drain
-    a queue explicitly. A message taken to find that out goes to the callback.
+    Unless ``plain``, it is not in the executor's wait set if this client library can drain a queue
+    explicitly. A message that is taken to test this is passed to the callback.
     """
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(

@@ -55,7 +55,7 @@ class ParameterPush(Part):
         self._current: dict[str, ParameterValue] = {}
         self._refused: dict[str, Proposal] = {}
         self._notes: dict[str, str] = {}
-        self._asked: list[Any] = []  # futures of the answers that `_then` takes
+        self._asked: list[Any] = []  # futures of the answers that `_then` processes
         self._then: Callable[[list[Any]], None] = list.clear
         self._asked_at = self._due_at = 0.0
         owner.create_service(Trigger, '~/restore', self._on_restore)
@@ -101,7 +101,7 @@ class ParameterPush(Part):
             return
         self._due_at = now + settings.period
         self._notes.pop('', None)
-        # one by one: where one of several is not declared, a node returns no value at all
+        # one by one: if one of several is not declared, a node returns no value at all
         requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
         self._ask(self._get, requests, partial(self._on_read, ready))
 
@@ -144,7 +144,7 @@ class ParameterPush(Part):
         return [p for p, r in refused if r is None or p.differs(r.values, settings.change)]
 
     def _ask(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
-        """Send the requests; `tick` hands the answers over, or gives up."""
+        """Send the requests; `tick` processes the answers, or stops waiting."""
         self._asked, self._then = [client.call_async(request) for request in requests], then
         self._asked_at = time.monotonic()
 
@@ -154,7 +154,7 @@ class ParameterPush(Part):
         self._asked = []
 
     def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
-        """Keep the values that the node has, and set those that differ from the proposals."""
+        """Store the values of the node, and set those that differ from the proposals."""
         wanted = []
         for proposal, answer in zip(proposals, answers):
             name, value = proposal.name, next(iter(answer.values), ParameterValue())

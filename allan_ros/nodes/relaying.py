@@ -65,7 +65,7 @@ RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
     'not published',
     'gyro bias subtracted',
 )
-"""Numbers of messages, as diagnostics name them."""
+"""Numbers of messages, with their names in diagnostics."""
 
 
 class RelayTopics(NamedTuple):
@@ -235,7 +235,8 @@ class ImuRelay(Part):
             self._last_frame = frame_id
 
     def _wait_set(self) -> Any:
-        """Return a wait set for one subscription; None if this client library has none."""
+        """Return a wait set for one subscription; None if this client library does not support
+        it."""
         try:
             return rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
         except (AttributeError, TypeError):

@@ -44,7 +44,7 @@ MISFIT_START = 0.1
 """First value of the search for the misfit, typical of real sensors."""
 
 MISFIT_GROWTH = 2.0
-"""How many times larger the misfit may become when fewer factors have one."""
+"""Largest factor by which the misfit may increase when fewer factors have a misfit."""
 
 MISFIT_TOLERANCE = 0.04
 """Relative accuracy of chi^2 in this search, which gives 2 % of the misfit."""
@@ -170,10 +170,10 @@ def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Mi
 def misfit_of(table: Table, power: Floats, signed: bool) -> Misfit:
     """Return the fractional error at which chi^2 is as expected, at as few factors as possible.
 
-    Only the factors above the largest one up to which the terms do describe the table get an
-    error: what makes the long averages deviate, such as a daily cycle, tells nothing about N. The
-    error may be `MISFIT_GROWTH` times that of all factors at the most, so that the long averages
-    keep their weight.
+    If the terms describe the table up to some factor, only the larger factors get an error, because
+    the cause of deviations of the long averages, such as a daily cycle, does not affect N. The
+    error is at most `MISFIT_GROWTH` times the error of all factors, so that the long averages keep
+    their weight.
     """
     misfit = _misfit_from(table, power, signed, 1)
     most = MISFIT_GROWTH * misfit.size

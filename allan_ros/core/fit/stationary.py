@@ -231,7 +231,8 @@ def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
 
 
 def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Finding:
-    """Return the finding on steps: no coefficient includes those between two segments."""
+    """Return the finding about steps; steps between two segments are not part of any
+    coefficient."""
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
     (size,), size_unit = _shown(axis, 'B', float(np.abs(steps.sizes).max()))
     walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]

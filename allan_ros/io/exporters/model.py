@@ -207,7 +207,7 @@ class FilterNoise:
 
     @property
     def _used(self) -> dict[str, AxisReduction]:
-        """The reductions to N and K that the file holds."""
+        """The reductions to N and K that are written to the file."""
         return {axis: of for (axis, states, _), of in self._reductions.items() if states == 'walk'}
 
     def _axis_level(self, axis: str, term: str) -> Level:

@@ -51,7 +51,8 @@ HEAD = np.dtype(
 """A message record up to its payload."""
 
 MAX_GAPS = 64
-"""With more stretches of other records in a chunk, reading record by record is as fast."""
+"""Number of stretches of other records in a chunk above which reading record by record is as
+fast."""
 
 
 def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:

@@ -76,7 +76,7 @@ def sensor_charts(
 
 
 def rounded(values: ArrayLike, digits: int = CHART_DIGITS) -> list[float | None]:
-    """Return numbers to significant digits, None for what is not finite."""
+    """Return numbers with a number of significant digits; None for values that are not finite."""
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
 
@@ -94,7 +94,7 @@ def to_script(data: object) -> str:
 
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
-    """Return what is drawn -> its unit, and the factor from SI to it."""
+    """Return quantity of a chart -> its unit, and the factor from SI to this unit."""
     of = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_signal_unit(sensor, units),
@@ -142,7 +142,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 def _references(
     axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the curves of the datasheet and of each earlier run, at these averaging times."""
+    """Yield the curves of the datasheet and of each earlier run at the given averaging times."""
     stated = results.datasheet.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
         if results.datasheet and stated.get(name) and tau:

@@ -282,7 +282,7 @@ def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str
 
 
 def _ends(interval: str) -> str:
-    """Return an interval below its value, broken only at its dots in a narrow column."""
+    """Return an interval below its value; a narrow column breaks it only at its dots."""
     return f'<small>{interval.replace("..", "<wbr>..")}</small>' if interval else ''
 
 
