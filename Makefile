@@ -88,7 +88,7 @@ pictures: $(VENV)/.ready  ## redraw the pictures of docs/
 	$(VENV)/bin/python scripts/pictures.py docs/images
 	$(VENV)/bin/python scripts/report_pictures.py docs/images
 
-test-pythons:  ## run all tests on every CPython from 3.10 to 3.14 that are installed
+test-pythons:  ## run all tests on every installed CPython from 3.10 to 3.14
 	@scripts/pythons.sh | while read -r version python; do \
 		echo "== Python $$version"; \
 		$(MAKE) test PYTHON=$$python VENV=.venv-$$version </dev/null || exit 1; done
