@@ -138,6 +138,19 @@ from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.filters.reductions import state_space
 assert state_space(ProcessModel(NoiseTerms(N=1.0, B=1.0))).gauss_markov
 """
+CHECKPOINT = """
+import numpy as np
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.checkpoint import Checkpoint
+from allan_ros.io.recorded import Provenance
+stream = ImuStream(with_means=True)
+stamps = np.arange(20000) * 10**7
+stream.update(ImuBatch(stamps, np.random.default_rng(0).normal(size=(20000, 6))))
+result = stream.result()
+assert result.sums
+Checkpoint('', None).total(result.sums, Provenance())
+"""
 ALL = 'numpy scipy matplotlib pandas rosbags yaml rclpy'
 LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas rosbags'
 
@@ -152,9 +165,20 @@ LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas
         ('import allan_ros.io.plots', 'matplotlib.pyplot'),
         (ANALYZE, 'matplotlib'),
         (BIAS, LARGE),
-        ('import allan_ros.nodes.monitor', f'{LARGE} scipy.fft'),
+        ('import allan_ros.nodes.monitor', f'{LARGE} scipy'),
+        (CHECKPOINT, 'scipy'),
     ],
-    ids=['package', 'help', 'every module', 'pipeline', 'plots', 'analyze', 'bias', 'monitor'],
+    ids=[
+        'package',
+        'help',
+        'every module',
+        'pipeline',
+        'plots',
+        'analyze',
+        'bias',
+        'monitor',
+        'checkpoint',
+    ],
 )
 def test_no_large_library_is_loaded_before_it_is_needed(code: str, libraries: str) -> None:
     """Each takes 0.2 to 1 s of CPU at every start of `allan` or a node, and up to 20 MB."""

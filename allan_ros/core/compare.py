@@ -26,9 +26,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, fdtr, fdtrc, fdtri, ndtr, wrightomega
 
 from .allan.curve import CI_LEVEL, AxisCurve
+from .deferred import special
 from .fit.model import TERMS, Z_95, Coefficient
 
 MARGIN = 0.2
@@ -239,8 +239,8 @@ def _of_curves(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Diffe
             for one in points
         )
         f = (db / da) ** 2
-        low, high = (math.sqrt(f / fdtri(vb, va, q)) for q in (0.975, 0.025))
-        p = min(2.0 * float(min(fdtr(vb, va, f), fdtrc(vb, va, f))), 1.0)
+        low, high = (math.sqrt(f / special.fdtri(vb, va, q)) for q in (0.975, 0.025))
+        p = min(2.0 * float(min(special.fdtr(vb, va, f), special.fdtrc(vb, va, f))), 1.0)
         yield Difference(axis, 'adev', tau, da, db / da, (low, high), p)
         tau *= TAU_RATIO
 
@@ -317,7 +317,7 @@ def _of_estimates(
     facing = down if log_ratio > 0.0 else up
     z = abs(log_ratio) * Z_95 / facing if facing > 0.0 else math.inf * bool(log_ratio)
     interval = _exp(log_ratio - down), _exp(log_ratio + up)
-    return _exp(log_ratio), interval, min(2.0 * float(ndtr(-z)), 1.0)
+    return _exp(log_ratio), interval, min(2.0 * float(special.ndtr(-z)), 1.0)
 
 
 def _exp(x: float) -> float:
@@ -346,15 +346,15 @@ def _of_limit(a: tuple[float, float, float], limit: float) -> float:
     scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
     # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, solved by the Lambert W function in logarithms
     right = math.log(2.0 * scale * Z_95) + 2.0 * (math.log(value) - math.log(limit))
-    z = float(wrightomega(right)) / (2.0 * scale)
+    z = float(special.wrightomega(right)) / (2.0 * scale)
     # Below the quantile of the limit itself, the change of the limit is unknown.
-    return min(4.0 * float(ndtr(-z)), 1.0) if z >= Z_95 else 1.0
+    return min(4.0 * float(special.ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 
 
 def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:
     """Return the degrees of freedom whose chi-squared limits have the ratio high / low."""
     tail = (1.0 - CI_LEVEL) / 2.0
-    ratio = np.log(chdtri(EDF_TABLE, tail) / chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
+    ratio = np.log(special.chdtri(EDF_TABLE, tail) / special.chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
     found: Floats = np.exp(
         np.interp(np.log(np.log(high / low)), np.log(ratio)[::-1], np.log(EDF_TABLE)[::-1])
     )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..deferred import special
 from ..errors import AllanError
 from .sums import AllanSums, counts
 
@@ -115,12 +116,9 @@ def chi_squared_limits(
     The limits are sqrt(avar edf / chi^2) at the upper and lower quantile, which enclose the
     probability ``level``. NaN ``degrees`` (of freedom) give NaN.
     """
-    # imported here, because it takes 20 MB and a node that only accumulates needs no limits
-    from scipy.special import chdtri
-
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
     tail = (1.0 - level) / 2.0
-    low, high = (np.sqrt(avar * degrees / chdtri(degrees, p)) for p in (tail, 1.0 - tail))
+    low, high = (np.sqrt(avar * degrees / special.chdtri(degrees, p)) for p in (tail, 1.0 - tail))
     return low, high
 
 

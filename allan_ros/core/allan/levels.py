@@ -17,9 +17,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
-from scipy.special import chdtrc
 
+from ..deferred import linalg, special
 from .curve import WHITE, edf
 from .history import Recording
 from .likelihood import CellMeans, null_model, variance_model
@@ -164,7 +163,7 @@ def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
     ratio = np.log(variance / pooled)
     size = 1.0 + (np.sum(1.0 / degrees) - 1.0 / degrees.sum()) / (3.0 * (len(count) - 1))
     statistic = -float(degrees @ ratio) / size
-    probability = float(chdtrc(len(count) - 1, max(statistic, 0.0)))
+    probability = float(special.chdtrc(len(count) - 1, max(statistic, 0.0)))
     low, high = (math.exp(r / 2.0) for r in (ratio.min(), ratio.max()))
     # DerSimonian & Laird, Controlled Clinical Trials 7, 1986; Var ln s^2 is 2/degrees
     weights = degrees / 2.0
@@ -270,7 +269,7 @@ def _size_likelihood(
     white = variances[0] / width * white_ratio * model.units[0]
     drift = variances[1] * model.units[1] + variances[2] * width * model.units[2]
     white[np.diag_indices_from(white)] += 1e-9 * np.trace(white + drift) / len(values)
-    eigenvalues, vectors = eigh(drift, white)
+    eigenvalues, vectors = linalg.eigh(drift, white)
     power = (vectors.T @ values) ** 2
     total = 1.0 + np.exp(LOG_SIZES)[:, None] * np.maximum(eigenvalues, 0.0)
     return -np.asarray((np.log(total) + power / total).sum(axis=1))

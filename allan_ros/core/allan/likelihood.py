@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
 
+from ..deferred import lapack
 from .history import Recording
 
 Floats = NDArray[np.float64]
@@ -188,7 +188,7 @@ def likelihood(
     covariance = sum((v * u for v, u in zip(variances, units)), np.zeros_like(units[0]))
     covariance[np.diag_indices_from(covariance)] += 1e-12 * np.trace(covariance) / len(values)
     factor = np.linalg.cholesky(covariance)
-    whitening: Floats = dtrtri(factor, lower=1)[0]
+    whitening: Floats = lapack.dtrtri(factor, lower=1)[0]
     white: Floats = np.asarray(whitening @ values)
     amplitudes = np.zeros(0)
     if effects is not None and effects.shape[1]:

@@ -283,8 +283,8 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
         if best is not None:
             chosen, before, after, excess = best
             at = tuple(float((ages[i] + offset) * recording.step) for i in chosen)
-            walks = (float(fit.variances[2]) / recording.step for fit in (before, after))
-            found.append(BiasSteps(axis, at, after.amplitudes, *walks, excess))
+            walks = [float(fit.variances[2]) / recording.step for fit in (before, after)]
+            found.append(BiasSteps(axis, at, after.amplitudes, walks[0], walks[1], excess))
     return tuple(found)
 
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
+from ..deferred import special
 from ..errors import AllanError
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
@@ -65,7 +65,9 @@ def turn_on_bias(means: Floats) -> TurnOnBias | None:
     if free < 1:
         return None
     std = float(np.std(means, ddof=1))
-    low, high = (std * math.sqrt(free / quantile) for quantile in chdtri(free, [0.025, 0.975]))
+    low, high = (
+        std * math.sqrt(free / quantile) for quantile in special.chdtri(free, [0.025, 0.975])
+    )
     return TurnOnBias(len(means), float(np.mean(means)), std, (low, high))
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainc, ndtri
 
+from ..deferred import special
 from .intervals import coefficient_interval
 from .model import RANDOM_TERMS, Floats
 from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
@@ -27,8 +27,9 @@ Z_HOPELESS = 50.0
 DEFICIT_FALSE_ALARM = 1e-3
 """Probability that the long averages of noise of the model are classified as too low."""
 
-DEFICIT_LIMIT = float(ndtri(DEFICIT_FALSE_ALARM))
-"""Normal deviate below the model at which long averages are significantly too low."""
+DEFICIT_LIMIT = -3.090232306167813
+"""Normal deviate below the model at which long averages are significantly too low: the quantile of
+`DEFICIT_FALSE_ALARM`."""
 
 POINTS_PER_TEST = 8.0
 """Neighbouring long averages are correlated: this number counts as one independent test."""
@@ -116,9 +117,9 @@ def long_tau_deficit(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) ->
     if not few.any():
         return 0.0
     half = model[few] ** 2 / np.diag(weights_at(table, power, misfit))[few]
-    below = gammainc(half, half * np.maximum(table.avar[few], 0.0) / model[few])
+    below = special.gammainc(half, half * np.maximum(table.avar[few], 0.0) / model[few])
     tests = max(1.0, np.count_nonzero(few) / POINTS_PER_TEST)
-    return float(ndtri(np.clip(tests * below.min(), np.finfo(float).tiny, 0.5)))
+    return float(special.ndtri(np.clip(tests * below.min(), np.finfo(float).tiny, 0.5)))
 
 
 def few_averages(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> NDArray[np.bool_]:

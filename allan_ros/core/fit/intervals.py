@@ -21,8 +21,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
+from ..deferred import special
 from .model import RANDOM_TERMS, Z_95, Floats, GaussMarkov, Processes, Sinusoid
 from .processes import Extra, GaussMarkovTerm
 from .solve import (
@@ -334,7 +334,7 @@ def ramp_interval(
     ramps = fit.table.ramps[counted]
     value, deviation = _mean(ramps, variance[counted])
     spread = float(np.sum((ramps - value) ** 2 / variance[counted]))
-    shared = len(counted) == 1 or bool(chdtrc(len(counted) - 1, spread) > AGREE)
+    shared = len(counted) == 1 or bool(special.chdtrc(len(counted) - 1, spread) > AGREE)
     if not shared:
         counted, ramps = counted[:1], ramps[:1]
         value, deviation = _mean(ramps, variance[counted])

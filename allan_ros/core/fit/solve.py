@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
+from ..deferred import lapack
 from ..errors import AllanError
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, correlation_times
@@ -62,7 +62,7 @@ def nonnegative_least_squares(
         out = np.zeros(len(scale))
         at = np.flatnonzero(active)
         if len(at):
-            out[at] = dposv(gram[at[:, None], at], moment[at])[1]
+            out[at] = lapack.dposv(gram[at[:, None], at], moment[at])[1]
         return out
 
     active = np.ones(len(scale), bool)
@@ -192,11 +192,11 @@ class Whitening:
 
     def apply(self, columns: Floats) -> Floats:
         """Return columns of table values in units of unit covariance."""
-        return np.asarray(dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
+        return np.asarray(lapack.dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
 
     def weights(self, contrast: Floats) -> Floats:
         """Convert weights on the whitened table to weights on the table."""
-        return np.asarray(dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
+        return np.asarray(lapack.dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
     def scatter(self, contrast: Floats) -> Floats:
         """Return the covariance of the table with contrast @ (whitened table)."""
@@ -207,7 +207,7 @@ def _cholesky(correlation: Floats) -> Floats | None:
     """Return the factor of a matrix with `JITTER` on its diagonal, or None if there is none."""
     jittered = correlation.copy()
     jittered.flat[:: len(correlation) + 1] += JITTER
-    lower, info = dpotrf(jittered, lower=1)
+    lower, info = lapack.dpotrf(jittered, lower=1)
     return None if info else np.asarray(lower, float)
 
 
