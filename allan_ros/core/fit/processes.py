@@ -11,11 +11,11 @@ where g and h are processes and k is one of the four terms. A correlation time b
 between octaves that `covariance` relies on, so these sums are computed for each table. Three facts
 reduce this to about 50 ms:
 
-- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u) where E is a sum of nine exponentials. -
-C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so half of
-the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j + u) and decreases
-linearly until the segment ends, so all segments share the values of C. - Between its corners at u =
-0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
+- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u), where E is a sum of nine exponentials.
+- C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so
+  half of the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j + u) and
+  decreases linearly until the segment ends, so all segments share the values of C.
+- Between its corners at u = 0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
   Gauss-Legendre quadrature. The Euler-Maclaurin formula turns the integral into the sum over the
   lattice of lags: every corner adds a twelfth of its change of slope.
 """
