@@ -302,7 +302,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument('--runs', type=int, default=24)
     parser.add_argument('--methods', nargs='+', default=['gls', 'relative', 'paper', 'slope'])
     parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
+    parser.add_argument('--rate', type=float, help='another rate in Hz than that of the scenarios')
     options = parser.parse_args(arguments)
+    if options.rate:
+        known = {name: replace(SCENARIOS[name], rate=options.rate) for name in options.scenarios}
+        SCENARIOS.update(known)
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)
     for scenario in options.scenarios:
