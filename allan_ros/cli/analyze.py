@@ -115,16 +115,20 @@ def run(args: argparse.Namespace) -> int:
 
 def check_result_arguments(args: argparse.Namespace) -> None:
     """Raise AllanError for a wrong output option before recordings are read."""
-    settings_of(ResultSettings, args)
-    if args.sensor:
-        load_sensor(args.sensor)
-    if args.baseline:
-        load(args.baseline)
+    _check_references(settings_of(ResultSettings, args))
     check_pictures(settings_of(PictureSettings, args), bool(args.output))
     for name in args.export:
         target_of(name)
     if args.export and not args.output:
         raise AllanError('--export needs a folder: give one with -o')
+
+
+def _check_references(settings: ResultSettings) -> None:
+    """Raise AllanError if the datasheet or the earlier recording cannot be read."""
+    if settings.sensor:
+        load_sensor(settings.sensor)
+    if settings.baseline:
+        load(settings.baseline)
 
 
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
@@ -194,10 +198,7 @@ def _read_text(recorded: RecordingSums) -> str:
 def check(args: argparse.Namespace) -> int:
     """Read, fit, check, and print one line."""
     settings = settings_of(ResultSettings, args)
-    if settings.sensor:
-        load_sensor(settings.sensor)  # a wrong name is reported before recordings are read
-    if settings.baseline:
-        load(settings.baseline)
+    _check_references(settings)
     console = Console.of(args)
     results = _checked(args, settings, console)
     verdict = verdict_of(results, units=settings.units)

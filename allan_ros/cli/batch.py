@@ -30,7 +30,7 @@ from ..io.plot_style import PictureSettings
 from ..io.readers.open import topics_of
 from ..io.recorded import ReadJob, RecordingSums, read_recording
 from ..io.results import Results
-from ..io.verdict import WORDS, Verdict, verdict_of
+from ..io.verdict import WORDS, verdict_of
 from .console import Console
 from .main import RECORDINGS
 from .options import settings_of
@@ -51,7 +51,6 @@ class Outcome:
     path: str
     name: str  # name of the file, with the topic if the recording has several
     results: Results | None = None
-    verdict: Verdict | None = None
     error: str = ''
 
     @property
@@ -97,7 +96,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
         for name, text_of in zip(SUMMARY, (_csv, _markdown, _html)):
             write_atomic(Path(args.output) / name, text_of(outcomes, units))
     if console.json:
-        console.document({'recordings': [_document(outcome) for outcome in outcomes]})
+        console.document({'recordings': [_document(outcome, units) for outcome in outcomes]})
     else:
         print(_markdown(outcomes, units), end='')
     if args.output:
@@ -137,7 +136,7 @@ def analyze_one(
         results, _ = fitted(recorded or read_recording(job), args, folder)
     except AllanError as error:
         return replace(outcome, error=str(error))
-    return replace(outcome, results=results, verdict=verdict_of(results, units=args.units))
+    return replace(outcome, results=results)
 
 
 def fitted(
@@ -207,15 +206,14 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
     writer.writerow(COLUMNS)
     for outcome in outcomes:
         name = one_line(outcome.name)
-        if outcome.results is None or outcome.verdict is None:
+        if outcome.results is None:
             writer.writerow([name, 'error', *[''] * (len(COLUMNS) - 2)])
             continue
-        hours = f'{outcome.results.duration_s / 3600.0:.4g}'
+        level, hours = outcome.results.verdict.level, f'{outcome.results.duration_s / 3600.0:.4g}'
         for axis, result in outcome.results.axes.items():
             for term, c in result.fit.noise.items():
                 unit = shown_unit(axis, term, units)
                 numbers = ('' if n is None else f'{n:g}' for n in known_numbers(c, unit))
-                level = outcome.verdict.level
                 writer.writerow([name, level, hours, axis, term, *numbers, unit.name])
     return file.getvalue()
 
@@ -224,11 +222,11 @@ def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
     """Yield the rows of the summary: N, B and K of each sensor, for all its axes."""
     for outcome in outcomes:
         results, cells = outcome.results, [one_line(outcome.name)]
-        if results is None or outcome.verdict is None:
+        if results is None:
             cells += ['error', one_line(outcome.error)]
             yield cells + [''] * (len(_head(units)) - len(cells))
             continue
-        cells += [WORDS[outcome.verdict.level].lower(), f'{results.duration_s / 3600.0:.3g}']
+        cells += [WORDS[results.verdict.level].lower(), f'{results.duration_s / 3600.0:.3g}']
         for sensor, term in product(SENSORS, ADVISED_TERMS):
             unit = shown_unit(sensor, term, units)
             noise = [a.fit.noise for name, a in results.axes.items() if sensor_of(name) == sensor]
@@ -268,15 +266,12 @@ def _html(outcomes: Sequence[Outcome], units: str) -> str:
     )
 
 
-def _document(outcome: Outcome) -> dict[str, object]:
-    if outcome.results is None or outcome.verdict is None:
+def _document(outcome: Outcome, units: str) -> dict[str, object]:
+    if outcome.results is None:
         return {'path': outcome.path, 'error': outcome.error}
-    document = results_to_document(outcome.results, curves=False)
-    return {
-        'path': outcome.path,
-        'verdict': outcome.verdict.to_document(),
-        'results': document,
-    }
+    verdict = verdict_of(outcome.results, units=units).to_document()
+    results = results_to_document(outcome.results, curves=False)
+    return {'path': outcome.path, 'verdict': verdict, 'results': results}
 
 
 CONNECT_S = 10.0

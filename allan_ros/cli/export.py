@@ -22,7 +22,7 @@ from typing import Any
 
 from ..core.errors import AllanError
 from ..core.imu import SI_UNITS, UNITS, sensor_of
-from ..io.datasheets import Datasheet, Limit, Source, load_sensor, sensor_names
+from ..io.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
@@ -76,6 +76,13 @@ GAP = 2
 DIGITS = 3
 """Significant digits of a limit."""
 
+SEEN = {
+    'datasheet': 'the document itself was read',
+    'secondary': 'read where it is quoted',
+    '': '',
+}
+"""How the figures of a source are known."""
+
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
 """Columns of the list; figures of accelerometers are in the units of their datasheets."""
 
@@ -99,19 +106,23 @@ def sensors(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield one line per sensor: upper limits of N and B of its worst axis.
+    """Yield one line per sensor with the upper limits of N and B of its worst axis.
 
-    Columns that do not fit the width are omitted, from the right.
+    Columns that do not fit the width are omitted, starting at the right.
     """
-    rows = [
-        HEADERS,
-        *([name, *(_worst(sheet, h) for h in HEADERS[1:])] for name, sheet in sheets.items()),
-    ]
+    rows = [list(HEADERS)]
+    for name, sheet in sheets.items():
+        row = [name]
+        for header in HEADERS[1:]:
+            sensor, term, unit = header.split()
+            of_axes = (of for axis, of in sheet.limits.items() if axis.startswith(sensor))
+            limits = [of[term].value for of in of_axes if term in of]
+            row.append(significant(max(limits) / UNITS[unit].factor, DIGITS) if limits else '-')
+        rows.append(row)
     widths = [max(map(len, column)) + GAP for column in zip(*rows)]
     shown = sum(sum(widths[: n + 1]) - GAP <= columns for n in range(len(widths)))
     for row in rows:
-        cells = (f'{cell:{w}}' for cell, w in zip(row[:shown], widths))
-        yield ''.join(cells).rstrip()
+        yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:shown], widths)).rstrip()
     yield ''
     for name, sheet in sheets.items():
         if sheet.carries:
@@ -130,73 +141,41 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
         yield f'contains {sheet.carries}; the figures are from this sensor'
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
-    for axes, term, limit in _grouped(sheet):
+    groups: dict[tuple[str, str, Limit], list[str]] = {}  # axes of a sensor with equal limits
+    for axis, terms in sheet.limits.items():
+        for term, limit in terms.items():
+            groups.setdefault((sensor_of(axis), term, limit), []).append(axis)
+    for (sensor, term, limit), axes in groups.items():
+        units = (shown_unit(sensor, term, system) for system in ('datasheet', 'si'))
+        values = (f'{significant(limit.value * u.factor, DIGITS)} {u.name}' for u in units)
         yield ''
-        where = ', '.join(axes)
-        yield from wrapped(f'{where} {term}: stated {limit.stated}', columns, '  ')
-        yield from wrapped(f'  limit {_limit_text(axes[0], term, limit)}', columns, '    ')
-        for text in (limit.note, limit.condition):
-            if text:
-                yield from wrapped(f'  {text}', columns, '    ')
-        yield from wrapped(f'  source: {limit.source}', columns, '    ')
+        yield from wrapped(f'{", ".join(axes)} {term}: stated {limit.stated}', columns, '  ')
+        notes = (f'limit {" = ".join(values)}', limit.note, limit.condition)
+        for text in (*filter(None, notes), f'source: {limit.source}'):
+            yield from wrapped(f'  {text}', columns, '    ')
     yield ''
     for key, source in sheet.sources.items():
-        yield from wrapped(f'{key}: {_source_text(source)}', columns, '  ')
+        via = f': {source.via}' if source.via else ''
+        parts = (str(source), source.url, f'{SEEN[source.seen]}{via}')
+        yield from wrapped(f'{key}: {"; ".join(filter(None, parts))}', columns, '  ')
 
 
 def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
     """Return a datasheet as plain values, with limits in SI."""
+    limits = {
+        axis: {
+            term: {**asdict(limit), 'unit': SI_UNITS[sensor_of(axis)][term]}
+            for term, limit in terms.items()
+        }
+        for axis, terms in sheet.limits.items()
+    }
     return {
         'id': name,
-        'name': sheet.name,
-        'maker': sheet.maker,
-        'carries': sheet.carries,
-        'remark': sheet.remark,
+        **{key: getattr(sheet, key) for key in ('name', 'maker', 'carries', 'remark')},
         'sources': {key: asdict(source) for key, source in sheet.sources.items()},
-        'limits': {
-            axis: {
-                term: {**asdict(limit), 'unit': SI_UNITS[sensor_of(axis)][term]}
-                for term, limit in terms.items()
-            }
-            for axis, terms in sheet.limits.items()
-        },
+        'limits': limits,
         'range': dict(sheet.range),
     }
-
-
-def _worst(sheet: Datasheet, header: str) -> str:
-    """Return the largest limit of a term among the axes of a sensor; '-' if there is none."""
-    sensor, term, unit = header.split()
-    limits = [
-        terms[term].value
-        for axis, terms in sheet.limits.items()
-        if axis.startswith(sensor) and term in terms
-    ]
-    return significant(max(limits) / UNITS[unit].factor, DIGITS) if limits else '-'
-
-
-def _grouped(sheet: Datasheet) -> list[tuple[list[str], str, Limit]]:
-    """Return the limits, grouped by axes with equal limits."""
-    groups: dict[tuple[str, str, Limit], list[str]] = {}
-    for axis, terms in sheet.limits.items():
-        for term, limit in terms.items():
-            groups.setdefault((axis.split('_')[0], term, limit), []).append(axis)
-    return [(axes, term, limit) for (_, term, limit), axes in groups.items()]
-
-
-def _limit_text(axis: str, term: str, limit: Limit) -> str:
-    units = (shown_unit(axis, term, system) for system in ('datasheet', 'si'))
-    return ' = '.join(f'{significant(limit.value * u.factor, DIGITS)} {u.name}' for u in units)
-
-
-def _source_text(source: Source) -> str:
-    read = {
-        'datasheet': 'the document itself was read',
-        'secondary': 'read where it is quoted',
-        '': '',
-    }[source.seen]
-    parts = (str(source), source.url, f'{read}{f": {source.via}" if source.via else ""}')
-    return '; '.join(part for part in parts if part)
 
 
 SENSORS = """

@@ -20,7 +20,8 @@ import signal
 import sys
 import textwrap
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -269,55 +270,39 @@ def _attach(parser: argparse.ArgumentParser) -> None:
     """Attach a completer to every argument without choices."""
     from argcomplete.completers import FilesCompleter
 
-    completers: dict[str, Any] = {
-        'inputs': FilesCompleter(INPUTS.get(parser.prog, RECORDINGS)),
-        'results': FilesCompleter(DOCUMENTS),
-        'baseline': FilesCompleter(DOCUMENTS),
-        'sensor': _quiet(_sensors),
-        'name': _quiet(_sensors),
-        'to': _quiet(_targets),
-        'export': _quiet(_target_lists),
-        'topic': _quiet(_topics),
+    files = {
+        'inputs': INPUTS.get(parser.prog, RECORDINGS),
+        'results': DOCUMENTS,
+        'baseline': DOCUMENTS,
     }
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():
                 _attach(sub)
-        elif action.dest in completers and not action.choices:
-            action.completer = completers[action.dest]  # type: ignore[attr-defined]
+        elif action.dest in files:
+            action.completer = FilesCompleter(files[action.dest])  # type: ignore[attr-defined]
+        elif action.dest in ('sensor', 'name', 'to', 'export', 'topic') and not action.choices:
+            action.completer = partial(_names, action.dest)  # type: ignore[attr-defined]
 
 
-def _quiet(words: Callable[..., Iterable[str]]) -> Callable[..., list[str]]:
-    """Return a completer that offers nothing if the words cannot be determined."""
+def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    """Return the names that complete an argument; none if they cannot be determined."""
+    try:
+        if what == 'topic':
+            return _topics(parsed_args)
+        if what in ('sensor', 'name'):
+            from ..io.datasheets import sensor_names
 
-    def completer(**asked: Any) -> list[str]:
-        try:
-            return list(words(**asked))
-        except (AllanError, OSError):
-            return []
-
-    return completer
-
-
-def _sensors(**_: Any) -> Iterable[str]:
-    from ..io.datasheets import sensor_names
-
-    return sensor_names()
-
-
-def _targets(**_: Any) -> Iterable[str]:
+            return sensor_names()
+    except (AllanError, OSError):
+        return []
     from ..io.exporters import TARGETS
 
-    return TARGETS
+    given, comma, _last = prefix.rpartition(',')  # of kalibr,openvins,...
+    return [f'{given}{comma}{name}' for name in TARGETS if name not in given.split(',')]
 
 
-def _target_lists(prefix: str, **_: Any) -> Iterable[str]:
-    """Return the targets that are not yet in ``kalibr,openvins,...``."""
-    given, comma, _last = prefix.rpartition(',')
-    return (f'{given}{comma}{t}' for t in _targets() if t not in given.split(','))
-
-
-def _topics(parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+def _topics(parsed_args: argparse.Namespace) -> list[str]:
     """Return the Imu topics of the bags on the command line, or all their topics."""
     from ..io.readers.cdr import IMU_TYPE
     from ..io.readers.open import bag_files, open_storage

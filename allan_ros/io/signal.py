@@ -256,17 +256,16 @@ def summarize_signal(
     middle = np.full(len(AXES), np.nan)
     there = ~np.all(np.isnan(low), axis=0)
     middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
+    arrays = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ('time_s', 'used')
+    }
+    tuples = {
+        name: tuple(item for part in parts for item in getattr(part, name))
+        for name in ('left_out', 'gaps', 'starts', 'first_ns')
+    }
+    temperature = _joined([part.temperature for part in parts if part.temperature])
     return SignalSummary(
-        np.concatenate([part.time_s for part in parts]),
-        low,
-        high,
-        np.concatenate([part.used for part in parts]),
-        middle,
-        tuple(out for part in parts for out in part.left_out),
-        tuple(gap for part in parts for gap in part.gaps),
-        tuple(start for part in parts for start in part.starts),
-        _joined([part.temperature for part in parts if part.temperature]),
-        tuple(first for part in parts for first in part.first_ns),
+        low=low, high=high, middle=middle, temperature=temperature, **arrays, **tuples
     )
 
 

@@ -128,17 +128,6 @@ const AllanChart = (() => {
       label(u, caption(term, near.likely), up, ink, 'center');
     }
 
-    // The name of the limit of an unresolved term is below its line, away from the curves.
-    function nameLimit(u, term, values) {
-      const curves = visible().flatMap((a) => places(u, a.adev));
-      const spots = places(u, values).flatMap(([x, y]) => [14, 34, 60].map((down) => [x, y + down * devicePixelRatio])).map(([x, y]) => {
-        const beside = curves.filter(([ox]) => Math.abs(ox - x) < 30 * devicePixelRatio).map(([, oy]) => Math.abs(oy - y));
-        return [Math.min(24 * devicePixelRatio, ...beside), x, y];
-      });
-      spots.sort((a, b) => b[0] - a[0]);
-      label(u, `${term} limit`, spots.map(([, x, y]) => [x, y]), colour('ink-2'), 'center');
-    }
-
     // A label at the first of its possible places that is free.
     function label(u, words, spots, ink, align) {
       const { ctx, bbox } = u;
@@ -159,16 +148,17 @@ const AllanChart = (() => {
     const at = (u, tau, v) => [u.valToPos(tau, 'x', true), u.valToPos(v * unit()[1], 'y', true)];
     const inside = (u, x, y) => x >= u.bbox.left && x <= u.bbox.left + u.bbox.width && y >= u.bbox.top && y <= u.bbox.top + u.bbox.height;
 
-    // The name of a reference line is next to it, at the largest distance from all curves.
-    function name(u, words, values, ink) {
+    // The name of a line is next to it: where one of the heights, in pixels below the line, is
+    // farthest from all curves within so many pixels to the left and right.
+    function name(u, words, values, heights, width) {
       const ratio = devicePixelRatio;
       const curves = visible().flatMap((a) => places(u, a.adev));
-      const spots = places(u, values).flatMap(([x, y]) => [[x, y - 14 * ratio], [x, y + 14 * ratio]]).map(([x, y]) => {
-        const beside = curves.filter(([ox]) => Math.abs(ox - x) < 50 * ratio).map(([, oy]) => Math.abs(oy - y));
-        return [Math.min(40 * ratio, ...beside), x, y];
+      const spots = places(u, values).flatMap(([x, y]) => heights.map((down) => [x, y + down * ratio])).map(([x, y]) => {
+        const near = curves.filter(([ox]) => Math.abs(ox - x) < width * ratio).map(([, oy]) => Math.abs(oy - y));
+        return [Math.min(0.8 * width * ratio, ...near), x, y];
       });
       spots.sort((a, b) => b[0] - a[0]);
-      label(u, words, spots.map(([, x, y]) => [x, y]), ink, 'center');
+      label(u, words, spots.map(([, x, y]) => [x, y]), colour('ink-2'), 'center');
     }
 
     // The part of a line that is in the picture.
@@ -202,8 +192,8 @@ const AllanChart = (() => {
         });
       }
       for (const [term, values] of drawn) letter(u, term, values, colour(near.label));
-      if (shown.has(near.label) && shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) nameLimit(u, term, values);
-      if (shown.has(near.label)) beside.forEach((other) => name(u, other.name, other.adev, colour('ink-2')));
+      if (shown.has(near.label) && shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) name(u, `${term} limit`, values, [14, 34, 60], 30);
+      if (shown.has(near.label)) beside.forEach((other) => name(u, other.name, other.adev, [-14, 14], 50));
       visible().forEach((a, row) => strip(u, a, row));
     }
 
