@@ -175,7 +175,7 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
     causes.sort(key=lambda f: SEVERITIES.index(f.severity))
     why = '; '.join(map(str, causes))
     if counts.skipped and counts.skipped == counts.received:
-        why = f'--skip {job.segmenter.skip:g} (s) leaves out all of it: skip less'
+        why = f'--skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
     why = why or ('it is too short' if counts.received else 'it has no samples')
     samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
     return f'{job.path}: no static data in {samples}: {why}'
