@@ -19,6 +19,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -80,16 +81,21 @@ class Parameters:
         Raises
         ------
         AllanError
-            When the values given at start are not valid settings.
+            When the values given at start are not valid settings, or have the wrong type.
         rclpy.exceptions.ParameterException
-            When a value has the wrong type or lies outside its range.
+            When a value lies outside its range.
         """
         defaults, given = settings_type(), {}
         for name, info in describe(settings_type).items():
             default = getattr(defaults, name)
-            declared = self._node.declare_parameter(
-                f'{prefix}.{name}', to_ros(default), descriptor(info, default)
-            )
+            full, value = f'{prefix}.{name}', to_ros(default)
+            try:
+                declared = self._node.declare_parameter(full, value, descriptor(info, default))
+            except InvalidParameterTypeException as error:
+                wrong = self._node._parameter_overrides[full].value
+                raise AllanError(
+                    f'parameter {full} is {wrong!r}: give a value such as {value!r}'
+                ) from error
             given[name] = _from_ros(declared.value)
         group = ParameterGroup(prefix, settings_type(**given))
         self._groups.append(group)

@@ -105,7 +105,11 @@ def run(
     the executor wakes.
     """
     argv = sys.argv if args is None else [name, *args]
-    options = parser.parse_args(remove_ros_args(list(argv))[1:])
+    try:
+        options = parser.parse_args(remove_ros_args(list(argv))[1:])
+    except RuntimeError as error:  # from rcl: a missing or damaged parameter file
+        get_logger(name).fatal(f'{name} stops: {one_line(str(error))}')
+        return 1
     stop = Event()
     # Python's default handler would raise KeyboardInterrupt in the middle of an update or while a
     # checkpoint is written, and rclpy's would shut the graph down before the node has finished.

@@ -32,6 +32,12 @@ def test_help_is_printed_and_unknown_arguments_are_refused(graph, executable: st
     assert refused.wait() == 2 and 'unrecognized arguments: --typo' in refused.output
 
 
+def test_a_missing_parameter_file_is_one_line(graph) -> None:
+    node = graph.start('monitor', '--ros-args', '--params-file', '/no/such.yaml')
+    assert node.wait() == 1
+    assert 'allan_monitor stops: ' in node.output and 'Traceback' not in node.output
+
+
 def test_one_line_tells_what_a_node_does(graph, tmp_path: Path) -> None:
     checkpoint = tmp_path / 'new' / 'folder' / 'sums.json'
     node = graph.start(

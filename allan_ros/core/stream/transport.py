@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from ..findings import Finding, finding
 from .cleaning import BACKWARD_RUN
 from .health import StreamHealth, event_findings, events
+from .timing import LEARN
 
 LATELY_S = 60.0
 """Time in s for which events are reported; older events only remain in the counts."""
@@ -126,6 +127,8 @@ class TransportMonitor:
         c = health.counts
         self.heard(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
+        if health.rate_hz is None and c.received > 2 * LEARN:
+            usable = self._usable  # no sensor has data: all values are NaN, infinite or zero
         passed_s = time_s - self._last_usable
         if usable != self._usable:
             self._last_usable, self._usable = time_s, usable

@@ -24,6 +24,7 @@ class Input:
         self.reception = TransportStatistics()
         self.counts = Counts()
         self.frames = ['imu', 'imu', 0]
+        self.rate_hz: float | None = 200.0
 
     def second(
         self, publishers=ONE, stream=(), messages: int = 200, graph=(), **changes: int
@@ -42,7 +43,7 @@ class Input:
         health = StreamHealth(
             counts,
             'still',
-            200.0,
+            self.rate_hz,
             frame_id=self.frames[0],
             evidence_frame_id=self.frames[1],
             frame_changes=self.frames[2],
@@ -77,6 +78,13 @@ def test_messages_of_no_use_are_an_error():
     found = [source.second(not_finite=200) for _ in range(3)]
     assert found[-1] == ['input_unusable', 'not_finite']
     assert source.second() == ['not_finite']
+
+
+def test_messages_without_data_of_any_sensor_are_an_error():
+    """All values are NaN, infinite or zero, so no rate is ever learned."""
+    source = Input()
+    source.rate_hz = None
+    assert ['input_unusable'] in [source.second() for _ in range(20)]
 
 
 def test_a_trouble_is_forgotten_after_a_while():
