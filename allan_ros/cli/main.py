@@ -63,8 +63,8 @@ Measure the noise of an IMU by its Allan variance.
 
   allan analyze my_bag -o results        a recording in, a report out
   allan check my_bag --sensor mpu-6050   one line and an exit code
-  allan export results --to openvins     its numbers as the file of a filter
-  allan simulate my_bag --preset paper   no recording at hand? this writes one
+  allan export results --to openvins     a file with its numbers for a filter
+  allan simulate my_bag --preset paper   a simulated recording to try it
 """
 """Description above the list of verbs."""
 
@@ -180,9 +180,8 @@ def build_parser(verb: str = '') -> AllanParser:
         '--completion',
         action=_Completion,
         choices=SHELLS,
-        help='print a script that completes verbs, options and names in this shell: '
-        'eval "$(allan --completion bash)" in ~/.bashrc, or for fish '
-        'allan --completion fish | source',
+        help='print the completion script of a shell; add eval "$(allan --completion bash)" to '
+        '~/.bashrc, or allan --completion fish | source to config.fish',
     )
     for name, what in VERBS.items():
         sub = verbs.add_parser(name, help=what)

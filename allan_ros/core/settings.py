@@ -138,7 +138,7 @@ class SegmenterSettings(CheckedSettings):
     )
     max_bridge: int = fixed_parameter(
         3,
-        'Most consecutive lost samples that are interpolated; a longer gap splits the data.',
+        'Longest gap of lost samples that is interpolated; a longer gap splits the data.',
         'samples',
         0,
         100,

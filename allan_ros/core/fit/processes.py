@@ -62,7 +62,7 @@ class SinusoidTerm:
 
     @property
     def scale(self) -> float:
-        """Averaging factor at which it is largest."""
+        """Averaging factor at which the sinusoid is largest in the Allan variance."""
         return LINE_PEAK / self.shape
 
 

@@ -76,7 +76,7 @@ def test_a_count_that_differs_is_a_warning(tmp_path: Path, imu_batches: Any, rea
     back = read(path)
     assert ids(back) == ['count_differs']
     assert back.findings[0].severity == 'warning'
-    assert 'states 6000 messages, 3000 were read' in str(back.findings[0])
+    assert 'states 6000 messages, but 3000 were read' in str(back.findings[0])
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
@@ -88,7 +88,7 @@ def test_metadata_that_states_more_is_a_warning(
     path.write_text(path.read_text().replace('message_count: 900', 'message_count: 3600'))
     back = read(tmp_path / 'run')
     assert ids(back) == ['count_differs']
-    assert 'metadata.yaml states 3600 messages, 900 were read' in str(back.findings[0])
+    assert 'metadata.yaml states 3600 messages, but 900 were read' in str(back.findings[0])
 
 
 def test_messages_outside_chunks_are_read_too(
@@ -158,7 +158,7 @@ def test_a_chunk_that_became_another_record_is_missed(
     back = read(path)
     assert 6_000 < len(back.stamps_ns) < 12_000
     assert 'count_differs' in ids(back)
-    assert f'states 12000 messages, {len(back.stamps_ns)} were read' in str(back.findings)
+    assert f'states 12000 messages, but {len(back.stamps_ns)} were read' in str(back.findings)
 
 
 def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:
