@@ -243,6 +243,38 @@ class SampleHoldFilter:
         return stamps[keep], own[:, keep]
 
 
+LEAST_CLIPPED = 0.05
+"""Smallest share of equal samples at one end of an axis that indicates clipping."""
+
+CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
+"""They must be this many times more than those of the next value, and the axis must have this many
+values: at a coarse resolution, most samples of an unclipped axis have one of two values."""
+
+
+def clipped_share(samples: Floats) -> float:
+    """Return the share of samples at an end of the measurement range, 0 if there is none.
+
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(0).normal(size=1000)
+    >>> clipped_share(noise), round(clipped_share(np.minimum(noise, 1.0)), 2)
+    (0.0, 0.15)
+    """
+    values, counts = np.unique(samples[np.abs(samples) <= LARGEST], return_counts=True)
+    if len(values) < CLIPPED_VALUES:
+        return 0.0
+    ends = [(values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2])]
+    most = max(
+        (
+            count
+            for value, count, next_count in ends
+            if value and count >= CLIPPED_RATIO * next_count
+        ),
+        default=0,
+    )
+    share = float(most / counts.sum())
+    return share if share >= LEAST_CLIPPED else 0.0
+
+
 def plan_sensors(
     stamps: Stamps, rows: Floats
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
@@ -279,6 +311,10 @@ def plan_sensors(
             own_samples = 'held'
             share = float(repeats[present].all(axis=0).mean())
             findings.append(finding('held', axes, sensor=sensor, share=share))
+        for axis, samples in zip(axes, own):
+            share = clipped_share(samples)
+            if share:
+                findings.append(finding('clipped', (axis,), share=share))
         plans.append(SensorPlan(axes, own_samples))
     if len(plans) == len(SENSORS) and _sampled_together(plans, repeats):
         plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].own)]

@@ -462,3 +462,16 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
 def test_gravity_may_have_been_removed():
     t, x = still(12_000)
     assert not ids(accumulate(t, x - [0, 0, 0, 0, 0, 9.8])) & {'accel_unit', 'accel_scale'}
+
+
+@pytest.mark.parametrize('lsb', [0.0, 0.1, 0.5, 2.0])
+def test_an_axis_at_the_end_of_its_range_is_reported(lsb):
+    times, noise = still(3000)
+    noise = noise / noise.std(axis=0)
+    samples = np.round(noise / lsb) * lsb if lsb else noise
+    assert 'clipped' not in ids(accumulate(times, samples))
+    if lsb < 0.5:
+        end = np.median(samples[:, 5])
+        samples[:, 5] = np.minimum(samples[:, 5], end)
+        clipped = [f for f in accumulate(times, samples).findings if f.id == 'clipped']
+        assert [f.axes for f in clipped] == [('accel_z',)]
