@@ -59,7 +59,7 @@ def repository() -> Path:
 def shared_data() -> Path:
     """Return the folder of real recordings, which are not part of the package.
 
-    It is ``$ALLAN_ROS_SHARED/data``, or ``../shared/data`` beside the checkout. Without it the
+    It is ``$ALLAN_ROS_SHARED/data``, or ``../shared/data`` next to the checkout. Without it the
     test is skipped.
     """
     shared = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared'))

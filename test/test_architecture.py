@@ -37,7 +37,7 @@ ROS = {
 }
 
 CORE_LIBRARIES = {'numpy', 'scipy'}
-"""What `core` may import beside the standard library."""
+"""Packages that `core` may import in addition to the standard library."""
 
 TOUCHES_THE_WORLD = {'datetime', 'io', 'logging', 'os', 'pathlib', 'shutil', 'subprocess', 'time'}
 """Modules of the standard library that `core` does without: files and wall clocks."""

@@ -39,7 +39,7 @@ def anchors_of(page: Path) -> set[str]:
 
 
 def commands_of(page: Path) -> list[list[str]]:
-    """Return the words of every command line of `allan` that stands in a block by itself."""
+    """Return the words of every command line of `allan` in a separate block."""
     joined = page.read_text().replace('\\\n', ' ')
     lines = re.findall(r'^(?:    )?(?:\$ )?(?:ros2 run allan_ros )?(allan [a-z-].*)$', joined, re.M)
     words = [shlex.split(line, comments=True) for line in lines]

@@ -15,7 +15,7 @@ from allan_ros.io.datasheets import sensor_names
 
 @pytest.fixture(scope='module')
 def analysed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of an analysis beside the datasheet of the simulated IMU."""
+    """Return the folder of an analysis with the datasheet of the simulated IMU."""
     folder = tmp_path_factory.mktemp('analysed') / 'run'
     words = ['analyze', str(recording), '-o', str(folder), '-q', '--sensor', 'adis16475-3']
     assert main(words) == 0

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The terminal report fits the terminal and says everything."""
+"""The terminal report fits the terminal and is complete."""
 
 from __future__ import annotations
 

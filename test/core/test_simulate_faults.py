@@ -61,7 +61,7 @@ def test_drops_lose_their_share():
 
 
 def test_jitter_has_its_standard_deviation():
-    """Ten thousand normals know their spread to 0.7 %; the bound is 5 sigma."""
+    """Ten thousand normal values determine their spread to 0.7 %; the bound is 5 sigma."""
     t, _ = record(Faults(jitter=1e-3))
     error = t - np.arange(len(t)) / RATE
     assert error.std() == pytest.approx(1e-3, rel=0.036)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is held against a datasheet, what is said of it, and how it is kept."""
+"""Comparison with a datasheet, its findings, and how it is stored."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}
 
 @pytest.fixture(scope='module', params=[('noisy', 'gls'), ('noiseless', 'paper')])
 def results(request: pytest.FixtureRequest) -> Results:
-    """Return what a method says of axes of every size."""
+    """Return the results of a method for axes of every size."""
     kind, method = request.param
     return analyse_sums([SUMS[kind]()], Provenance(), method)
 

@@ -57,7 +57,7 @@ def _domains_of_processes() -> set[int]:
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Hold a ROS domain that nothing else on this machine uses, and keep to its loopback."""
+    """Reserve a ROS domain that no other process uses, restricted to the loopback interface."""
     taken = _domains_of_processes()
     for domain in (d for d in itertools.islice(_ROUND, len(DOMAINS)) if d not in taken):
         lock = (Path(tempfile.gettempdir()) / f'allan_ros_test_domain_{domain}').open('w')
@@ -153,7 +153,8 @@ class Graph:
             self.node._parameter_overrides[name] = Parameter(name, value=value)
 
     def publisher(self, topic: str = 'imu/data') -> Any:
-        """Return a publisher of Imu that keeps all, once it and a subscriber know each other."""
+        """Return a publisher of Imu that keeps all messages, once it and a subscriber have
+        discovered each other."""
         from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
 
@@ -185,9 +186,9 @@ class Graph:
     def ask(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of a node and return its response.
 
-        A client knows a service before the service knows the client, and answers in between are
-        lost. As endpoints are announced in order (see `handshake`), a node that answers to a client
-        made later knows the earlier one too; and that question does no harm if asked twice.
+        A client discovers a service before the service discovers the client, and answers in between
+        are lost. Endpoints are announced in order (see `handshake`), so a node that answers a
+        client created later has also discovered the earlier one. This call can be repeated.
         """
         from rcl_interfaces.srv import GetParameters
 

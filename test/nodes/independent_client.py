@@ -95,12 +95,12 @@ def listen(reader: DataReader, heard: dict[str, DiagnosticStatus]) -> None:
 
 
 def told(heard: dict[str, DiagnosticStatus]) -> dict[str, str]:
-    """Return what is said of the input."""
+    """Return the status of the input."""
     return {v.key: v.value for s in heard.values() if 'input' in s.name for v in s.values}
 
 
 def main(domain: int, samples: int) -> None:
-    """Publish, then listen until the statuses tell of all samples and of an axis."""
+    """Publish, then wait until the statuses report all samples and an axis."""
     participant = DomainParticipant(domain)
     qos = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(5000))
     writer = DataWriter(participant, Topic(participant, 'rt/imu/data', Imu), qos=qos)

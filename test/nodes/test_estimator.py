@@ -39,7 +39,7 @@ def test_two_processes_make_a_noise_model(graph, still_imu):
     })  # fmt: skip
     models = graph.latched('/allan_estimator/noise_model')
     graph.send(graph.publisher(), still_imu(6000))
-    # the first models rest on too few samples to know N
+    # the first models have too few samples to determine N
     model = graph.until(lambda: models and models[-1]['samples'] >= 5000 and models[-1])
     graph.statuses.clear()
     assert model['schema'] == 'allan_ros/results/1' and model['samples'] <= 6000

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page is served to this machine only, and rendered again when the sums change."""
+"""The live page is served on the loopback interface only, and rendered again when the sums
+change."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from support.node_server import PATIENCE_S, NodeProcess, NodeServer
 
 
 def runs(pid: int) -> bool:
-    """Return whether a process has not ended; nobody may wait for one without a parent."""
+    """Return whether a process is running; only its parent may wait for it."""
     try:
         state = Path(f'/proc/{pid}/stat').read_text().rpartition(') ')[2][0]
     except (FileNotFoundError, ProcessLookupError):

@@ -81,7 +81,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, fil
     # not atomic: one may be read as set while the next is not yet
     graph.until(lambda: 'set gain, densities' in graph.status('parameters of /imu_filter').message)
     gain, zeta, densities, count = values(graph, 'gain', 'zeta', 'densities', 'count')
-    # the gyro has N: 6000 samples know it to 2 %, the worst of three axes lies above
+    # the gyro has N: 6000 samples determine it to 2 %, the worst of three axes lies above
     assert gain == pytest.approx(N / 2.0, rel=0.15)
     assert list(densities) == pytest.approx([1e-6] * 3, rel=0.15)
     assert zeta == 0.0 and count == 3

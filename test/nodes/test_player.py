@@ -76,7 +76,8 @@ def test_a_loop_with_rebased_stamps_goes_on_evenly_from_now(graph, bag):
 
 
 def test_the_end_is_answered_for_anew(graph):
-    """An answer of before says nothing of the last messages: a node that is frozen gives none."""
+    """An earlier answer proves nothing about the last messages: a node that is frozen gives
+    none."""
     accumulator = graph.start('accumulator')
     publisher = graph.node.create_publisher(Imu, 'imu/data', 10)
     handshake = Handshake(graph.node, publisher)

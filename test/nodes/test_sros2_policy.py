@@ -32,7 +32,7 @@ FORM = {
 
 
 WORDS = {'publish': 'out', 'subscribe': 'in', 'reply': 'reply'}
-"""How the policy says it -> how the tables of the docs do."""
+"""Notation of the policy -> notation of the tables in the docs."""
 
 EVERY_NODE = re.compile(
     'in clock|out rosout|.*parameter.*|reply ~/get_type_description'

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exported files as their readers find them, with the numbers computed by hand.
 
-The numbers by hand are those of the bare coefficients of the fixed results.
+The numbers by hand are the bare coefficients of the fixed results.
 """
 
 from __future__ import annotations

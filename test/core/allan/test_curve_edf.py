@@ -37,7 +37,7 @@ def test_agrees_with_the_combined_algorithm_at_long_tau(alpha, m):
 @pytest.mark.parametrize('term', 'QNBK')
 @pytest.mark.parametrize('m, stride', [(1, 1), (8, 1), (16, 2), (48, 4)])
 def test_degrees_of_freedom_are_the_spread_of_draws(term, m, stride):
-    """2 mean^2/var over 4000 draws knows edf to sqrt((2 + 12/edf)/4000); bound 5 sigma."""
+    """2 mean^2/var over 4000 draws determines edf to sqrt((2 + 12/edf)/4000); bound 5 sigma."""
     n, draws = 128, 4000
     rng = np.random.default_rng(3)
     y = np.stack([simulate_axis(n, 1.0, NoiseTerms(**{term: 1.0}), rng) for _ in range(draws)])
@@ -66,7 +66,7 @@ def test_unequal_segments_weigh_by_their_counts():
 
 @pytest.mark.parametrize('alpha', [1, 0, -1, -2])
 def test_correlation_does_not_depend_on_scale_at_long_tau(alpha):
-    """What m = 1e4 says holds for m = 1e9: no difference cancels into rounding."""
+    """The result for m = 1e4 is valid for m = 1e9: no difference cancels into rounding."""
     shares = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0])
     a, b = (correlation(alpha, m, (shares * m).astype(int)) for m in (10**4, 10**9))
     np.testing.assert_allclose(a, b, atol=0.06 if alpha == 1 else 2e-4)

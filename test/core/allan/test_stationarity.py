@@ -73,7 +73,7 @@ def test_the_settled_part_is_fitted_and_both_values_are_stated():
 
 @pytest.mark.parametrize('rate', [1.0, 200.0])
 def test_a_short_warm_up_is_left_out_if_a_coefficient_changes(rate):
-    """2 h with 30 s, and the same samples as those of a recording of 36 s."""
+    """2 h with 30 s, and the same samples as a recording of 36 s."""
     early = 1000 * DEG_H * np.exp(-np.arange(SECONDS) / 30.0)
     sums = sums_of_noise(NOISE, 6, early=early, rate=rate)
     used, model = fit_stationary(sums)

@@ -45,7 +45,7 @@ def test_growth_over_the_window_is_the_allan_deviation():
 
 @pytest.mark.parametrize('space', SPACES)
 def test_position_is_the_integral_of_the_velocity_error(space):
-    """The closed form against the states integrated in small steps, with the position beside."""
+    """The closed form against the states integrated in small steps, together with the position."""
     horizon, window, steps = 30.0, 12.0, 400
     dt, n = horizon / steps, space.size
     # states: theta(t) - theta(0), bias parts, then theta(0) - theta(-W), then the position

@@ -73,7 +73,7 @@ def test_the_interval_of_a_decreasing_expression_is_ordered():
 def test_values_are_kept_within_the_limits():
     held = propose(parameter('N', limits=(0.01, 1.0)), AXES, 200.0, {})
     assert held.values == (0.01,) and held.limited
-    assert held.high == pytest.approx(3.3e-3)  # the interval says what is true
+    assert held.high == pytest.approx(3.3e-3)  # the interval contains the true value
 
 
 def test_a_missing_sensor_or_term_is_refused():

@@ -104,7 +104,7 @@ def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
     values[k] = 1.0
     (region,) = regions_of('gyro_x', *values)
     assert region.term == term
-    # The slope of K at one sample is that of discrete steps, less than 1/2.
+    # The slope of K at one sample is the slope of discrete steps, less than 1/2.
     assert region.slope == pytest.approx(slope, abs=0.06 if term == 'K' else 0.02)
 
 

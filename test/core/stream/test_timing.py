@@ -79,7 +79,7 @@ def test_isolated_losses_are_bridged_on_the_line_between_their_neighbours():
 def test_losses_beside_jitter_are_no_change_of_the_rate(day):
     """Normal jitter of 30 % of the period and 3 % random losses, also with a gap of a day.
 
-    Single losses are not all found beside such jitter, but nearly as many are found by mistake.
+    Not all single losses are found with such jitter, but nearly as many are found by mistake.
     """
     n, rng = 40_000, np.random.default_rng(1)
     stamps = np.maximum.accumulate(even(n) + (rng.standard_normal(n) * 3 * MS).astype(int))

@@ -28,7 +28,7 @@ def with_coefficient(results: Results, axis: str, term: str, coefficient: Coeffi
 
 @pytest.fixture
 def results(small_results: Results) -> Results:
-    """Return results with levels that are easy to tell apart."""
+    """Return results with levels that are easy to distinguish."""
     known = small_results
     for i, axis in enumerate(known.axes):
         n, k = 1e-4 * (i + 1), 1e-6 * (i + 1)

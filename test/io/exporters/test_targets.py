@@ -3,7 +3,7 @@
 """Every target: its numbers computed by hand, its file word for word, its options.
 
 The golden files under ``golden`` are what the command writes for the fixed results by default;
-VERSION stands for the version of the package.
+VERSION replaces the version of the package.
 """
 
 from __future__ import annotations

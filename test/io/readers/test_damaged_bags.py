@@ -59,7 +59,7 @@ def test_chunks_the_summary_does_not_list_are_read(
     listed = [r for r in records(bytes(data)) if r[0] == CHUNK_INDEX]
     assert len(listed) > 2
     for _, start, _ in listed[1:]:
-        data[start] = 0x0D  # a metadata index, which nobody reads
+        data[start] = 0x0D  # a metadata index, which no reader uses
     path = tmp_path / 'bad.mcap'
     path.write_bytes(data)
     back = read(path)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real recordings, good and bad: equal to rosbags' own reading, or one line that says why not."""
+"""Real recordings, good and bad: equal to rosbags' own reading, or one line with the reason."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def test_flipped_bytes_never_end_in_a_traceback(
 def test_messages_come_in_the_order_of_their_record_time(
     storage: str, tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
-    """Chunks overlap by seconds: the order is that of rosbags, and nothing is lost."""
+    """Chunks overlap by seconds: the order is the same as with rosbags, and nothing is lost."""
     [batch] = imu_batches(15_000, parts=1)
     late = np.random.default_rng(6).integers(0, 4 * 10**9, size=len(batch))
     late[::1000] += 30 * 10**9

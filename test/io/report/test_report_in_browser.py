@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser: it draws, answers, switches, copies, and asks nobody for anything."""
+"""The page in a real browser: it draws, responds, switches, copies, and makes no requests."""
 
 from __future__ import annotations
 
