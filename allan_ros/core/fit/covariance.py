@@ -8,8 +8,8 @@ For Gaussian noise the covariance of two Allan variances is a sum over lags (Iss
 
 with C_ij(s) the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i), d_j(u)/(sqrt2 m_j)
 and cnt_ij(s) the number of pairs at lag s in the record. C is linear in (q, w, b, k), so the sum is
-ten matrices weighted by products of these variance coefficients: which depend only on the length of
-the record.
+ten matrices, weighted by products of these variance coefficients. The matrices depend only on the
+length of the record.
 
 cnt is piecewise linear in s, so only the running sums of C_k C_l and of s C_k C_l at four lags are
 needed. The grid repeats itself every octave: C of the pair (2^a m, 2^a m') at lags 2^a s equals C
