@@ -111,7 +111,7 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export', '{results}', '--to', 'px4', '--merge-into', '{results}'], 'needs no merging'),
         (
             ['export', '{results}', '--to', 'gtsam', '--merge-into', '{results}'],
-            'leave out --merge-into',
+            'omit --merge-into',
         ),
         (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
         (['analyze', '{results}', '--export', 'kalibr'], '--export needs a folder'),
