@@ -185,6 +185,11 @@ def _shape_findings(
         found.append(finding('low_pass', name))
     for lines in _neighbours(fit.processes.sinusoid):
         found.append(line_finding(name, unit, lines, tau0))
+    n = fit.noise['N']
+    if fit.processes.sinusoid and n.status != 'estimated' and n.upper95:
+        line = max(fit.processes.sinusoid, key=lambda each: each.amplitude)
+        ratio = line.amplitude * math.sqrt(tau0) / n.upper95
+        found.append(finding('noise_hidden', name, frequency=line.frequency, ratio=ratio))
     for process in fit.processes.gauss_markov:
         time = duration_text(process.correlation_time)
         found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))

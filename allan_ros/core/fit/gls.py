@@ -41,6 +41,10 @@ LEAST_FACTORS = 5
 MAIN_LOBE = 2.0
 """Width of the spectrum of a sinusoid between its zeros, times the length of the record."""
 
+HIDDEN = 1.1
+"""Ratio of the ends of the interval of N above which sinusoids hide the white noise, if the model
+fails. The estimate may then be wrong by a third."""
+
 AT_AN_END = 1e-9
 """Relative distance from an end of its interval below which a value counts as that end."""
 
@@ -94,6 +98,8 @@ def _fit_axis(
         )
         value = _consistent(selected.fit.table, alone, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
+    if options.misfit.size and any(isinstance(e, SinusoidTerm) for e in options.extras):
+        noise['N'] = _hidden(noise['N'])
     ramp = ramp_interval(pooled, axis, selected.fit, intervals[K].high)
     noise['R'] = _ramp(ramp, tau0)
     fit = AxisFit(
@@ -152,6 +158,16 @@ def _coefficient(
         coefficient_to_si(name, power, tau0),
         (coefficient_to_si(name, ends[0], tau0), coefficient_to_si(name, ends[1], tau0)),
     )
+
+
+def _hidden(n: Coefficient) -> Coefficient:
+    """Return N beside sinusoids that the model does not describe: a limit if it is uncertain.
+
+    Far above the noise, a small error of a sinusoid is as large as the white noise.
+    """
+    if n.ci95 is None or n.ci95[1] <= HIDDEN * n.ci95[0]:
+        return n
+    return _unresolved(n.value, n.ci95[1])
 
 
 def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
