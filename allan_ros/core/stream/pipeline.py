@@ -38,7 +38,8 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .timing import LEARN, Block, Clock, SampleClock, learn_clock
+from .period import LEARN, Clock, learn_clock
+from .timing import Block, SampleClock
 
 KEPT_FRAMES = 8
 """Number of frame_ids in one stream whose sums are kept; each is another IMU."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from ..findings import Finding, finding
 from .cleaning import BACKWARD_RUN
 from .health import StreamHealth, event_findings, events
-from .timing import LEARN
+from .period import LEARN
 
 LATELY_S = 60.0
 """Time in s for which events are reported; older events only remain in the counts."""
