@@ -151,7 +151,7 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
     """
     panel.set(xscale='log', yscale='log', xlim=across, ylim=up)
     for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
-        labelled, fine = _ticks(*limits)
+        labelled, fine = ticks(*limits)
         direction.set_major_locator(FixedLocator(labelled.tolist()))
         direction.set_major_formatter(FixedFormatter([tick_text(value) for value in labelled]))
         direction.set_minor_locator(NullLocator())
@@ -168,16 +168,17 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
         )
 
 
-def _ticks(low: float, high: float) -> tuple[Floats, Floats]:
+def ticks(low: float, high: float) -> tuple[Floats, Floats]:
     """Return at least three values to label on a logarithmic axis, and the positions of all grid
     lines.
     """
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
-    choices = [np.outer(decades, digits).ravel() for digits in ([1], [1, 2, 5], range(1, 10))]
+    digits = ([1], [1, 2, 5], [1, 1.2, 1.5, 2, 3, 5, 7], range(1, 10))
+    choices = [np.outer(decades, some).ravel() for some in digits]
     choices.append(np.asarray(MaxNLocator(4).tick_values(low, high)))
-    inside = [values[(values > low) & (values < high)] for values in choices]
-    labelled = next((values for values in inside if len(values) > 2), inside[-1])
-    return labelled[:: 1 + len(labelled) // 10], np.union1d(inside[2], labelled)
+    *labels, grid, even = (values[(values > low) & (values < high)] for values in choices)
+    labelled = next((values for values in labels if len(values) > 2), even)
+    return labelled[:: 1 + len(labelled) // 10], np.union1d(grid, labelled)
 
 
 SUPERSCRIPT = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')

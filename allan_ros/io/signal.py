@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,17 +256,15 @@ def summarize_signal(
     middle = np.full(len(AXES), np.nan)
     there = ~np.all(np.isnan(low), axis=0)
     middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
-    arrays = {
+    joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in ('time_s', 'used')
     }
-    tuples = {
+    joined |= {
         name: tuple(item for part in parts for item in getattr(part, name))
         for name in ('left_out', 'gaps', 'starts', 'first_ns')
     }
     temperature = _joined([part.temperature for part in parts if part.temperature])
-    return SignalSummary(
-        low=low, high=high, middle=middle, temperature=temperature, **arrays, **tuples
-    )
+    return SignalSummary(low=low, high=high, middle=middle, temperature=temperature, **joined)
 
 
 def _recording(

@@ -14,7 +14,7 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.health import Segment
-from allan_ros.io.plot_layout import to_form, to_png
+from allan_ros.io.plot_layout import ticks, to_form, to_png
 from allan_ros.io.plot_style import PictureSettings, load_style
 from allan_ros.io.plots import sensor_figure
 from allan_ros.io.results import Results
@@ -111,3 +111,20 @@ def test_unknown_styles_and_forms_are_refused() -> None:
         load_style('http://example.org/my.mplstyle')
     with pytest.raises(AllanError, match="no plot format 'gif'"):
         PictureSettings(plot_format=('png', 'gif'))
+
+
+@pytest.mark.parametrize(
+    ('limits', 'labels'),
+    [
+        ((0.01, 2000.0), [0.1, 1.0, 10.0, 100.0, 1000.0]),
+        ((2.0, 150.0), [5.0, 10.0, 20.0, 50.0, 100.0]),
+        ((0.54, 1.85), [0.7, 1.0, 1.2, 1.5]),  # a ratio: on both sides of 1
+        ((0.93, 1.08), [0.96, 1.0, 1.04]),
+    ],
+)
+def test_an_axis_has_at_least_three_labels(
+    limits: tuple[float, float], labels: list[float]
+) -> None:
+    labelled, grid = ticks(*limits)
+    assert labelled.tolist() == pytest.approx(labels)
+    assert set(labelled) <= set(grid)
