@@ -318,19 +318,14 @@ class SensorStream:
         """Working period and regularity of the stamps; None before the clock is learned."""
         return None if self._clock is None else self._clock.clock
 
-    @property
-    def present(self) -> StreamSums:
-        """Sums at the present rate."""
+    def by_rate(self) -> list[StreamSums]:
+        """Return the sums at each rate; when a rate returns, its sums are continued."""
         spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
         if len(self._filled.count):
             sums = replace(sums, filled=self._filled.count.copy())
-        return StreamSums(sums, spectrum, segments)
-
-    def by_rate(self) -> list[StreamSums]:
-        """Return the sums at each rate; when a rate returns, its sums are continued."""
-        return joined_by_rate(self._former, self.present)
+        return joined_by_rate(self._former, StreamSums(sums, spectrum, segments))
 
     @property
     def means(self) -> Means | None:

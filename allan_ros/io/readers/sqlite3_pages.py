@@ -95,16 +95,13 @@ class Rows:
 
         Raises Unusual when one of them continues in other pages.
         """
-        mine = among(self.topics, ids)
-        columns = (self.record_ns, self._start, self._length, self._page_end)
-        times, start, length, page_end = (
-            columns if mine.all() else (column[mine] for column in columns)
-        )
+        mine = np.flatnonzero(among(self.topics, ids))
+        times = self.record_ns[mine]
         if (times[1:] < times[:-1]).any():
-            order = np.argsort(times, kind='stable')
-            times, start, length, page_end = (c[order] for c in (times, start, length, page_end))
-        end = start + length
-        if (end > page_end).any():
+            mine = mine[np.argsort(times, kind='stable')]
+            times = self.record_ns[mine]
+        start, end = self._start[mine], self._start[mine] + self._length[mine]
+        if (end > self._page_end[mine]).any():
             raise Unusual('a message is larger than a page')
         return Block(times, self._payloads(start, end))
 
