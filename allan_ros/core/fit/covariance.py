@@ -191,9 +191,20 @@ class _LagTable:
         return out
 
 
-@lru_cache(maxsize=2)
+_lag_tables: list[_LagTable] = []
+"""The largest table so far (8 MB for a day at 200 Hz), which also serves shorter records."""
+
+
 def _lag_table(octaves: int) -> _LagTable:
-    return _LagTable(len(FIRST_FACTORS) + len(LEVEL_FACTORS) * octaves)
+    """Return a table of at least so many octaves."""
+    factors = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * octaves
+    for table in _lag_tables:
+        if table.row.shape[1] >= factors:
+            return table
+    _lag_tables.clear()  # before the next is computed, so that there is never more than one
+    made = _LagTable(factors)
+    _lag_tables.append(made)
+    return made
 
 
 @lru_cache(maxsize=80)
@@ -212,7 +223,7 @@ def pair_sums(samples: int) -> PairSums:
 
 def clear_pair_sums() -> None:
     """Clear the cache of `pair_sums` and of the table from which it is computed."""
-    _lag_table.cache_clear()
+    _lag_tables.clear()
     pair_sums.cache_clear()
 
 

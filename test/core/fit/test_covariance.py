@@ -78,6 +78,16 @@ def test_what_is_forgotten_is_made_anew():
     assert np.array_equal(pair_sums(1000).squares, before.squares)
 
 
+def test_the_sums_of_a_record_do_not_depend_on_longer_ones_before():
+    clear_cache()
+    before = pair_sums(1000)
+    clear_cache()
+    pair_sums(100_000)
+    after = pair_sums(1000)
+    assert np.array_equal(after.squares, before.squares)
+    assert np.array_equal(after.singles, before.singles)
+
+
 def test_the_model_of_stretches_is_cleared_too():
     likelihood._model((0.0, 1.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0))
     clear_cache()
