@@ -190,7 +190,7 @@ def reduce_axis(
             walk = replace(walk, ci95=None, raised_from=resolved_walk)
         walk = _accepted(walk, strict)
     if reduction.white > 1.001 * white.value:
-        white = Level(axis, 'N', reduction.white, raised_from=white.value)
+        white = replace(white, value=reduction.white, ci95=None, raised_from=white.value)
     return AxisReduction(reduction, {'N': white, **({'K': walk} if walk else {})})
 
 

@@ -110,6 +110,7 @@ def _fit_axis(
         _joined(
             processes_of(selected.fit, table, tau0), MAIN_LOBE / (pooled.segments[0].samples * tau0)
         ),
+        signed=options.signed,
     )
     return fit, explain(pooled, axis, selected, fit, ramp, tau0)
 
@@ -121,9 +122,8 @@ def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
     drifts = fit.processes.gauss_markov
     extras = [GaussMarkovTerm(p.correlation_time / tau0) for p in drifts]
     lines = [SinusoidTerm(line.frequency * tau0) for line in fit.processes.sinusoid]
-    signed = fit.m_min > 1 or (fit.noise['Q'].value is None and fit.noise['Q'].upper95 is None)
     walk = not drifts or fit.noise['K'].value is not None
-    return FitOptions(fit.m_min, signed, extras=(*extras, *lines), walk=walk)
+    return FitOptions(fit.m_min, fit.signed, extras=(*extras, *lines), walk=walk)
 
 
 def _consistent(

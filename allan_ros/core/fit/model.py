@@ -207,6 +207,8 @@ class AxisFit:
         Gauss-Markov processes and sinusoids; empty if the five terms describe the curve.
     deviation : Deviation or None
         Largest deviation of the data from the selected model; None if the model fits.
+    signed : bool
+        Whether q could be negative in the fit, as for filtered samples. It is not saved.
     """
 
     noise: Mapping[str, Coefficient]
@@ -215,6 +217,7 @@ class AxisFit:
     gof_z: float | None = None
     processes: Processes = Processes()
     deviation: Deviation | None = None
+    signed: bool = False
 
     @property
     def gauss_markov(self) -> GaussMarkov | None:
@@ -273,7 +276,7 @@ def _is_likely(term: str, c: Coefficient) -> bool:
     """Return whether a term is resolved, or its square exceeds one standard deviation."""
     if c.status == 'estimated':
         return True
-    if term not in 'BK' or c.value is None or c.upper95 is None:
+    if term not in 'NBK' or c.value is None or c.upper95 is None:
         return False
     # The limit of the square is `Z_95` standard deviations above its estimate. With a few seconds
     # of data, an estimate above its own limit contradicts the interval: the limit is used.

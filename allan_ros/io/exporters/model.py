@@ -286,8 +286,9 @@ def level_words(level: Level) -> str:
     unit = SI_UNITS[sensor_of(level.axis)]['B' if level.term == 'sigma' else level.term]
     words = f'{level.term} of {level.axis}'
     if level.is_limit:
-        limit = significant(level.value, LIMIT_DIGITS)
-        return f'{words} not observable, 95 % upper limit {limit} {unit}'
+        limit = significant(level.raised_from or level.value, LIMIT_DIGITS)
+        words += f' not observable, 95 % upper limit {limit} {unit}'
+        return f'{words}, raised to cover the error growth' if level.raised_from else words
     words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
     if level.raised_from:
         measured = significant(level.raised_from, VALUE_DIGITS)

@@ -166,6 +166,14 @@ def test_drift_that_is_quick_counts_as_white_and_k_as_its_limit() -> None:
     assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
 
 
+def test_a_raised_limit_of_n_stays_a_limit() -> None:
+    process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
+    fit = replace(fit_with(N=hidden(1e-3), K=hidden(1e-5)), processes=Processes((process,)))
+    level = reduce_axis('gyro_x', fit).levels['N']
+    assert level.is_limit and level.raised_from == 1e-3 < level.value
+    assert level.ends == (0.0, level.value, level.value)
+
+
 def test_the_expected_variance_lies_between_estimate_and_limit() -> None:
     # with an estimate of 0 the limit is 1.96 standard deviations, the mean of half a normal 0.798
     assert expected_variance(hidden(1e-5)) == pytest.approx(0.79788 / 1.96 * 1e-10, rel=1e-4)

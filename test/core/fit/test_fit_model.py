@@ -1,5 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import pytest
+
+from allan_ros.core.fit.gls import _options_of
 from allan_ros.core.fit.model import AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.noise import NoiseTerms
 
@@ -38,3 +41,11 @@ def test_the_selected_model_has_no_unresolved_term_beyond_its_own_limit():
 
     assert with_bias(2.5e-4) == NoiseTerms(N=1e-3, B=2.5e-4)
     assert with_bias(4e-4) == NoiseTerms(N=1e-3)
+
+
+@pytest.mark.parametrize('signed', [False, True])
+def test_q_without_value_and_limit_makes_no_fit_signed(signed):
+    """A model error can leave Q without a limit, as a low-pass filter does."""
+    nothing = Coefficient(None, status='not_observable')
+    fit = AxisFit({**dict.fromkeys('QBKR', nothing), 'N': Coefficient(1e-3)}, 0.3, signed=signed)
+    assert _options_of(fit, 0.01).signed is signed
