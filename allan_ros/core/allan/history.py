@@ -188,7 +188,7 @@ class AgeBin(ByValue):
     ramp: Floats
 
     def __add__(self, other: AgeBin) -> AgeBin:
-        """Return the sums of both, with the lower index."""
+        """Return the sum of both bins, with the smaller index of the two."""
         return AgeBin(
             min(self.index, other.index),
             add_padded(self.count, other.count),

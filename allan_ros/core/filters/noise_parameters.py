@@ -126,8 +126,9 @@ def _accepted(level: Level, strict: bool) -> Level:
     """Return the level; raise AllanError if it has no interval and ``strict`` is set."""
     if strict and level.no_interval:
         raise AllanError(
-            f'{level.term} of {level.axis} has no 95 % interval: record longer, fit by method gls, '
-            'or leave out --strict'
+            f'{level.term} of {level.axis} has no 95 % interval: record longer, fit with method '
+            'gls, '
+            'or omit --strict'
         )
     return level
 

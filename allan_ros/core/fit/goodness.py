@@ -48,7 +48,7 @@ MISFIT_GROWTH = 2.0
 """Largest factor by which the misfit may increase when fewer factors have a misfit."""
 
 MISFIT_TOLERANCE = 0.04
-"""Relative accuracy of chi^2 in this search, which gives 2 % of the misfit."""
+"""Relative tolerance of chi^2 in this search; the misfit is then accurate to 2 %."""
 
 MISFIT_STEPS = 30
 """Largest number of steps of this search, which needs four to eight."""
