@@ -127,8 +127,7 @@ def _accepted(level: Level, strict: bool) -> Level:
     if strict and level.no_interval:
         raise AllanError(
             f'{level.term} of {level.axis} has no 95 % interval: record longer, fit with method '
-            'gls, '
-            'or omit --strict'
+            'gls, or omit --strict'
         )
     return level
 

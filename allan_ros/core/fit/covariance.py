@@ -196,12 +196,12 @@ _lag_tables: list[_LagTable] = []
 
 
 def _lag_table(octaves: int) -> _LagTable:
-    """Return a table of at least so many octaves."""
+    """Return a table of at least the given number of octaves."""
     factors = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * octaves
     for table in _lag_tables:
         if table.row.shape[1] >= factors:
             return table
-    _lag_tables.clear()  # before the next is computed, so that there is never more than one
+    _lag_tables.clear()  # before the next one is computed, so there is never more than one
     made = _LagTable(factors)
     _lag_tables.append(made)
     return made

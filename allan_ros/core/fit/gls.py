@@ -161,9 +161,9 @@ def _coefficient(
 
 
 def _hidden(n: Coefficient) -> Coefficient:
-    """Return N beside sinusoids that the model does not describe: a limit if it is uncertain.
+    """Return N if the model does not describe the sinusoids: only a limit if N is uncertain.
 
-    Far above the noise, a small error of a sinusoid is as large as the white noise.
+    A small error of a sinusoid far above the noise is as large as the white noise.
     """
     if n.ci95 is None or n.ci95[1] <= HIDDEN * n.ci95[0]:
         return n

@@ -247,8 +247,9 @@ LEAST_CLIPPED = 0.05
 """Smallest share of equal samples at one end of an axis that indicates clipping."""
 
 CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
-"""They must be this many times more than those of the next value, and the axis must have this many
-values: at a coarse resolution, most samples of an unclipped axis have one of two values."""
+"""Clipping also requires that these samples are more than those of the next value by this factor,
+and that the axis has at least this number of different values. (At a coarse resolution, most
+samples of an unclipped axis have one of two values.)"""
 
 
 def clipped_share(samples: Floats) -> float:
