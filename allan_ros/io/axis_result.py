@@ -168,7 +168,7 @@ class AxisResult:
 
     @property
     def processes(self) -> Processes:
-        """The fitted `.gauss_markov` (sigma, correlation_time) and `.sinusoid` (amplitude, frequency).
+        """Fitted `.gauss_markov` (sigma, correlation_time) and `.sinusoid` (amplitude, frequency).
 
         Tuples of the processes in addition to the five terms, in SI, s and Hz. All numbers have
         95 % intervals, such as ``sigma_ci95``.
