@@ -28,6 +28,10 @@ moves; the IMU is at rest, but its noise became louder."""
 RATE_CHANGE = 0.02
 """Relative change of the sample period that counts as another rate."""
 
+REPORTED_DROPPED_SHARE = 0.02
+"""Share of samples with backward stamps from which N is 1 % too large where the gaps that they
+leave cannot be found."""
+
 REPORTED_BRIDGED_SHARE = 1e-3
 """Smallest share of interpolated samples that is reported."""
 
@@ -307,6 +311,9 @@ def stream_findings(
         differs = abs(rate / declared - 1.0) > RATE_CHANGE
         add('rate_differs', differs, measured=rate, declared=declared)
     add('bursty_stamps', health.bursty and rate, rate=rate)
+    kept = 1.0 - counts.backward / max(counts.received, 1)
+    mixed = health.bursty and kept < 1.0 - REPORTED_DROPPED_SHARE
+    add('stamps_mixed', mixed, share=1.0 - kept, factor=max(kept, 0.01) ** -0.5)
     add('saturated', counts.saturated, count=counts.saturated)
     gaps = counts.cuts['gap']
     add('gaps', gaps, lost=counts.lost, cuts=gaps)

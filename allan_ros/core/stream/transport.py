@@ -39,7 +39,7 @@ NEVER_STILL_S = 10.0
 LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
     *('sensor_all_zero', 'zero_filled', 'held', 'never_still', 'no_noise', 'gyro_unit'),
-    *('accel_unit', 'accel_scale'),
+    *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed'),
 )
 """Findings of a complete stream that are also true while it runs."""
 

@@ -464,6 +464,14 @@ def test_gravity_may_have_been_removed():
     assert not ids(accumulate(t, x - [0, 0, 0, 0, 0, 9.8])) & {'accel_unit', 'accel_scale'}
 
 
+def test_stamps_of_two_clocks_give_no_valid_noise():
+    times, samples = still(20_000)
+    ahead = np.random.default_rng(1).random(len(times)) < 0.3
+    result = accumulate(times + ahead * 350_000_000, samples)
+    assert [f.severity for f in result.findings if f.id == 'stamps_mixed'] == ['error']
+    assert 'stamps_mixed' not in ids(accumulate(times, samples))
+
+
 @pytest.mark.parametrize('lsb', [0.0, 0.1, 0.5, 2.0])
 def test_an_axis_at_the_end_of_its_range_is_reported(lsb):
     times, noise = still(3000)
