@@ -221,17 +221,14 @@ def drift_scatter(
     gains = np.zeros((axes, len(LOG_SCATTERS)))
     contrasts = model.contrasts @ means.means
     for axis in range(axes):
-        values = contrasts[:, axis]
-        if not float(values @ values) > 0.0:
-            continue
-        variances = null_model(values, model).variances
-        if not variances[1:].any():
+        null = null_model(contrasts[:, axis], model)
+        if null is None or not null.variances[1:].any():
             continue
         level = white[axis][1] if axis in white else np.ones(1)
         ratios = level / level.mean() if len(level) == len(parts) else np.ones(len(parts))
         sizes = np.array(
             [
-                _size_likelihood(part.means[:, axis], part, variances, ratio, width / step)
+                _size_likelihood(part.means[:, axis], part, null.variances, ratio, width / step)
                 for (part, width), ratio in zip(parts, ratios)
             ]
         )

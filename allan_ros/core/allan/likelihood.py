@@ -105,11 +105,15 @@ class VarianceModel:
         area = (high - low) - (high**2 - low**2) / (2.0 * duration)
         return np.asarray(self.contrasts @ (area / (self.end - self.begin)))
 
-    def steps(self, ages: Floats) -> Floats:
-        """Return the contrasts of steps of unit size at given ages, (contrasts, steps)."""
-        width = self.end - self.begin
-        after = np.clip((self.end[:, None] - ages) / width[:, None], 0.0, 1.0)
-        return np.asarray(self.contrasts @ after)
+    def steps(self, ages: Floats, samples: NDArray[np.int64]) -> Floats:
+        """Return the contrasts of unit steps at ages in cells, (contrasts, steps).
+
+        ``samples`` is the number of samples of each cell: those after a step count.
+        """
+        total = np.concatenate([[0], np.cumsum(samples)])
+        begin, end = (edge.astype(int)[:, None] for edge in (self.begin, self.end))
+        after = total[end] - total[np.clip(ages.astype(int), begin, end)]
+        return np.asarray(self.contrasts @ (after / (total[end] - total[begin])))
 
     def early_walk(self, age: float) -> Floats:
         """Return the covariance of the contrasts of a random walk that ends at a given age."""
@@ -266,10 +270,12 @@ FIRST_ROUNDS = 2
 most 0.005 of twice the log likelihood compared with continuing from all starts."""
 
 
-def null_model(values: Floats, model: VarianceModel) -> Likelihood:
-    """Return the likelihood of contrasts without any effect; results of the last axes are
-    cached."""
-    return _null_model(values.tobytes(), model)
+def null_model(values: Floats, model: VarianceModel) -> Likelihood | None:
+    """Return the likelihood of contrasts without any effect, or None if all are 0.
+
+    The results of the last axes are cached.
+    """
+    return _null_model(values.tobytes(), model) if float(values @ values) > 0.0 else None
 
 
 @lru_cache(maxsize=12)

@@ -116,10 +116,6 @@ def _groups(axes: int, sensors: Sequence[Sequence[int]], kind: str) -> Iterator[
     yield tuple(range(axes)), of_all
 
 
-def _null_of(values: Floats, model: VarianceModel) -> Likelihood | None:
-    return null_model(values, model) if float(values @ values) > 0.0 else None
-
-
 def _alternative(
     values: Floats, model: VarianceModel, null: Likelihood, candidate: _Candidate, kind: str
 ) -> Likelihood:
@@ -161,7 +157,7 @@ def _strongest(
     model = variance_model(means)
     candidates = _candidates(model, len(recording.cell_samples), kind)
     values = (model.contrasts @ means.means).T
-    nulls = [_null_of(each, model) for each in values]
+    nulls = [null_model(each, model) for each in values]
     scores = np.array(
         [[_score_of(null, c, kind) if null else 0.0 for c in candidates] for null in nulls]
     )
@@ -271,12 +267,13 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     if len(fine.begin) < LEAST_CELLS:
         return ()
     grown, coarse = CellMeans.of(recording), CellMeans.even(recording, STEP_STRETCHES)
+    samples = recording.cell_samples
     found = []
     model = variance_model(grown)
     values = model.contrasts @ grown.means
     for axis in range(fine.means.shape[1]):
-        start = _null_of(values[:, axis], model)
-        steps = None if start is None else _steps_of(axis, fine, coarse, start.variances)
+        start = null_model(values[:, axis], model)
+        steps = None if start is None else _steps_of(axis, fine, coarse, samples, start.variances)
         if steps is not None:
             ages = tuple((a + offset) * recording.step for a in steps.ages)
             scale = 1.0 / recording.step  # random walk per cell
@@ -285,11 +282,13 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     return tuple(found)
 
 
-def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> BiasSteps | None:
+def _steps_of(
+    axis: int, fine: CellMeans, coarse: CellMeans, samples: NDArray[np.int64], start: Floats
+) -> BiasSteps | None:
     """Return the steps of one axis in cells; None if they are not significant."""
     where, fitted = variance_model(fine), variance_model(coarse)
     ages = fine.begin[2:-1]
-    every = where.steps(ages)
+    every = where.steps(ages, samples)
     values = where.contrasts @ fine.means[:, axis]
     coarse_values = fitted.contrasts @ coarse.means[:, axis]
     chosen: list[int] = []
@@ -306,7 +305,7 @@ def _steps_of(axis: int, fine: CellMeans, coarse: CellMeans, start: Floats) -> B
         if null is None or current is None:
             null = current = maximum(coarse_values, fitted.units, start, rounds=12)
         chosen.append(strongest)
-        effects = fitted.steps(ages[chosen])
+        effects = fitted.steps(ages[chosen], samples)
         current = maximum(coarse_values, fitted.units, current.variances, effects, rounds=12)
         excess = current.value - null.value - STEP_PRICE * len(chosen) - STEPS_THRESHOLD
         if excess > best_excess:
