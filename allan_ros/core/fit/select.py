@@ -256,8 +256,9 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
     """Return the fit with the processes with which it passes, else the best ones and a model
     error."""
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
-    best = _searched(pooled, axis, plain)
-    if _fits(best) and not _replaces_white(best):
+    # Filtered samples usually need a negative q, which the next search allows.
+    best = _searched(pooled, axis, plain, HOPELESS if selected.filtered else np.inf)
+    if _is_good(best):
         best = _bounded(pooled, axis, best)
         return replace(selected, fit=best, filtered=False)
     filtered = selected.filtered or _replaces_white(best)
