@@ -115,7 +115,7 @@ MICRO_G = STANDARD_GRAVITY * 1e-6
 
 
 class Unit(NamedTuple):
-    """The SI unit of a unit, and its factor."""
+    """The SI unit to which a unit is converted, and the conversion factor."""
 
     si: str
     factor: float

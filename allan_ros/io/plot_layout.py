@@ -45,11 +45,11 @@ HEAD_IN, LEGEND_ROW_IN, FOOT_IN, LEFT_IN, MARGIN_IN = 0.4, 0.17, 0.45, 0.62, 0.1
 the edge."""
 
 GAP_IN, KEY_ABOVE_IN, KEY_BESIDE_IN = 0.15, 0.5, 1.34
-"""Lengths in inches: space above each panel, the same with the key of a narrow figure, and the key
-to the right."""
+"""Lengths in inches: space above each panel, the same with the legend of a narrow figure, and the
+legend to the right."""
 
 SMALL = 7.0
-"""Font size of keys and notes in points: the smallest that journals accept."""
+"""Font size of legends and notes in points: the smallest that journals accept."""
 
 LINE_IN = SMALL * 1.2 / 72.0
 """Line spacing of the small font in inches."""
@@ -130,7 +130,7 @@ def new_figure(
 
 
 def heading(figure: Figure, title: str, facts: str, entries: Sequence[Entry], columns: int) -> None:
-    """Draw title, facts, and below them the key of all panels in evenly spaced columns."""
+    """Draw title, facts, and below them the legend of all panels in evenly spaced columns."""
     width, height = figure.get_size_inches()
     inches, top = figure.dpi_scale_trans, height - 0.09
     figure.text(LEFT_IN, top, title, transform=inches, va='top', weight='bold', size='large')

@@ -53,13 +53,13 @@ NARROW_IN = 5.0
 panel."""
 
 NARROW_ENTRIES = 6
-"""Largest number of entries of the key of a narrow figure."""
+"""Largest number of entries in the legend of a narrow figure."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
 """Opacity of the 68 % limits, and of the range that unresolved terms may add to the model."""
 
 BAND_STYLE: dict[str, Any] = {'lw': 6.0, 'solid_capstyle': 'butt'}
-"""Line of a band in the key."""
+"""Line that represents a band in the legend."""
 
 LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
 """Line of the 95 % upper limit of a term that is not resolved."""

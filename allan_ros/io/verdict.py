@@ -46,7 +46,8 @@ CHANGES_NUMBERS = ('settled_part',)
 """Notes that come first, because they state which part of the data was used."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
-"""Findings that need no action, or only a longer record, which is recommended in one line."""
+"""Findings whose remedy is not a next step: they need no action, or only a longer recording, for
+which there is a separate step."""
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,7 @@ class ImuEstimate(Part):
 
 
 class SumsInput(Part):
-    """Subscribes ``sums`` of an accumulator; the listener gets every snapshot."""
+    """Subscribes to ``sums`` of an accumulator and passes every snapshot to the listener."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
         self._node, self._listener = node, listener

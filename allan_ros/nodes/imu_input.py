@@ -206,7 +206,9 @@ class ImuInput:
             yield replace(batch, samples=batch.samples * self._scale)
 
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-        """Return the nodes that publish on the topic, one per publisher, and mismatches."""
+        """Return the node of each publisher on the topic, and findings about publishers whose type
+        or QoS does not match the subscription.
+        """
         known = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(map(full_name, known)), self._mismatches(known)
 

@@ -184,7 +184,10 @@ class BiasPublisher:
         self._tracker.use({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
-        """Return the values of an axis for diagnostics."""
+        """Return the bias of an axis, its interval and scatter as (name, value) for diagnostics.
+
+        The list is empty while the bias is unknown.
+        """
         bias = self._tracker.bias(axis)
         if bias is None:
             return []

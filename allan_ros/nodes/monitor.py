@@ -21,7 +21,7 @@ from .shell import Worker, ros_parser, run
 
 
 class Accumulator(AllanNode):
-    """Subscribes ``imu/data``; publishes ``~/sums`` and the status of its input."""
+    """Subscribes to ``imu/data``; publishes ``~/sums`` and the status of its input."""
 
     def __init__(self) -> None:
         super().__init__('allan_accumulator')
@@ -37,7 +37,7 @@ class Accumulator(AllanNode):
 
 
 class Estimator(AllanNode):
-    """Subscribes ``sums``; publishes ``~/noise_model`` and one diagnostic status per axis."""
+    """Subscribes to ``sums``; publishes ``~/noise_model`` and one diagnostic status per axis."""
 
     def __init__(self) -> None:
         super().__init__('allan_estimator')
@@ -50,7 +50,7 @@ class Estimator(AllanNode):
 
 
 class Relay(AllanNode):
-    """Subscribes ``imu/data`` and ``noise_model``; publishes ``imu/data_with_covariance``."""
+    """Subscribes to ``imu/data`` and ``noise_model``; publishes ``imu/data_with_covariance``."""
 
     def __init__(self) -> None:
         super().__init__('allan_imu_relay')

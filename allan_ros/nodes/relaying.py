@@ -224,7 +224,7 @@ class ImuRelay(Part):
         self._bias = message
 
     def _note_frame(self, payload: bytes) -> None:
-        """Count a message with another frame_id than the noise model."""
+        """Count a message whose frame_id differs from that of the noise model."""
         results = self._results
         try:
             frame_id = frame_id_of(payload)

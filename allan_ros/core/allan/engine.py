@@ -8,8 +8,9 @@ are counted from the start of the segment, so the sums are the same, bit for bit
 Every second difference is counted in the age bin in which it starts (see `history`).
 
 Source of the statistic: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11 (overlapping Allan
-variance). The phase is counted from the first sample of the segment, block by block: with raw sums
-an offset of 9.8 m/s^2 costs up to 1e-5 of the longest factors after 1e9 samples.
+variance). The first sample of the segment is subtracted before the phase is accumulated, and each
+block of level 0 has its own origin. With raw sums, an offset of 9.8 m/s^2 causes relative errors
+of up to 1e-5 at the longest factors after 1e9 samples.
 """
 
 from __future__ import annotations

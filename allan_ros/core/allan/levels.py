@@ -96,10 +96,10 @@ WhiteLevel = tuple[int, Floats, Ints]
 
 
 def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
-    """Return the white noise of each part by axis; a recording has ``parts`` parts (0: its
-    periods).
+    """Return the white noise in each part of the recordings, by axis.
 
-    Axes without white noise are left out.
+    ``parts`` is the number of equal parts of a recording; if it is 0, each period is a part. Axes
+    without white noise are left out.
     """
     split = [_level_parts(recording, age, parts) for recording in recordings]
     levels = min((count.shape[1] for count, _ in split), default=0)

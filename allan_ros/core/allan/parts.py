@@ -274,10 +274,11 @@ def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
 
 
 def _steps(degrees: Floats, power: Floats) -> tuple[int, int, int | None]:
-    """Return the rows at which the level of one axis first and last stepped, and at which factor.
+    """Return the first rows after the first and the last step of the noise level of an axis.
 
-    Without a step it is (1, 1, None), the beginning of the window. ``degrees`` (of freedom) and
-    ``power`` (sums of squares) are (rows, factors).
+    The third value is the index of the averaging factor at which the first step is most
+    significant. Without a significant step, the result is (1, 1, None): row 0 is the time before
+    the window. ``degrees`` (of freedom) and ``power`` (sums of squares) are (rows, factors).
     """
     degrees, power = np.cumsum(degrees, axis=0), np.cumsum(power, axis=0)
     ratio = _two_levels(degrees, power)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bias of a sensor at rest: its value, its interval, and how long it stays known.
+"""The bias of a sensor at rest: value, interval, and how long it stays within a tolerance.
 
 The bias is the mean of the samples over the next 10 s without their white noise. A Kalman filter
 with the states of the process model estimates it from means over 1 s.

@@ -168,7 +168,10 @@ def process_squares(
     lengths: Sequence[tuple[float, int]],
     times: Sequence[float],
 ) -> Floats:
-    """Return the sums over all pairs of differences of the products with processes.
+    """Return what Gauss-Markov processes of unit variance add to the covariance of Allan variances.
+
+    It is the sum of the products of their covariances with those of the four terms and with each
+    other, over all pairs of second differences.
 
     Parameters
     ----------

@@ -60,8 +60,10 @@ fourth difference of its covariance."""
 
 
 class Noise(NamedTuple):
-    """Variance coefficients q, w, b, k and of Gauss-Markov processes, (4 + processes,), with
-    the correlation times of the processes in samples.
+    """Variance coefficients of a noise model and the correlation times of its processes.
+
+    ``power`` contains q, w, b, k and the variance of each Gauss-Markov process, (4 + processes,);
+    ``times`` contains the correlation times in samples.
     """
 
     power: Floats = WHITE

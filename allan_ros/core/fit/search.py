@@ -191,8 +191,8 @@ class ProcessSearch:
         return less
 
     def _with_a_drift(self, found: Found) -> Found:
-        """Return the fit with a Gauss-Markov process in place of the walk, if there is no such
-        process.
+        """Return the fit with another Gauss-Markov process if the model has no walk and chi^2
+        decreases by more than `COMPARED_GAIN`, else the fit itself.
         """
         if self._walk:
             return found
@@ -319,5 +319,5 @@ def _spaced(low: float, high: float) -> Floats:
 
 
 def _sorted(extras: Sequence[Extra]) -> list[Extra]:
-    """Return Gauss-Markov processes before sinusoids, each by shape."""
+    """Return the Gauss-Markov processes, then the sinusoids, each sorted by shape."""
     return sorted(extras, key=lambda e: (isinstance(e, SinusoidTerm), e.shape))

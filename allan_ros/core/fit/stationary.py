@@ -80,7 +80,7 @@ class _Change:
 
     @property
     def _sizes(self) -> list[float]:
-        """Both values; a limit counts as the value, 0 without either."""
+        """Both values; the upper limit if a coefficient has no value, 0 if it has no limit."""
         both = self.complete, self.settled
         return [(c.value if c.status == 'estimated' else c.upper95) or 0.0 for c in both]
 

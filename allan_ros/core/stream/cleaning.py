@@ -144,7 +144,7 @@ class StampFilter:
 
 
 class PassSplitter:
-    """Splits a stream where its stamps go back and stay back, as in a looped recording.
+    """Splits a stream where its stamps jump back permanently, as in a looped recording.
 
     Single backward stamps are left to `StampFilter`. So samples with earlier stamps are buffered
     until `BACKWARD_RUN` of them follow each other (the first of them begins a new pass), or a

@@ -117,7 +117,7 @@ class FilterNoise:
         return found + list(target.entries(self) if target.entries else ())
 
     def row_entry(self, row: Row) -> Entry:
-        """Return the entry of one row of the table of a target."""
+        """Return the entry of the file for one row of the target."""
         path = (*self.target.parent, row.key)
         if row.what in ('N', 'K'):
             return self._term_entry(path, row)

@@ -47,8 +47,9 @@ class Survey:
         return ', '.join(shown[:LISTED]) + more
 
     def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
-        """Return the Imu topics among these (by default among all), else the Imus in other
-        messages."""
+        """Return the Imu topics among ``keys`` (by default, all topics); if there are none, the Imu
+        fields of other message types.
+        """
         keys = self.topics if keys is None else list(keys)
         plain = [ImuSource(key) for key in keys if key[1] == IMU_TYPE]
         return plain or [ImuSource(key, p) for key in keys for p in imu_fields(self.topics[key])]
