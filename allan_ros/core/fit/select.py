@@ -24,11 +24,12 @@ from .goodness import (
 from .intervals import Score, standard_errors
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
-from .search import MOST, ProcessSearch
+from .search import LONGEST_CORRELATION, MOST, ProcessSearch
 from .solve import (
     NO_MISFIT,
     FitOptions,
     K,
+    Misfit,
     N,
     PointFit,
     Q,
@@ -102,6 +103,9 @@ Z_SLACK = 1.0
 
 BOUNDED_MARGIN = 10.0
 """Decrease of the criterion for which a random walk is replaced by a bounded drift."""
+
+EXCHANGED_OCTAVES = 4
+"""Octaves of correlation times, from the longest one down, that may take the place of a walk."""
 
 HOPELESS = 30.0
 """A search whose goodness of fit is worse than this is not repeated with its own covariance."""
@@ -294,21 +298,44 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     other = _searched(pooled, axis, without)
     z = _z(fit)
     # A model that fails in any case gets a model error, so z is less important.
-    if _z(other) > (max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z):
-        return fit
-    return other if _criterion(other) + BOUNDED_MARGIN < _criterion(fit) else fit
+    most = max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z
+    if _z(other) <= most and _criterion(other) + BOUNDED_MARGIN < _criterion(fit):
+        return other
+    # The search weighs errors of the short averages that a model error is to absorb.
+    others = _exchanged(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
+    other = min([fit, *others], key=lambda each: _criterion(each, fit.options.misfit))
+    gain = _criterion(fit, fit.options.misfit) - _criterion(other, fit.options.misfit)
+    return other if gain > BOUNDED_MARGIN else fit
 
 
-def _criterion(fit: PointFit) -> float:
+def _exchanged(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
+    """Return fits with a long Gauss-Markov process added, and the random walk left out."""
+    extras = fit.options.extras
+    count = sum(isinstance(extra, GaussMarkovTerm) for extra in extras)
+    if count == MOST[GaussMarkovTerm]:
+        return []
+    longest = pooled.segments[0].samples / LONGEST_CORRELATION
+    out = []
+    for time in longest / 2.0 ** np.arange(EXCHANGED_OCTAVES):
+        new = (*extras[:count], GaussMarkovTerm(float(time)), *extras[count:])
+        try:
+            options = replace(fit.options, walk=False, extras=new)
+            out.append(point_fit(pooled, axis, options, fit.power))
+        except AllanError:  # beyond the precision of the covariance: not a better description
+            break
+    return out
+
+
+def _criterion(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
     """Return -2 log likelihood of the table, assumed Gaussian, plus twice the number of
     parameters."""
     parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
-    return minus_log_likelihood(fit.table, fit.power) + 2.0 * parameters
+    return minus_log_likelihood(fit.table, fit.power, misfit) + 2.0 * parameters
 
 
-def minus_log_likelihood(table: Table, power: Floats) -> float:
+def minus_log_likelihood(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Return -2 log likelihood of the table, assumed Gaussian, less a constant."""
-    whitening = Whitening.of(weights_at(table, power, NO_MISFIT))
+    whitening = Whitening.of(weights_at(table, power, misfit))
     rest = whitening.apply((table.avar - table.terms @ power)[:, None])
     size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
     return float(np.sum(rest**2) + 2.0 * size)

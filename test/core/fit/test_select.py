@@ -270,3 +270,18 @@ def test_n_beside_a_strong_sinusoid_is_right_or_a_limit(size):
     else:
         assert axis.noise['N'].upper95 > TRUTH.N
         assert 'noise_hidden' in findings
+
+
+def test_a_drift_that_levels_off_is_bounded_though_short_averages_need_a_model_error(shared_data):
+    """The random walk that was fitted to this accelerometer was 7 times the long averages."""
+    counts = np.load(shared_data / 'adis16405' / 'imu4_counts.npz')
+    y = np.asarray(counts['accel'])[12_000:, 1] * 0.00333 * 9.80665  # m/s^2
+    engine = RunningAllan(axes=('accel_y',))
+    engine.update(y[:, None], 0, round((len(y) - 1) * 1e7))
+    engine.end_segment()
+    axis = fit_gls(engine.sums).axes['accel_y']
+    tau = engine.sums.m * engine.sums.tau0
+    model = axis.selected.avar(tau, engine.sums.tau0)
+    ratio = np.sqrt(engine.sums.avar[:, 0] / model)[tau > 600.0]
+    assert axis.noise['K'].status != 'estimated'
+    assert 0.4 < np.median(ratio) < 2.5
