@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.sums import FIRST_FACTORS, LEVEL_FACTORS, counts, grid
+from ..errors import AllanError
 from .model import DIFFERENCE, Floats, walk_from_cubic
 
 Ints = NDArray[np.int64]
@@ -49,9 +50,15 @@ TAIL = 128
 PANELS_AT_ONCE = 1024
 """Number of panels that are summed together: a few megabytes of memory."""
 
+MOST_SAMPLES = 1 << 47
+"""Longest segment in samples, 4000 years at 1 kHz: the search keys of longer ones overflow."""
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
 _KEY = np.int64(1) << 52
-"""Distance between the search keys of two rows: larger than any lag."""
+"""Distance between the search keys of two rows: larger than the panel borders of a row extend."""
+
+_FARTHEST = int(_KEY) // 4
+"""Largest panel border: longer lags do not exist in `MOST_SAMPLES` samples."""
 
 _SMOOTH_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 PRODUCTS = len(_SMOOTH_PAIRS) + 3
@@ -140,10 +147,11 @@ def _edges(mi: int, mj: int) -> Ints:
     while reach[-1] < 2 * mj:
         reach.append(reach[-1] * PANEL_RATIO)
     around = np.concatenate([near, reach, np.negative(reach)])
-    tail = [2 * (mi + mj) * PANEL_RATIO**e for e in range(4)] + [TAIL * (mi + mj)]
+    far = [2 * (mi + mj) * PANEL_RATIO**e for e in range(4)] + [TAIL * (mi + mj)]
     centre = mj - mi
     lags = [around + b * mj - mi for b in range(3)]
-    lags.append(centre + np.array([*tail, *np.negative(tail)]))
+    tail = np.minimum(far, _FARTHEST)
+    lags.append(centre + np.concatenate([tail, -tail]))
     return np.unique(np.concatenate(lags)).astype(np.int64)
 
 
@@ -209,7 +217,15 @@ def _lag_table(octaves: int) -> _LagTable:
 
 @lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the pair sums of a record of ``samples`` samples; the last 80 are cached."""
+    """Return the pair sums of a record of ``samples`` samples; the last 80 are cached.
+
+    Above `MOST_SAMPLES` they cannot be computed (AllanError).
+    """
+    if samples > MOST_SAMPLES:
+        raise AllanError(
+            f'the sums have a segment of {samples} samples, which no recording can have: they are '
+            'damaged; accumulate them again'
+        )
     octaves = max(1, samples.bit_length() - 3)
     m, stride = grid(octaves)
     keep = 2 * m <= samples

@@ -5,8 +5,9 @@ import pytest
 
 from allan_ros.core.allan import likelihood
 from allan_ros.core.allan.sums import counts, grid_for
+from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import clear_cache
-from allan_ros.core.fit.covariance import TERM_PAIRS, pair_sums
+from allan_ros.core.fit.covariance import MOST_SAMPLES, TERM_PAIRS, pair_sums
 from allan_ros.core.fit.model import DIFFERENCE, avar_terms, phase_covariance
 
 
@@ -86,6 +87,18 @@ def test_the_sums_of_a_record_do_not_depend_on_longer_ones_before():
     after = pair_sums(1000)
     assert np.array_equal(after.squares, before.squares)
     assert np.array_equal(after.singles, before.singles)
+
+
+def test_the_longest_record_does_not_change_shorter_ones_and_a_longer_one_is_an_error():
+    """The table of an impossible record was wrong, and then used for all others."""
+    clear_cache()
+    before = pair_sums(1000)
+    clear_cache()
+    with pytest.raises(AllanError, match='accumulate them again'):
+        pair_sums(MOST_SAMPLES + 1)
+    pair_sums(MOST_SAMPLES)
+    assert np.array_equal(pair_sums(1000).squares, before.squares)
+    clear_cache()
 
 
 def test_the_model_of_stretches_is_cleared_too():
