@@ -325,6 +325,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except AllanError as error:
         return _stopped(f'{name}: {error}', EXIT_ERROR)
     except KeyboardInterrupt:
+        # If it arrived within an exec, such as that of a dataclass in an import, Python ends by the
+        # signal instead of the exit code, unless another exec follows.
+        exec('')
         return _stopped(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
         # The reader (head, less) has closed the pipe; writing at exit must not fail, either.

@@ -180,7 +180,7 @@ def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, said
     assert said.strip() == 'allan simulate: interrupted, nothing more is written'
     assert not endless.exists()
 
@@ -206,7 +206,7 @@ def test_ctrl_c_ends_all_processes_of_an_analysis_in_one_line(
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, said
     assert said.strip() == 'allan analyze: interrupted, nothing more is written'
     assert not (tmp_path / 'out').exists()
 
