@@ -325,9 +325,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except AllanError as error:
         return _stopped(f'{name}: {error}', EXIT_ERROR)
     except KeyboardInterrupt:
-        # If it arrived within an exec, such as that of a dataclass in an import, Python ends by the
-        # signal instead of the exit code, unless another exec follows.
-        exec('')
+        if argv is None and hasattr(signal, 'pthread_sigmask'):  # not on Windows
+            # After an interrupt within an import, Python sends itself the signal at exit. It ends
+            # with the exit code only if the signal is blocked.
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return _stopped(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
         # The reader (head, less) has closed the pipe; writing at exit must not fail, either.
