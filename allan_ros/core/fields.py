@@ -221,8 +221,8 @@ class Fields:
             return None if self._document.get(key) is None else self.of(key, args[0])
         if origin is Literal:
             return self.choice(key, args)
-        if origin is np.ndarray:
-            whole = get_args(args[1])[0] is np.int64
+        if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, NDArray is a type itself
+            whole = np.int64 in (args[-1], *get_args(args[-1]))
             return self.integers(key, len(self.sequence(key))) if whole else self.numbers(key)
         if args[1:] == (Ellipsis,) and args[0] is str:
             texts = self.sequence(key)
