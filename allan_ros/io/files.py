@@ -76,6 +76,15 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
     raise AllanError(f'{os.fspath(path)}: cannot be read ({why}): check the path')
 
 
+def is_number(text: str) -> bool:
+    """Return whether a text is a number, including NaN and infinity."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def _not_regular(path: str | os.PathLike[str]) -> AllanError:
     return AllanError(
         f'{os.fspath(path)}: is a folder, FIFO, device or socket: give a regular file'

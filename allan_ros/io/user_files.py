@@ -33,7 +33,7 @@ from ..core.imu import AXES, DEGREE, SENSORS, SI_UNITS, from_datasheet, sensor_o
 from ..core.noise import NoiseTerms
 from ..core.simulate import PRESETS, Faults
 from .datasheets import load_sensor
-from .files import config_file, read_text, read_yaml, to_json, write_atomic
+from .files import config_file, is_number, read_text, read_yaml, to_json, write_atomic
 
 TRUTH_SCHEMA, FILTER_SCHEMA = 'allan_ros/truth/1', 'allan_ros/filter/1'
 
@@ -214,7 +214,7 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
     """
     rows = [_cells(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()]
     names = ['tau', *OTHER_TOOL]
-    has_header = bool(rows) and not _is_number(rows[0][0])
+    has_header = bool(rows) and not is_number(rows[0][0])
     if has_header:
         names, rows = [_column_name(cell) for cell in rows[0]], rows[1:]
     rows = [row for row in rows if row[0][:1] != '#']
@@ -241,7 +241,7 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
     text, found = read_text(path, LARGEST_FILE), {}
     for key, of in PUBLISHED.items():
         match = re.search(rf'^\s*{key}\s*:\s*([-+.\deE]+)', text, re.MULTILINE)
-        if match and _is_number(match[1]):
+        if match and is_number(match[1]):
             found[of] = float(match[1])
     if not found:
         raise AllanError(f'{path}: contains none of {", ".join(PUBLISHED)}')
@@ -292,11 +292,3 @@ def _column_name(cell: str) -> str:
     """Return the name of a column without its unit, in lower case."""
     name = cell.strip().strip('"').lower().split('[')[0].split('(')[0].strip('_ ')
     return 'tau' if name in ('tau', 'tau_s', 'period', 'time') else name.removesuffix('_adev')
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

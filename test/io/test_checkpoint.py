@@ -115,37 +115,37 @@ def test_a_file_of_another_version_is_left_alone(tmp_path: Path, sums: Sums, ope
     assert path.read_text() == content
 
 
-STRANGERS = [sums_of('other'), sums_of(period_ns=2 * 10**7)]
+OTHER_IMUS = [sums_of('other'), sums_of(period_ns=2 * 10**7)]
 NAMES = ['another IMU', 'another rate']
 
 
-@pytest.mark.parametrize('stranger', STRANGERS, ids=NAMES)
+@pytest.mark.parametrize('other', OTHER_IMUS, ids=NAMES)
 def test_a_file_of_another_imu_is_left_alone_until_its_own_is_back(
-    tmp_path: Path, sums: Sums, stranger: Sums, opened
+    tmp_path: Path, sums: Sums, other: Sums, opened
 ) -> None:
     path = tmp_path / 'sums.json'
     save(opened(path), sums)
     content = path.read_bytes()
     checkpoint = opened(path)
-    assert checkpoint.total(stranger, Provenance())[0] == stranger
+    assert checkpoint.total(other, Provenance())[0] == other
     assert 'cannot be added' in str(checkpoint.refused)
-    assert not save(checkpoint, stranger) and path.read_bytes() == content
+    assert not save(checkpoint, other) and path.read_bytes() == content
     assert save(checkpoint, sums) and checkpoint.refused is None
     assert opened(path).earlier[0][0].samples == 2 * sums[0].samples
 
 
-@pytest.mark.parametrize('stranger', STRANGERS, ids=NAMES)
+@pytest.mark.parametrize('other', OTHER_IMUS, ids=NAMES)
 def test_what_this_run_saved_is_left_alone_too(
-    tmp_path: Path, sums: Sums, stranger: Sums, opened
+    tmp_path: Path, sums: Sums, other: Sums, opened
 ) -> None:
     path = tmp_path / 'sums.json'
     checkpoint = opened(path)
     save(checkpoint, sums)
     content = path.read_bytes()
-    assert not save(checkpoint, stranger)
+    assert not save(checkpoint, other)
     assert path.read_bytes() == content and checkpoint.refused is not None
     # a reset leaves the file, whose sums are not of this run any more
-    assert checkpoint.begin_anew(checkpoint.total(stranger, Provenance())) == ''
+    assert checkpoint.begin_anew(checkpoint.total(other, Provenance())) == ''
     assert checkpoint.total(sums, Provenance())[0][0].samples == 2 * sums[0].samples
 
 
@@ -163,7 +163,7 @@ def test_a_file_that_was_moved_away_is_refused_no_more(tmp_path: Path, sums: Sum
         path.unlink()
 
 
-def test_a_sensor_that_comes_later_is_no_stranger(tmp_path: Path, sums: Sums, opened) -> None:
+def test_a_sensor_that_comes_later_is_no_other_imu(tmp_path: Path, sums: Sums, opened) -> None:
     checkpoint = opened(tmp_path / 'sums.json')
     assert save(checkpoint, sums_of(axes=slice(0, 3))) and save(checkpoint, sums)
     assert checkpoint.refused is None

@@ -138,8 +138,8 @@ def test_the_watcher_shows_each_status(graph, still_imu):
     bad = DiagnosticStatus(
         name='allan_monitor: input', message='nothing comes', level=DiagnosticStatus.ERROR
     )
-    stranger = DiagnosticStatus(name='battery: charge', message='full')
-    publisher.publish(DiagnosticArray(status=[good, bad, stranger]))
+    unrelated = DiagnosticStatus(name='battery: charge', message='full')
+    publisher.publish(DiagnosticArray(status=[good, bad, unrelated]))
     graph.until(lambda: 'imu gyro x' in watch.output)
     assert watch.stop() == 0
     assert 'ERROR input: nothing comes' in watch.output

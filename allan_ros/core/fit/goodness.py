@@ -1,19 +1,31 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goodness of fit, and the model error if the terms do not describe the table."""
+"""Goodness of a fit, and the model error if the terms do not describe the table."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..deferred import special
-from .intervals import coefficient_interval
+from .intervals import coefficient_interval, standard_errors
 from .model import RANDOM_TERMS, Floats
-from .solve import JITTER, NO_MISFIT, K, Misfit, Whitening, solve, weights_at
-from .table import Table
+from .processes import GaussMarkovTerm
+from .solve import (
+    JITTER,
+    NO_MISFIT,
+    K,
+    Misfit,
+    N,
+    PointFit,
+    Whitening,
+    point_fit,
+    solve,
+    weights_at,
+)
+from .table import PooledTable, Table
 
 Z_FAIL = 3.0
 """Normal deviate above which the model is rejected; by chance, one table in several hundred exceeds
@@ -55,6 +67,23 @@ MISFIT_STEPS = 30
 
 MARGIN = 0.05
 """Smallest distance of a step from either end of the bracket, as a fraction of the bracket."""
+
+
+LEAST_FREEDOM = 6.0
+"""Smallest degrees of freedom of the averages that must contribute the rest. The likelihood assumes
+Gaussian averages, which favours a bounded drift if the last few averages happen to be small."""
+
+WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
+"""Random walks for which a likelihood is computed, relative to the largest that the curve
+allows."""
+
+Z_CUT = 6.0
+"""The shortest averages, which determine N, are left out only if the fit is worse than this or the
+samples are filtered. Real disturbances give values of hundreds."""
+
+FILTER_SHARES = ((1.5, 0.1), (32.0, 0.95))
+"""Correlation time in samples, and fraction of the long-term white level. If Gauss-Markov processes
+up to this time exceed the fraction, they have replaced white noise: the samples are filtered."""
 
 
 @dataclass(frozen=True)
@@ -213,3 +242,88 @@ def _misfit_from(table: Table, power: Floats, signed: bool, m_min: int) -> Misfi
         eps = float(np.clip(eps * np.sqrt(ratio), low + MARGIN * (high - low), MISFIT_LIMIT))
         eps = min(eps, high - MARGIN * (high - low))
     return Misfit(eps, m_min)
+
+
+def fits(fit: PointFit) -> bool:
+    """Return whether a model describes its table, long averages included."""
+    if deviate(fit) >= Z_FAIL:
+        return False
+    return long_tau_deficit(fit.table, fit.power) > DEFICIT_LIMIT
+
+
+def deviate(fit: PointFit) -> float:
+    """Return the goodness of fit as a normal deviate."""
+    z = goodness(fit.table, fit.power).z
+    return best_case_goodness(fit.table, fit.power).z if Z_FAIL <= z < Z_CUT else z
+
+
+def is_good(fit: PointFit) -> bool:
+    """Return whether a model describes its table without replacing white noise."""
+    return fits(fit) and not replaces_white(fit)
+
+
+def replaces_white(fit: PointFit) -> bool:
+    """Return whether a short Gauss-Markov process represents filtered white noise."""
+    white = max(float(fit.power[N]), 0.0)
+    levels = [
+        (e.shape / fit.options.m_min, float(p) * e.white())
+        for e, p in zip(fit.options.extras, fit.power[len(RANDOM_TERMS) :])
+        if isinstance(e, GaussMarkovTerm)
+    ]
+    return any(
+        (level := sum(p for t, p in levels if t < longest)) > share * (white + level)
+        for longest, share in FILTER_SHARES
+    )
+
+
+def criterion(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
+    """Return -2 log likelihood of the table, assumed Gaussian, plus twice the number of
+    parameters."""
+    parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
+    return minus_log_likelihood(fit.table, fit.power, misfit) + 2.0 * parameters
+
+
+def minus_log_likelihood(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
+    """Return -2 log likelihood of the table, assumed Gaussian, less a constant."""
+    whitening = Whitening.of(weights_at(table, power, misfit))
+    rest = whitening.apply((table.avar - table.terms @ power)[:, None])
+    size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
+    return float(np.sum(rest**2) + 2.0 * size)
+
+
+def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
+    """Return which averages have at least `LEAST_FREEDOM` degrees of freedom."""
+    variance = np.diag(weights_at(fit.table, fit.power, NO_MISFIT))
+    return np.asarray(2.0 * (fit.table.terms @ fit.power) ** 2 >= LEAST_FREEDOM * variance)
+
+
+def surprise(table: Table, fit: PointFit) -> float:
+    """Return -2 log likelihood of the table with the most likely random walk.
+
+    If a random walk dominates the longest averages, its estimate depends on few of them. If it is
+    low by chance, the other averages become unlikely (`best_case_goodness`).
+    """
+    signed = fit.options.signed
+    fits = [solve(table, fit.power, columns=fit.options.columns, signed=signed)]
+    if fit.options.walk:
+        most = float(np.min(table.avar / table.terms[:, K]))
+        fits += [solve(table, fit.power, fixed={K: most * w}, signed=signed) for w in WALKS]
+    return min(minus_log_likelihood(table, p) for p in fits)
+
+
+def loosened(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Return the fit with the fractional model error with which it passes."""
+    misfit = misfit_of(fit.table, fit.power, fit.options.signed)
+    return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.power)
+
+
+def white_error(pooled: PooledTable, axis: int, fit: PointFit) -> float:
+    """Return the relative standard error of N, including model error and uncertain shapes."""
+    options = fit.options
+    table = options.table(pooled, axis, options.noise(fit.power), tangents=True)
+    power = np.concatenate([fit.power, np.zeros(table.terms.shape[1] - len(fit.power))])
+    if not power[N] > 0.0:
+        return np.inf
+    active = (power != 0.0) | (np.arange(len(power)) >= len(fit.power))
+    white = Whitening.of(weights_at(table, power, options.misfit)).apply(table.terms[:, active])
+    return float(standard_errors(white)[np.count_nonzero(active[:N])] / power[N] / 2.0)

@@ -8,20 +8,28 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import AllanError
 from .goodness import (
     DEFICIT_LIMIT,
+    Z_CUT,
     Z_FAIL,
     Goodness,
     best_case_goodness,
-    goodness,
+    criterion,
+    deviate,
+    fits,
+    is_good,
     long_tau_deficit,
+    loosened,
     misfit_of,
     misfit_without_deficit,
+    precise_rows,
+    replaces_white,
+    surprise,
+    white_error,
 )
-from .intervals import Score, standard_errors
+from .intervals import Score
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
 from .search import LONGEST_CORRELATION, MOST, ProcessSearch
@@ -29,14 +37,10 @@ from .solve import (
     NO_MISFIT,
     FitOptions,
     K,
-    Misfit,
-    N,
     PointFit,
     Q,
-    Whitening,
     first_guess,
     point_fit,
-    solve,
     weights_at,
 )
 from .table import PooledTable, Table
@@ -60,20 +64,10 @@ Records of the five terms exceed it on one of two hundred axes."""
 LIKELIER_SLACK = 2.0
 """Largest contribution of the longest averages to this ratio."""
 
-LEAST_FREEDOM = 6.0
-"""Smallest degrees of freedom of the averages that must contribute the rest. The likelihood assumes
-Gaussian averages, which favours a bounded drift if the last few averages happen to be small."""
 
 LIKELIER_LINE = 21.0
 """The same for one more sinusoid: one in 2000 records."""
 
-WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
-"""Random walks for which a likelihood is computed, relative to the largest that the curve
-allows."""
-
-Z_CUT = 6.0
-"""The shortest averages, which determine N, are left out only if the fit is worse than this or the
-samples are filtered. Real disturbances give values of hundreds."""
 
 CUT_LOSS = 4.0
 """The shortest averages are kept if N would otherwise be less certain by more than this factor than
@@ -94,9 +88,6 @@ ROUNDS = 6
 SAME_SHAPE = 0.05
 """Relative change of a shape that has no effect on the covariance."""
 
-FILTER_SHARES = ((1.5, 0.1), (32.0, 0.95))
-"""Correlation time in samples, and fraction of the long-term white level. If Gauss-Markov processes
-up to this time exceed the fraction, they have replaced white noise: the samples are filtered."""
 
 Z_SLACK = 1.0
 """A model with processes may exceed the goodness of fit of an accepted model by this much."""
@@ -144,14 +135,7 @@ class Selection:
     @property
     def fits(self) -> bool:
         """Whether the model describes the table."""
-        return _fits(self.fit)
-
-
-def _fits(fit: PointFit) -> bool:
-    """Return whether a model describes its table, long averages included."""
-    if _z(fit) >= Z_FAIL:
-        return False
-    return long_tau_deficit(fit.table, fit.power) > DEFICIT_LIMIT
+        return fits(self.fit)
 
 
 def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None) -> Selection:
@@ -188,7 +172,7 @@ def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> Poi
     for _ in range(sum(MOST.values())):
         more = _one_more(pooled, axis, fit, GaussMarkovTerm)
         more = more or _one_more(pooled, axis, fit, SinusoidTerm)
-        if more is None or _replaces_white(more):
+        if more is None or replaces_white(more):
             break
         fit = more
     return fit
@@ -210,34 +194,14 @@ def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) 
         new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.power)
         before = fit.options.table(pooled, axis, new.options.noise(new.power))
         before = before.rows(np.isin(before.m, new.table.m))
-        gain = _surprise(before, fit) - _surprise(new.table, new)
+        gain = surprise(before, fit) - surprise(new.table, new)
         if not is_line and gain > LIKELIER:
-            precise = _precise(new)
-            without = _surprise(before.rows(precise), fit)
-            gain = min(gain, LIKELIER_SLACK + without - _surprise(new.table.rows(precise), new))
+            precise = precise_rows(new)
+            without = surprise(before.rows(precise), fit)
+            gain = min(gain, LIKELIER_SLACK + without - surprise(new.table.rows(precise), new))
     except AllanError:  # below the precision of the covariance: no better description
         return None
     return new if gain > (LIKELIER_LINE if is_line else LIKELIER) else None
-
-
-def _precise(fit: PointFit) -> NDArray[np.bool_]:
-    """Return which averages have at least `LEAST_FREEDOM` degrees of freedom."""
-    variance = np.diag(weights_at(fit.table, fit.power, NO_MISFIT))
-    return np.asarray(2.0 * (fit.table.terms @ fit.power) ** 2 >= LEAST_FREEDOM * variance)
-
-
-def _surprise(table: Table, fit: PointFit) -> float:
-    """Return -2 log likelihood of the table with the most likely random walk.
-
-    If a random walk dominates the longest averages, its estimate depends on few of them. If it is
-    low by chance, the other averages become unlikely (`best_case_goodness`).
-    """
-    signed = fit.options.signed
-    fits = [solve(table, fit.power, columns=fit.options.columns, signed=signed)]
-    if fit.options.walk:
-        most = float(np.min(table.avar / table.terms[:, K]))
-        fits += [solve(table, fit.power, fixed={K: most * w}, signed=signed) for w in WALKS]
-    return min(minus_log_likelihood(table, p) for p in fits)
 
 
 def _search_with(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
@@ -262,26 +226,26 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
     # Filtered samples usually need a negative q, which the next search allows.
     best = _searched(pooled, axis, plain, HOPELESS if selected.filtered else np.inf)
-    if _is_good(best):
+    if is_good(best):
         best = _bounded(pooled, axis, best)
         return replace(selected, fit=best, filtered=False)
-    filtered = selected.filtered or _replaces_white(best)
-    tried = [] if _replaces_white(best) else [best]
+    filtered = selected.filtered or replaces_white(best)
+    tried = [] if replaces_white(best) else [best]
     if selected.filtered:
         tried.append(_searched(pooled, axis, selected.fit))
-    good = [fit for fit in tried if _is_good(fit)]
-    if not good and (filtered or _z(best) > Z_CUT):
+    good = [fit for fit in tried if is_good(fit)]
+    if not good and (filtered or deviate(best) > Z_CUT):
         good, tried = _of_a_part(pooled, axis, selected.fit, tried or [best])
     if good:
-        best_fit = next((fit for fit in good if _z(fit) < Z_LOOK), good[0])
+        best_fit = next((fit for fit in good if deviate(fit) < Z_LOOK), good[0])
     else:
-        best_fit = min(tried, key=lambda fit: (_replaces_white(fit), _z(fit)))
+        best_fit = min(tried, key=lambda fit: (replaces_white(fit), deviate(fit)))
     best_fit = _bounded(pooled, axis, best_fit)
     lines = [e.shape for e in best.options.extras if isinstance(e, SinusoidTerm)]
     hidden = [f for f in lines if 1.0 / f < 2.0 * best_fit.options.m_min]
     hint = hidden[0] if hidden and best_fit.options.m_min > 1 else None
     selected = replace(selected, fit=best_fit, filtered=filtered, hint=hint)
-    if good and _z(best_fit) < Z_FAIL + Z_SLACK:
+    if good and deviate(best_fit) < Z_FAIL + Z_SLACK:
         return selected
     return _with_misfit(pooled, axis, selected)
 
@@ -296,15 +260,15 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
         return fit
     without = replace(fit, options=replace(fit.options, walk=False))
     other = _searched(pooled, axis, without)
-    z = _z(fit)
+    z = deviate(fit)
     # A model that fails in any case gets a model error, so z is less important.
     most = max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z
-    if _z(other) <= most and _criterion(other) + BOUNDED_MARGIN < _criterion(fit):
+    if deviate(other) <= most and criterion(other) + BOUNDED_MARGIN < criterion(fit):
         return other
     # The search weighs errors of the short averages that a model error is to absorb.
     others = _exchanged(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
-    other = min([fit, *others], key=lambda each: _criterion(each, fit.options.misfit))
-    gain = _criterion(fit, fit.options.misfit) - _criterion(other, fit.options.misfit)
+    other = min([fit, *others], key=lambda each: criterion(each, fit.options.misfit))
+    gain = criterion(fit, fit.options.misfit) - criterion(other, fit.options.misfit)
     return other if gain > BOUNDED_MARGIN else fit
 
 
@@ -326,27 +290,12 @@ def _exchanged(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
     return out
 
 
-def _criterion(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
-    """Return -2 log likelihood of the table, assumed Gaussian, plus twice the number of
-    parameters."""
-    parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
-    return minus_log_likelihood(fit.table, fit.power, misfit) + 2.0 * parameters
-
-
-def minus_log_likelihood(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
-    """Return -2 log likelihood of the table, assumed Gaussian, less a constant."""
-    whitening = Whitening.of(weights_at(table, power, misfit))
-    rest = whitening.apply((table.avar - table.terms @ power)[:, None])
-    size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
-    return float(np.sum(rest**2) + 2.0 * size)
-
-
 def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
     """Return the fit with the model error with which it passes, only on the averages that need
     it."""
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
-    if _z(fit) >= Z_FAIL:
+    if deviate(fit) >= Z_FAIL:
         misfit = misfit_of(fit.table, fit.power, signed)
     levels_off = long_tau_deficit(fit.table, fit.power, misfit) <= DEFICIT_LIMIT
     if levels_off:
@@ -399,26 +348,6 @@ def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
     )
 
 
-def _replaces_white(fit: PointFit) -> bool:
-    """Return whether a short Gauss-Markov process represents filtered white noise."""
-    white = max(float(fit.power[N]), 0.0)
-    levels = [
-        (e.shape / fit.options.m_min, float(p) * e.white())
-        for e, p in zip(fit.options.extras, fit.power[len(RANDOM_TERMS) :])
-        if isinstance(e, GaussMarkovTerm)
-    ]
-    return any(
-        (level := sum(p for t, p in levels if t < longest)) > share * (white + level)
-        for longest, share in FILTER_SHARES
-    )
-
-
-def _z(fit: PointFit) -> float:
-    """Return the goodness of fit as a normal deviate."""
-    z = goodness(fit.table, fit.power).z
-    return best_case_goodness(fit.table, fit.power).z if Z_FAIL <= z < Z_CUT else z
-
-
 def _of_a_part(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
@@ -436,13 +365,13 @@ def _of_a_part(
         Fits of the complete table, none of them good.
     """
     loose = {
-        _white_error(pooled, axis, each): each
-        for each in (_loosened(pooled, axis, t) for t in tried if not _replaces_white(t))
+        white_error(pooled, axis, each): each
+        for each in (loosened(pooled, axis, t) for t in tried if not replaces_white(t))
     }
     most = CUT_LOSS * min(loose, default=np.inf)
     start = replace(fit, options=replace(tried[0].options, signed=True))
     cuts = _without_the_shortest(pooled, axis, start, most)
-    good = {_white_error(pooled, axis, cut): cut for cut in cuts if _is_good(cut)}
+    good = {white_error(pooled, axis, cut): cut for cut in cuts if is_good(cut)}
     most = min(most, IMITATION_LOSS * min(good, default=np.inf))
     best_first = sorted((_imitations(cut), cut.options.m_min, e) for e, cut in good.items())
     usable = [good[e] for _, _, e in best_first if e < most]
@@ -465,12 +394,12 @@ def _without_the_shortest(
             break
         options = FitOptions(m_min=m_min, signed=True)
         fit = point_fit(pooled, axis, options, start.power[: len(RANDOM_TERMS)])
-        if not (_fits(fit) or any(_is_good(each) for each in out)):
+        if not (fits(fit) or any(is_good(each) for each in out)):
             kept = tuple(e for e in start.options.extras if e.scale > CLEAR_OF_CUT * m_min)
             known = replace(fit, options=replace(options, extras=kept))
             fit = _searched(pooled, axis, _resized(known), HOPELESS)
         out.append(fit)
-        if _is_good(fit) and _z(fit) < Z_LOOK and not _imitations(fit):
+        if is_good(fit) and deviate(fit) < Z_LOOK and not _imitations(fit):
             break
     return out
 
@@ -478,29 +407,6 @@ def _without_the_shortest(
 def _imitations(fit: PointFit) -> int:
     """Return the number of processes that may imitate a filter on the shortest averages."""
     return sum(e.scale < IMITATES * fit.options.m_min for e in fit.options.extras)
-
-
-def _is_good(fit: PointFit) -> bool:
-    """Return whether a model describes its table without replacing white noise."""
-    return _fits(fit) and not _replaces_white(fit)
-
-
-def _loosened(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with the fractional model error with which it passes."""
-    misfit = misfit_of(fit.table, fit.power, fit.options.signed)
-    return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.power)
-
-
-def _white_error(pooled: PooledTable, axis: int, fit: PointFit) -> float:
-    """Return the relative standard error of N, including model error and uncertain shapes."""
-    options = fit.options
-    table = options.table(pooled, axis, options.noise(fit.power), tangents=True)
-    power = np.concatenate([fit.power, np.zeros(table.terms.shape[1] - len(fit.power))])
-    if not power[N] > 0.0:
-        return np.inf
-    active = (power != 0.0) | (np.arange(len(power)) >= len(fit.power))
-    white = Whitening.of(weights_at(table, power, options.misfit)).apply(table.terms[:, active])
-    return float(standard_errors(white)[np.count_nonzero(active[:N])] / power[N] / 2.0)
 
 
 def _resized(fit: PointFit) -> PointFit:

@@ -37,6 +37,16 @@ mean of these steps is at least this share of the mean of all steps."""
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this fraction of the steps is below half the period."""
 
+LATTICE_RANGE, LATTICE_TRACKING = 0.05, 0.003
+"""Ranges of the search for the period, as fractions of it: for the first search, and for later
+ones."""
+
+LATTICE_GAP = 16.0
+"""Longest silence, in periods, after which the phase of the samples is assumed to continue."""
+
+LATTICE_STEP = 0.25
+"""Phase difference, in cycles over all stamps, between two tried periods."""
+
 
 @dataclass(frozen=True)
 class Clock:
@@ -113,14 +123,3 @@ def lattice_period(stamps: Stamps, period: float, reach: float) -> float:
     rate = 1.0 + resolution * np.arange(-int(reach / resolution), int(reach / resolution) + 1)
     contrast = np.array([abs(np.exp(2j * np.pi * r * t).sum()) for r in rate])
     return float(period / rate[np.argmax(contrast)])
-
-
-LATTICE_RANGE, LATTICE_TRACKING = 0.05, 0.003
-"""Ranges of the search for the period, as fractions of it: for the first search, and for later
-ones."""
-
-LATTICE_GAP = 16.0
-"""Longest silence, in periods, after which the phase of the samples is assumed to continue."""
-
-LATTICE_STEP = 0.25
-"""Phase difference, in cycles over all stamps, between two tried periods."""

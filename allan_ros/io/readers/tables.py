@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SAMPLE_SI, SENSORS, ImuBatch, even_stamps
-from ..files import open_regular
+from ..files import is_number, open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .columns import LEFT_OUT, Columns, columns_of, listed, picked_names
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
@@ -116,10 +116,10 @@ def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
                 f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
             )
         used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
-        names, header_line = given, 0 if all(map(_is_number, used)) else number
-    elif not all(map(_is_number, first)):
+        names, header_line = given, 0 if all(map(is_number, used)) else number
+    elif not all(map(is_number, first)):
         names, header_line = first, number
-    elif len(above) == len(first) and not all(map(_is_number, above)):
+    elif len(above) == len(first) and not all(map(is_number, above)):
         names, header_line = tuple(cell.strip() for cell in above), 0
     else:
         raise AllanError(
@@ -222,15 +222,6 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
     return csv.reader(lines, delimiter=delimiter, strict=True)
 
 
-def _is_number(cell: str) -> bool:
-    """Return whether a cell is a number, including NaN and infinity."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
 class _Lines:
     """The lines of a table after its header, without comments and empty lines.
 
@@ -294,7 +285,7 @@ class _Rows:
         with suppress(ValueError):
             return np.array(list(map(float, cells)))
         for row, cell in enumerate(cells):
-            if cell.strip() and not _is_number(cell):
+            if cell.strip() and not is_number(cell):
                 raise self._not_a_number(row, column)
         return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
 
@@ -321,7 +312,7 @@ class _Rows:
     def _not_a_number(self, row: int, column: int) -> AllanError:
         cell = self.cells[row][column].strip()[:40]
         name = f' ({self.table.names[column]})' if self.table.names else ''
-        comma = ',' in cell and _is_number(cell.replace(',', '.'))
+        comma = ',' in cell and is_number(cell.replace(',', '.'))
         remedy = 'write decimals with a point' if comma else 'correct or remove the line'
         return AllanError(
             f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '

@@ -96,7 +96,7 @@ def test_ramp_weights_are_least_squares_on_the_samples(points, step):
     assert ols_ramp_weights(points, step) @ phase == pytest.approx(expected, rel=1e-9)
 
 
-def test_strangers_are_refused():
+def test_sums_of_other_axes_or_rates_are_not_added():
     sums = sums_of(noise(500), axes=AXES)
     other = sums_of(noise(500, axes=2), axes=AXES[:2])
     with pytest.raises(AllanError, match='axes'):
