@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings: messages to the user, whose texts are all in the catalogue ``findings.txt``.
+"""Findings: messages to the user about a recording or a running node.
 
-A message states the cause and the number, a remedy the next step; each is one short sentence.
+All texts are in the catalogue ``findings.txt``. The message of a finding states the cause with its
+numbers, the remedy states the next step.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ SEVERITIES: tuple[Severity, ...] = ('error', 'warning', 'info')
 
 @dataclass(frozen=True)
 class Finding:
-    """A message to the user: the cause with its numbers, and the remedy."""
+    """A message to the user: the cause with its numbers, and the remedy.
+
+    ``axes`` are the affected axes; an empty tuple means all of them.
+    """
 
     id: str
     severity: Severity
@@ -48,22 +52,22 @@ def _catalogue(text: str) -> Iterator[Finding]:
 _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 
 CATALOGUE = {one.id: one for one in _catalogue(_TEXT)}
-"""id -> templates."""
+"""Finding by id; its texts are templates whose fields `finding` fills in."""
 
 PLURAL = re.compile(r'\{(\w+):([^{}|]*)\|([^{}|]*)\}')
-"""A field of a template with the texts for one, and for any other number."""
+"""A template field ``{name:singular|plural}``: the first text is used if the value is 1."""
 
 
 def _filled(template: str, values: Mapping[str, object]) -> str:
-    """Return a template as one line, with its numbers and with words in singular or plural."""
+    """Return a template as one line, with the values inserted and singular or plural selected."""
     text = PLURAL.sub(lambda field: field[2 if values[field[1]] == 1 else 3], template)
     return one_line(text.format(**values))
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding ``id`` with its numbers filled in; ``when`` is optional.
+    """Return the finding ``id`` for these axes (none: all), with ``values`` in its texts.
 
-    No axes means all of them.
+    ``values`` must contain every field of the templates except ``when``, which is '' by default.
     """
     known, values = CATALOGUE[id], {'when': '', **values}
     message, remedy = (_filled(text, values) for text in (known.message, known.remedy))
@@ -71,7 +75,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
 
 
 def duration_text(seconds: float, digits: int = 2) -> str:
-    """Return a duration in a suitable unit.
+    """Return a duration given in seconds as text, in s, min, h or days.
 
     >>> duration_text(90.0), duration_text(1234.0, digits=3), duration_text(86400.0 * 3.456)
     ('90 s', '20.6 min', '3.5 days')

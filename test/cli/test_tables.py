@@ -119,7 +119,7 @@ def test_a_part_that_is_left_out_is_named_first(small_results: Results) -> None:
     left_out = finding('settled_part', ('gyro_x',), early='1 h', what='drift', changes='K is less')
     shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'si', 100)
     first = next(i for i, line in enumerate(shown) if line.startswith(('info', 'warning')))
-    assert shown[first].startswith('info: gyro x: The first 1 h differ from the rest')
+    assert shown[first].startswith('info: gyro x: The first 1 h differ from the later data')
     assert 'and 5 warnings: -v shows all, with remedies' in shown
 
 

@@ -253,7 +253,7 @@ def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
     set_parameters(graph, '/allan_imu_relay', relay__variance='sample')
     relayed(expected(True, gyro=(0.25, 0.25, 0.25)))
     status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
-    assert 'no variance of the accel' in status.message
+    assert 'no variance for the accel' in status.message
     set_parameters(graph, '/allan_imu_relay', relay__inflate=2.0)
     relayed(expected(True, gyro=(1.0, 1.0, 1.0)))
     (refused,) = set_parameters(graph, '/allan_imu_relay', relay__variance='guessed')
