@@ -104,8 +104,8 @@ class Datasheet:
     ----------
     limits : mapping of axis name to term ('N', 'B') to Limit
         Limits of the terms that the sources state.
-    range, lsb : mapping of axis name to float
-        Full scale and step of the values in rad/s and m/s^2, if stated.
+    range : mapping of axis name to float
+        Largest magnitude that the sensor measures, in rad/s or m/s^2, if stated.
     carries : str
         Name of the sensor that a product contains and whose figures these are; '' for a sensor.
     """
@@ -115,7 +115,6 @@ class Datasheet:
     sources: Mapping[str, Source]
     limits: Mapping[str, Mapping[str, Limit]]
     range: Mapping[str, float]
-    lsb: Mapping[str, float]
     remark: str = ''
     carries: str = ''
 
@@ -238,7 +237,7 @@ def comparison_from_document(
             limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
     stated = {key: _source(sources.fields(key)) for key in sources}
     name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
-    sheet = Datasheet(name, maker, stated, limits, {}, {}, remark)
+    sheet = Datasheet(name, maker, stated, limits, {}, remark)
     return against_datasheet(noise, sheet, fields.number('margin'))
 
 
@@ -290,24 +289,21 @@ def _datasheet(fields: Fields) -> Datasheet:
     sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
     ranges: dict[str, float] = {}
-    steps: dict[str, float] = {}
     for axis in AXES:
         for name in (sensor_of(axis), axis):
             part = fields.optional_fields(name)
             if part is None:
                 continue
             limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
-            unit = SI_UNITS[sensor_of(axis)]['B']
-            for key, into in (('range', ranges), ('lsb', steps)):
-                if key in part:
-                    into[axis] = _quantity(part.fields(key), unit, sources).value
+            if 'range' in part:
+                unit = SI_UNITS[sensor_of(axis)]['B']
+                ranges[axis] = _quantity(part.fields('range'), unit, sources).value
     return Datasheet(
         fields.text('name'),
         fields.text('maker', ''),
         sources,
         limits,
         ranges,
-        steps,
         fields.text('remark', ''),
     )
 
@@ -330,7 +326,7 @@ def _source(fields: Fields) -> Source:
 def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
     """Return term -> limit of one sensor or axis."""
     walk, units = WALK_KEY[sensor], SI_UNITS[sensor]
-    fields.only(walk, 'noise_density', 'bias_instability', 'range', 'lsb')
+    fields.only(walk, 'noise_density', 'bias_instability', 'range')
     limits = {}
     # If both are stated, the random walk is N itself, and no assumption is needed.
     for key, term, meaning in (

@@ -18,17 +18,21 @@ from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
 """Sensor -> name in a heading."""
 
-SIGNAL_UNITS = {'gyro': 'deg/s', 'accel': 'mg'}
-"""Units of the raw signal if coefficients are shown in datasheet units."""
+SHOWN_UNITS = {
+    'datasheet': {
+        'gyro': {**DATASHEET_UNITS['gyro'], 'signal': 'deg/s', 'density': 'deg/s/sqrt(Hz)'},
+        'accel': {**DATASHEET_UNITS['accel'], 'signal': 'mg', 'density': 'ug/sqrt(Hz)'},
+    },
+    'si': {
+        sensor: {**units, 'signal': units['B'], 'density': units['N']}
+        for sensor, units in SI_UNITS.items()
+    },
+}
+"""Units of the output -> sensor -> quantity -> unit. A quantity is a term (Q, N, B, K or R), the
+samples ('signal'), or the root of their power spectral density ('density')."""
 
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 """Significant digits of a value, and of the ends of its interval."""
-
-DENSITY_UNITS = {
-    'datasheet': {'gyro': 'deg/s/sqrt(Hz)', 'accel': 'ug/sqrt(Hz)'},
-    'si': {'gyro': 'rad/s/sqrt(Hz)', 'accel': 'm/s^2/sqrt(Hz)'},
-}
-"""Units of the root of the power spectral density, which datasheets call noise density."""
 
 PRETTY = (
     ('sqrt(Hz)', '√Hz'),
@@ -61,21 +65,14 @@ class ShownUnit(NamedTuple):
     factor: float
 
 
-def shown_unit(axis: str, term: str, units: str) -> ShownUnit:
-    """Return the unit in which a term of an axis is shown; the deviation has the unit of B."""
-    system = SI_UNITS if units == 'si' else DATASHEET_UNITS
-    return _shown(system[sensor_of(axis)][term])
+def shown_unit(axis: str, quantity: str, units: str) -> ShownUnit:
+    """Return the unit in which a quantity of an axis or sensor is printed.
 
-
-def shown_signal_unit(axis: str, units: str) -> ShownUnit:
-    """Return the unit in which the samples of an axis are shown."""
-    sensor = sensor_of(axis)
-    return _shown(SI_UNITS[sensor]['B'] if units == 'si' else SIGNAL_UNITS[sensor])
-
-
-def shown_density_unit(axis: str, units: str) -> ShownUnit:
-    """Return the unit in which the root of the spectral density of an axis is shown."""
-    return _shown(DENSITY_UNITS[units][sensor_of(axis)])
+    ``quantity`` is a key of `SHOWN_UNITS`, such as 'N' or 'signal'; the Allan deviation has the
+    unit of 'B'. ``units`` is 'datasheet' or 'si'.
+    """
+    unit = SHOWN_UNITS[units][sensor_of(axis)][quantity]
+    return ShownUnit(unit, 1.0 / UNITS[unit].factor)
 
 
 def pretty_unit(name: str) -> str:
@@ -169,10 +166,6 @@ def deviation_text(deviation: Deviation | None) -> str:
     if deviation is None:
         return ''
     return f'{deviation.relative:+.0%} at {significant(deviation.tau, 2)} s'
-
-
-def _shown(unit: str) -> ShownUnit:
-    return ShownUnit(unit, 1.0 / UNITS[unit].factor)
 
 
 def text_in_units(text: str, units: str, typeset: bool = False) -> str:

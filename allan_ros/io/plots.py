@@ -22,7 +22,6 @@ from .format import (
     SENSOR_NAMES,
     interval_text,
     pretty_unit,
-    shown_signal_unit,
     shown_unit,
     value_text,
 )
@@ -283,7 +282,7 @@ def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
 
 def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> None:
     """Draw the signal about its middle, and mark the samples that are not used."""
-    unit, column = shown_signal_unit(axis, units), AXES.index(axis)
+    unit, column = shown_unit(axis, 'signal', units), AXES.index(axis)
     middle = summary.middle[column]
     low, high = ((a[:, column] - middle) * unit.factor for a in (summary.low, summary.high))
     scale, _ = _clock(summary)

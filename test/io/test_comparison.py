@@ -67,7 +67,7 @@ def test_the_verdict_names_what_differs_most(
 def test_every_run_is_held_against_the_first_and_every_datasheet(small_results: Results) -> None:
     n = small_results.axes['gyro_x'].fit.noise['N'].value
     assert n is not None
-    sheet = Datasheet('X', '', {'s': Source('X')}, {'gyro_x': {'N': Limit(n / 2, '1')}}, {}, {})
+    sheet = Datasheet('X', '', {'s': Source('X')}, {'gyro_x': {'N': Limit(n / 2, '1')}}, {})
     runs = [Subject(label, small_results) for label in 'abc']
     comparison = compare_runs(runs, [sheet])
     assert [(p.first, p.second) for p in comparison.pairs] == [('a', 'b'), ('a', 'c')]
@@ -160,7 +160,7 @@ def test_a_table_for_each_datasheet(small_results: Results) -> None:
     n = small_results.axes['gyro_x'].fit.noise['N'].value
     assert n is not None
     sheet, empty = (
-        Datasheet(name, '', {'s': Source('X')}, limits, {}, {})
+        Datasheet(name, '', {'s': Source('X')}, limits, {})
         for name, limits in (('X|<', {'gyro_x': {'N': Limit(n / 2, '3 | 4')}}), ('Y', {}))
     )
     comparison = compare_runs([Subject('a', small_results)], [sheet, empty])

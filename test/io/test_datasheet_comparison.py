@@ -17,7 +17,7 @@ from allan_ros.io.results import Results
 def sheet_of(**limits: float) -> Datasheet:
     """Return a datasheet that states limits of gyro_x, in SI."""
     stated = {term: Limit(value, f'{value:g} SI') for term, value in limits.items()}
-    return Datasheet('X-1', 'Maker', {'a': Source('X-1', 'Rev. A')}, {'gyro_x': stated}, {}, {})
+    return Datasheet('X-1', 'Maker', {'a': Source('X-1', 'Rev. A')}, {'gyro_x': stated}, {})
 
 
 def held(results: Results, **limits: float) -> Results:

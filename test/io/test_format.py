@@ -16,7 +16,6 @@ from allan_ros.io.format import (
     ShownUnit,
     grouped,
     interval_text,
-    shown_signal_unit,
     shown_unit,
     significant,
     value_text,
@@ -79,7 +78,7 @@ def test_units() -> None:
     )
     assert shown_unit('accel_z', 'B', 'datasheet') == ('ug', pytest.approx(1.0 / 9.80665e-6))
     assert shown_unit('gyro_y', 'K', 'si') == ('rad/s^2/sqrt(Hz)', 1.0)
-    assert shown_signal_unit('gyro_y', 'datasheet') == ('deg/s', pytest.approx(180.0 / math.pi))
+    assert shown_unit('gyro_y', 'signal', 'datasheet') == ('deg/s', pytest.approx(180.0 / math.pi))
 
 
 def finding_of(axis, message, severity='warning', id='x', remedy='Fix it.'):

@@ -127,7 +127,7 @@ def test_too_short_a_record_is_not_judged(small_results: Results) -> None:
 
 
 def test_no_file_calls_a_record_that_is_too_short_beyond_a_limit(small_results: Results) -> None:
-    sheet = Datasheet('X', '', {}, {'gyro_x': {'N': Limit(1e-9, '1')}}, {}, {})
+    sheet = Datasheet('X', '', {}, {'gyro_x': {'N': Limit(1e-9, '1')}}, {})
     short = replace(small_results, duration_s=5.0)
     assert small_results.against_datasheet(sheet, 0.0).comparisons[0].verdict == 'beyond'
     judged = [

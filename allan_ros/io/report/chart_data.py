@@ -23,8 +23,6 @@ from ..format import (
     SENSOR_NAMES,
     part_text,
     pretty_unit,
-    shown_density_unit,
-    shown_signal_unit,
     shown_unit,
 )
 from ..plot_style import drawn_curve
@@ -97,8 +95,8 @@ def _units(sensor: str, units: str) -> dict[str, Any]:
     """Return quantity of a chart -> its unit, and the factor from SI to this unit."""
     of = {
         'curve': shown_unit(sensor, 'B', units),
-        'signal': shown_signal_unit(sensor, units),
-        'density': shown_density_unit(sensor, units),
+        'signal': shown_unit(sensor, 'signal', units),
+        'density': shown_unit(sensor, 'density', units),
         **{term: shown_unit(sensor, term, units) for term in TERMS},
     }
     return {what: [pretty_unit(unit.name), unit.factor] for what, unit in of.items()}
