@@ -29,7 +29,7 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.fit import AxisFit, fit_noise
-from allan_ros.core.fit.select import LIKELIER
+from allan_ros.core.fit.model_selection import LIKELIER
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import (
     NoiseTerms,

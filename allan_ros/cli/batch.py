@@ -21,7 +21,7 @@ from typing import Any
 from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
-from ..core.fit.reading import ADVISED_TERMS
+from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
 from ..io.documents import results_to_document
 from ..io.files import write_atomic

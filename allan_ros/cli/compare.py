@@ -22,7 +22,7 @@ from .. import api
 from ..api import ResultSettings
 from ..core.errors import AllanError
 from ..core.fit import AxisFit
-from ..core.fit.least_squares import fit_curve
+from ..core.fit.simple_methods import fit_curve
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from ..io.comparison import comparison_document, inflation_document, inflation_facts
 from ..io.format import deviation_text, text_in_units

@@ -22,9 +22,9 @@ from ..core.filters.noise_parameters import reduce_axis, sample_variance
 from ..core.filters.reductions import StateSpace
 from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
-from ..core.fit.least_squares import fit_curve
+from ..core.fit.interpretation import ModelLine, Region, dominant_regions, model_line
 from ..core.fit.model import Status
-from ..core.fit.reading import ModelLine, Region, model_line, read_curve
+from ..core.fit.simple_methods import fit_curve
 from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect
@@ -272,7 +272,7 @@ def axis_results(
                 model.tau0,
                 fit,
                 curve.axis(i),
-                tuple(read_curve(curve, name, fit)),
+                tuple(dominant_regions(curve, name, fit)),
                 None if variance is None else math.sqrt(variance),
                 name,
                 rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from ..core.findings import SEVERITIES, Finding
 from ..core.fit import Coefficient, Deviation
-from ..core.fit.reading import Region
+from ..core.fit.interpretation import Region
 from ..core.imu import DATASHEET_UNITS, SI_UNITS, UNITS, sensor_of
 
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}

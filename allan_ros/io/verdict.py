@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..core.compare import Comparison
 from ..core.findings import Finding, duration_text
 from ..core.fit import TERMS
-from ..core.fit.reading import ADVISED_TERMS, longest_recommended, recommended_duration
+from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
 from .format import grouped, interval_text, pretty_unit, shown_unit, significant, value_text
 

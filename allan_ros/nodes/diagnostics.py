@@ -18,8 +18,8 @@ from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference
 from ..core.errors import one_line
 from ..core.findings import Finding, duration_text, finding
+from ..core.fit.interpretation import recommended_duration
 from ..core.fit.model import TERMS, Coefficient
-from ..core.fit.reading import recommended_duration
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..io.axis_result import AxisResult

@@ -9,7 +9,7 @@ import pytest
 
 from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit.least_squares import fit_curve
+from allan_ros.core.fit.simple_methods import fit_curve
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.user_files import read_curves
 

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..fit.solve import nonnegative_least_squares
+from ..fit.gls_solver import nonnegative_least_squares
 from ..noise import FLICKER_FLOOR, NoiseTerms, ProcessModel, gauss_markov_avar
 from .growth import drift_model, has_drift, predicted_growth
 

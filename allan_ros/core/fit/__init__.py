@@ -66,7 +66,7 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
         from .gls import fit_gls
 
         return fit_gls(sums, like)
-    from .least_squares import fit_paper, fit_relative
+    from .simple_methods import fit_paper, fit_relative
 
     return (fit_paper if method == 'paper' else fit_relative)(sums)
 

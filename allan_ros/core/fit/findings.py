@@ -13,12 +13,12 @@ import numpy as np
 from ..allan.curve import AllanCurve
 from ..findings import Finding, duration_text, finding
 from ..imu import SI_UNITS, sensor_of
+from .gls_solver import K, N, Q
 from .goodness import few_averages
+from .interpretation import largest_deviation, model_line, recommended_duration
 from .intervals import Z_DETECT, RampInterval, Score
 from .model import AxisFit, Floats, NoiseModel, Sinusoid
-from .reading import largest_deviation, model_line, recommended_duration
-from .select import Selection
-from .solve import K, N, Q
+from .model_selection import Selection
 from .table import PooledTable
 
 COARSEST_IGNORED = 0.02
@@ -34,7 +34,7 @@ LEAST_POINTS = 8
 """Smallest number of phase points: fewer points are multiples of some step by chance."""
 
 
-def lattice_step(phase: Floats, deviation: float) -> float | None:
+def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the step of which all points of a coarse phase record are multiples, or None.
 
     ``deviation`` is the standard deviation of the white noise per sample; much finer steps are
@@ -112,7 +112,7 @@ def rounding_step(phase: Floats, white: float) -> float | None:
 
     ``phase`` is the coarse phase record, ``white`` the variance of the white noise per sample.
     """
-    step = lattice_step(phase, math.sqrt(max(white, 0.0)))
+    step = common_step(phase, math.sqrt(max(white, 0.0)))
     return step if step is not None and step * step / 12.0 > ROUNDING_SHARE * white else None
 
 
@@ -137,7 +137,7 @@ def explain(
     name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']
     found = [*_shape_findings(name, unit, selected, fit, tau0)]
-    white = float(selected.fit.power[N])
+    white = float(selected.fit.variances[N])
     step = rounding_step(pooled.segments[0].phase[:, axis], white)
     if step is not None:
         share = step * step / 12.0 / white
@@ -203,13 +203,15 @@ def _shape_findings(
 def _removed(selected: Selection) -> float:
     """Return the fraction of the white noise per sample that a low-pass filter has removed."""
     fit = selected.fit
-    white = float(fit.table.terms[0, N] * fit.power[N])
-    return max(-float(fit.table.terms[0, Q] * fit.power[Q]) / white, 0.0) if white > 0.0 else 1.0
+    white = float(fit.table.terms[0, N] * fit.variances[N])
+    return (
+        max(-float(fit.table.terms[0, Q] * fit.variances[Q]) / white, 0.0) if white > 0.0 else 1.0
+    )
 
 
 def _precise_until(selected: Selection) -> float:
     """Return the averaging factor above which the curve has few degrees of freedom."""
-    few = few_averages(selected.fit.table, selected.fit.power)
+    few = few_averages(selected.fit.table, selected.fit.variances)
     return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
 
 
@@ -266,10 +268,10 @@ def _time_findings(
         held = selected.fit.options.table(
             pooled,
             axis,
-            selected.fit.options.noise(selected.fit.power),
+            selected.fit.options.noise(selected.fit.variances),
             np.zeros(len(pooled.segments)),
         )
-        if Score(held, K, selected.fit.power, selected.fit.options.misfit)(0.0) > Z_DETECT:
+        if Score(held, K, selected.fit.variances, selected.fit.options.misfit)(0.0) > Z_DETECT:
             found.append(finding('drift_not_separable', name))
     advice = recommended_duration(fit, pooled.segments[0].samples * tau0)
     if advice is not None:

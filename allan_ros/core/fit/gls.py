@@ -12,6 +12,7 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding
 from .findings import explain, explain_nothing, joined
+from .gls_solver import FitOptions, K, Misfit, N, Q, solve
 from .intervals import (
     CoefficientInterval,
     RampInterval,
@@ -30,9 +31,8 @@ from .model import (
     Sinusoid,
     coefficient_to_si,
 )
+from .model_selection import select_model
 from .processes import GaussMarkovTerm, SinusoidTerm
-from .select import select_model
-from .solve import FitOptions, K, Misfit, N, Q, solve
 from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
@@ -73,16 +73,16 @@ def _fit_axis(
     if constant or len(pooled.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(pooled, axis, constant)
     selected = select_model(pooled, axis, _options_of(like, tau0) if like else None)
-    power, options = selected.fit.power, selected.fit.options
+    variances, options = selected.fit.variances, selected.fit.options
     if len(selected.fit.table.m) <= LEAST_FACTORS:
         return _nothing(), explain_nothing(pooled, axis, constant)
     # The tangents widen all intervals because of uncertain correlation times and frequencies.
-    table = options.table(pooled, axis, options.noise(power), tangents=True)
-    power = np.concatenate([power, np.zeros(table.terms.shape[1] - len(power))])
+    table = options.table(pooled, axis, options.noise(variances), tangents=True)
+    variances = np.concatenate([variances, np.zeros(table.terms.shape[1] - len(variances))])
     sizes = range(table.noises + table.lines)
     terms = range(len(RANDOM_TERMS))
-    intervals = [coefficient_interval(table, t, power, options.misfit) for t in terms]
-    values = _consistent(table, power, intervals, options.misfit)
+    intervals = [coefficient_interval(table, t, variances, options.misfit) for t in terms]
+    values = _consistent(table, variances, intervals, options.misfit)
     noise = {
         name: _coefficient(name, float(values[t]), intervals[t], tau0)
         for t, name in enumerate(RANDOM_TERMS)
@@ -94,7 +94,7 @@ def _fit_axis(
         # q.
         others = tuple(t for t in sizes if t != Q)
         alone = solve(
-            selected.fit.table, power[: len(sizes)], columns=others, misfit=options.misfit
+            selected.fit.table, variances[: len(sizes)], columns=others, misfit=options.misfit
         )
         value = _consistent(selected.fit.table, alone, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
@@ -127,7 +127,7 @@ def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
 
 
 def _consistent(
-    table: Table, power: Floats, intervals: list[CoefficientInterval], misfit: Misfit
+    table: Table, variances: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
     """Return the variance coefficients such that each value lies within its interval.
 
@@ -137,25 +137,25 @@ def _consistent(
     """
     above, below = 1.0 + AT_AN_END, 1.0 - AT_AN_END
     seen = [(t, each) for t, each in enumerate(intervals) if each.observable]
-    outside = [t for t, i in seen if not above * i.low < power[t] < below * i.high]
+    outside = [t for t, i in seen if not above * i.low < variances[t] < below * i.high]
     if not outside:
-        return power
-    out = power.copy()
-    out[outside] = solve(table, power, signed=True, misfit=misfit)[outside]
+        return variances
+    out = variances.copy()
+    out[outside] = solve(table, variances, signed=True, misfit=misfit)[outside]
     return out
 
 
 def _coefficient(
-    name: str, power: float, interval: CoefficientInterval, tau0: float
+    name: str, variance: float, interval: CoefficientInterval, tau0: float
 ) -> Coefficient:
     """Return a random term in SI units."""
     if not (interval.observable and math.isfinite(interval.high)):
         return _unresolved(
-            coefficient_to_si(name, power, tau0), coefficient_to_si(name, interval.high, tau0)
+            coefficient_to_si(name, variance, tau0), coefficient_to_si(name, interval.high, tau0)
         )
-    ends = (min(interval.low, power), max(interval.high, power))
+    ends = (min(interval.low, variance), max(interval.high, variance))
     return Coefficient(
-        coefficient_to_si(name, power, tau0),
+        coefficient_to_si(name, variance, tau0),
         (coefficient_to_si(name, ends[0], tau0), coefficient_to_si(name, ends[1], tau0)),
     )
 

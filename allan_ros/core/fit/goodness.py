@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..deferred import special
-from .intervals import coefficient_interval, standard_errors
-from .model import RANDOM_TERMS, Floats
-from .processes import GaussMarkovTerm
-from .solve import (
+from .gls_solver import (
     JITTER,
     NO_MISFIT,
     K,
@@ -25,6 +22,9 @@ from .solve import (
     solve,
     weights_at,
 )
+from .intervals import coefficient_interval, standard_errors
+from .model import RANDOM_TERMS, Floats
+from .processes import GaussMarkovTerm
 from .table import PooledTable, Table
 
 Z_FAIL = 3.0
@@ -104,14 +104,14 @@ class Goodness:
         return self.z >= Z_FAIL
 
 
-def goodness(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
+def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
     """Return the goodness of fit of the active terms at their best fit.
 
     The degrees of freedom are the number of independent points of the table, less the active terms
     and the shapes of the processes.
     """
-    covariance = weights_at(table, power, misfit)
-    active = np.flatnonzero(power != 0.0)
+    covariance = weights_at(table, variances, misfit)
+    active = np.flatnonzero(variances != 0.0)
     white = Whitening.of(covariance).apply(np.column_stack([table.terms[:, active], table.avar]))
     design = white[:, :-1] / np.linalg.norm(white[:, :-1], axis=0)
     basis = np.linalg.qr(design)[0]
@@ -133,7 +133,7 @@ def degrees_of_freedom(covariance: Floats) -> float:
     return float(np.sum(eigenvalues / (eigenvalues + JITTER)))
 
 
-def long_tau_deficit(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
+def long_tau_deficit(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Return how far the lowest of the long averages lies below the model, as a normal deviate.
 
     An Allan variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), with nu = 2
@@ -141,23 +141,23 @@ def long_tau_deficit(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) ->
     corresponds to the smallest probability, corrected for the number of tested averages
     (Bonferroni), so the limit is `DEFICIT_LIMIT` for any length of the record.
     """
-    model = table.terms @ power
-    few = few_averages(table, power, misfit) & (model > 0.0)
+    model = table.terms @ variances
+    few = few_averages(table, variances, misfit) & (model > 0.0)
     if not few.any():
         return 0.0
-    half = model[few] ** 2 / np.diag(weights_at(table, power, misfit))[few]
+    half = model[few] ** 2 / np.diag(weights_at(table, variances, misfit))[few]
     below = special.gammainc(half, half * np.maximum(table.avar[few], 0.0) / model[few])
     tests = max(1.0, np.count_nonzero(few) / POINTS_PER_TEST)
     return float(special.ndtri(np.clip(tests * below.min(), np.finfo(float).tiny, 0.5)))
 
 
-def few_averages(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> NDArray[np.bool_]:
+def few_averages(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> NDArray[np.bool_]:
     """Return which factors have fewer than `FEW_AVERAGES` degrees of freedom."""
-    model = table.terms @ power
-    return np.asarray(2.0 * model**2 < FEW_AVERAGES * np.diag(weights_at(table, power, misfit)))
+    model = table.terms @ variances
+    return np.asarray(2.0 * model**2 < FEW_AVERAGES * np.diag(weights_at(table, variances, misfit)))
 
 
-def best_case_goodness(table: Table, power: Floats) -> Goodness:
+def best_case_goodness(table: Table, variances: Floats) -> Goodness:
     """Return the goodness at the fitted coefficients, or with the walk at its upper limit if
     better.
 
@@ -165,31 +165,31 @@ def best_case_goodness(table: Table, power: Floats) -> Goodness:
     estimate is too low by chance, the other averages seem too large. Therefore a table is only
     rejected if no walk within the interval of k describes it.
     """
-    first = goodness(table, power)
+    first = goodness(table, variances)
     if not first.fails or first.z > Z_HOPELESS:
         return first
-    most = power.copy()
-    most[K] = coefficient_interval(table, K, power).high
+    most = variances.copy()
+    most[K] = coefficient_interval(table, K, variances).high
     if not np.isfinite(most[K]):
         return first
     other = goodness(table, most)
     return other if other.z < first.z else first
 
 
-def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Misfit) -> Misfit:
+def misfit_without_deficit(table: Table, variances: Floats, signed: bool, misfit: Misfit) -> Misfit:
     """Return the smallest fractional error of the long averages for which none of them is too low.
 
     Without a ``misfit`` of all averages, only those of few degrees of freedom get the error: the
     terms that the precise part of the curve determines keep their values and intervals.
     """
-    m_min = int(table.m[few_averages(table, power)].min())
+    m_min = int(table.m[few_averages(table, variances)].min())
     if misfit.size > 0.0:
         m_min = misfit.m_min
     low, high, eps = misfit.size, MISFIT_LIMIT, max(misfit.size, MISFIT_START / 2.0)
     for _ in range(MISFIT_STEPS):
         error = Misfit(eps, m_min)
-        power = solve(table, power, signed=signed, misfit=error)
-        fits = long_tau_deficit(table, power, error) > DEFICIT_LIMIT
+        variances = solve(table, variances, signed=signed, misfit=error)
+        fits = long_tau_deficit(table, variances, error) > DEFICIT_LIMIT
         low, high = (low, eps) if fits else (eps, high)
         if high - low < MISFIT_TOLERANCE * high:
             break
@@ -197,7 +197,7 @@ def misfit_without_deficit(table: Table, power: Floats, signed: bool, misfit: Mi
     return Misfit(high, m_min)
 
 
-def misfit_of(table: Table, power: Floats, signed: bool) -> Misfit:
+def misfit_of(table: Table, variances: Floats, signed: bool) -> Misfit:
     """Return the fractional error at which chi^2 is as expected, at as few factors as possible.
 
     If the terms describe the table up to some factor, only the larger factors get an error, because
@@ -205,7 +205,7 @@ def misfit_of(table: Table, power: Floats, signed: bool) -> Misfit:
     error is at most `MISFIT_GROWTH` times the error of all factors, so that the long averages keep
     their weight.
     """
-    misfit = _misfit_from(table, power, signed, 1)
+    misfit = _misfit_from(table, variances, signed, 1)
     most = MISFIT_GROWTH * misfit.size
     octaves = 2 ** np.arange(1, int(table.m.max()).bit_length())
     low, high = 0, len(octaves)
@@ -214,8 +214,8 @@ def misfit_of(table: Table, power: Floats, signed: bool) -> Misfit:
         split = int(octaves[middle])
         short = table.rows(table.m < split)
         if len(short.m) > 2 * len(RANDOM_TERMS):
-            other = _misfit_from(table, power, signed, split)
-            best = solve(table, power, signed=signed, misfit=other)
+            other = _misfit_from(table, variances, signed, split)
+            best = solve(table, variances, signed=signed, misfit=other)
             if other.size > most or goodness(short, best).fails:
                 high = middle
                 continue
@@ -224,7 +224,7 @@ def misfit_of(table: Table, power: Floats, signed: bool) -> Misfit:
     return misfit
 
 
-def _misfit_from(table: Table, power: Floats, signed: bool, m_min: int) -> Misfit:
+def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> Misfit:
     """Return the fractional error eps, from ``m_min`` on, at which chi^2 is as expected.
 
     C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
@@ -233,8 +233,8 @@ def _misfit_from(table: Table, power: Floats, signed: bool, m_min: int) -> Misfi
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
-        power = solve(table, power, signed=signed, misfit=Misfit(eps, m_min))
-        got = goodness(table, power, Misfit(eps, m_min))
+        variances = solve(table, variances, signed=signed, misfit=Misfit(eps, m_min))
+        got = goodness(table, variances, Misfit(eps, m_min))
         ratio = got.chi_squared / got.freedom
         if abs(ratio - 1.0) < MISFIT_TOLERANCE:
             break
@@ -248,13 +248,13 @@ def fits(fit: PointFit) -> bool:
     """Return whether a model describes its table, long averages included."""
     if deviate(fit) >= Z_FAIL:
         return False
-    return long_tau_deficit(fit.table, fit.power) > DEFICIT_LIMIT
+    return long_tau_deficit(fit.table, fit.variances) > DEFICIT_LIMIT
 
 
 def deviate(fit: PointFit) -> float:
     """Return the goodness of fit as a normal deviate."""
-    z = goodness(fit.table, fit.power).z
-    return best_case_goodness(fit.table, fit.power).z if Z_FAIL <= z < Z_CUT else z
+    z = goodness(fit.table, fit.variances).z
+    return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_CUT else z
 
 
 def is_good(fit: PointFit) -> bool:
@@ -264,10 +264,10 @@ def is_good(fit: PointFit) -> bool:
 
 def replaces_white(fit: PointFit) -> bool:
     """Return whether a short Gauss-Markov process represents filtered white noise."""
-    white = max(float(fit.power[N]), 0.0)
+    white = max(float(fit.variances[N]), 0.0)
     levels = [
         (e.shape / fit.options.m_min, float(p) * e.white())
-        for e, p in zip(fit.options.extras, fit.power[len(RANDOM_TERMS) :])
+        for e, p in zip(fit.options.extras, fit.variances[len(RANDOM_TERMS) :])
         if isinstance(e, GaussMarkovTerm)
     ]
     return any(
@@ -279,22 +279,22 @@ def replaces_white(fit: PointFit) -> bool:
 def criterion(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
     """Return -2 log likelihood of the table, assumed Gaussian, plus twice the number of
     parameters."""
-    parameters = np.count_nonzero(fit.power) + len(fit.options.extras)
-    return minus_log_likelihood(fit.table, fit.power, misfit) + 2.0 * parameters
+    parameters = np.count_nonzero(fit.variances) + len(fit.options.extras)
+    return minus_log_likelihood(fit.table, fit.variances, misfit) + 2.0 * parameters
 
 
-def minus_log_likelihood(table: Table, power: Floats, misfit: Misfit = NO_MISFIT) -> float:
+def minus_log_likelihood(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Return -2 log likelihood of the table, assumed Gaussian, less a constant."""
-    whitening = Whitening.of(weights_at(table, power, misfit))
-    rest = whitening.apply((table.avar - table.terms @ power)[:, None])
+    whitening = Whitening.of(weights_at(table, variances, misfit))
+    rest = whitening.apply((table.avar - table.terms @ variances)[:, None])
     size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
     return float(np.sum(rest**2) + 2.0 * size)
 
 
 def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
     """Return which averages have at least `LEAST_FREEDOM` degrees of freedom."""
-    variance = np.diag(weights_at(fit.table, fit.power, NO_MISFIT))
-    return np.asarray(2.0 * (fit.table.terms @ fit.power) ** 2 >= LEAST_FREEDOM * variance)
+    variance = np.diag(weights_at(fit.table, fit.variances, NO_MISFIT))
+    return np.asarray(2.0 * (fit.table.terms @ fit.variances) ** 2 >= LEAST_FREEDOM * variance)
 
 
 def surprise(table: Table, fit: PointFit) -> float:
@@ -304,26 +304,26 @@ def surprise(table: Table, fit: PointFit) -> float:
     low by chance, the other averages become unlikely (`best_case_goodness`).
     """
     signed = fit.options.signed
-    fits = [solve(table, fit.power, columns=fit.options.columns, signed=signed)]
+    fits = [solve(table, fit.variances, columns=fit.options.columns, signed=signed)]
     if fit.options.walk:
         most = float(np.min(table.avar / table.terms[:, K]))
-        fits += [solve(table, fit.power, fixed={K: most * w}, signed=signed) for w in WALKS]
+        fits += [solve(table, fit.variances, fixed={K: most * w}, signed=signed) for w in WALKS]
     return min(minus_log_likelihood(table, p) for p in fits)
 
 
 def loosened(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     """Return the fit with the fractional model error with which it passes."""
-    misfit = misfit_of(fit.table, fit.power, fit.options.signed)
-    return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.power)
+    misfit = misfit_of(fit.table, fit.variances, fit.options.signed)
+    return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.variances)
 
 
 def white_error(pooled: PooledTable, axis: int, fit: PointFit) -> float:
     """Return the relative standard error of N, including model error and uncertain shapes."""
     options = fit.options
-    table = options.table(pooled, axis, options.noise(fit.power), tangents=True)
-    power = np.concatenate([fit.power, np.zeros(table.terms.shape[1] - len(fit.power))])
-    if not power[N] > 0.0:
+    table = options.table(pooled, axis, options.noise(fit.variances), tangents=True)
+    variances = np.concatenate([fit.variances, np.zeros(table.terms.shape[1] - len(fit.variances))])
+    if not variances[N] > 0.0:
         return np.inf
-    active = (power != 0.0) | (np.arange(len(power)) >= len(fit.power))
-    white = Whitening.of(weights_at(table, power, options.misfit)).apply(table.terms[:, active])
-    return float(standard_errors(white)[np.count_nonzero(active[:N])] / power[N] / 2.0)
+    active = (variances != 0.0) | (np.arange(len(variances)) >= len(fit.variances))
+    white = Whitening.of(weights_at(table, variances, options.misfit)).apply(table.terms[:, active])
+    return float(standard_errors(white)[np.count_nonzero(active[:N])] / variances[N] / 2.0)

@@ -23,9 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..deferred import special
-from .model import RANDOM_TERMS, Z_95, Floats, GaussMarkov, Processes, Sinusoid
-from .processes import Extra, GaussMarkovTerm
-from .solve import (
+from .gls_solver import (
     NO_MISFIT,
     RIDGE,
     K,
@@ -39,6 +37,8 @@ from .solve import (
     white_floor,
     with_floor,
 )
+from .model import RANDOM_TERMS, Z_95, Floats, GaussMarkov, Processes, Sinusoid
+from .processes import Extra, GaussMarkovTerm
 from .table import PooledTable, Table
 
 Z_DETECT = 2.33
@@ -89,29 +89,31 @@ class Score:
         Estimate of the term in the last fit, and its standard deviation.
     """
 
-    def __init__(self, table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT) -> None:
+    def __init__(
+        self, table: Table, term: int, variances: Floats, misfit: Misfit = NO_MISFIT
+    ) -> None:
         self.table = table
         self.term = term
         self.misfit = misfit
         self.estimate = 0.0
         self.deviation = 0.0
-        self._start = power
+        self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
         """Return z(c) as a normal deviate; estimates below ``at_least`` are replaced by it."""
-        power, whitening, white = iterate(
+        variances, whitening, white = iterate(
             self.table,
             self._start,
             fixed={self.term: c},
             signed=self.term != Q,
             misfit=self.misfit,
         )
-        self._start = power
-        active = [a for a, p in enumerate(power) if a == self.term or p != 0.0]
+        self._start = variances
+        active = [a for a, p in enumerate(variances) if a == self.term or p != 0.0]
         contrast = _contrast(white[:, active], active.index(self.term))
         self.estimate = float(contrast @ white[:, -1])
         self.deviation = float(np.sqrt(contrast @ contrast))
-        model = self.table.terms @ with_floor(self.table, power)
+        model = self.table.terms @ with_floor(self.table, variances)
         weights, scatter = whitening.weights(contrast), whitening.scatter(contrast)
         third = 2.0 * float(np.sum(weights * scatter**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation
@@ -150,14 +152,14 @@ def normal_deviate(z: float, skewness: float) -> float:
 
 
 def coefficient_interval(
-    table: Table, term: int, power: Floats, misfit: Misfit = NO_MISFIT
+    table: Table, term: int, variances: Floats, misfit: Misfit = NO_MISFIT
 ) -> CoefficientInterval:
     """Return the interval of one variance coefficient about a fit of the table."""
-    score = Score(table, term, power, misfit)
+    score = Score(table, term, variances, misfit)
     z_zero = score(0.0)
     deviation = max(score.deviation, white_floor(table))
     # Not the estimate with the weights at zero, if there is another one: it can be far outside.
-    middle = power[term] if power[term] > 0.0 else max(score.estimate, 0.0)
+    middle = variances[term] if variances[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
         known = [(0.0, z_zero), (middle, score(middle))]
         reach = Z_95 * score.deviation
@@ -250,23 +252,23 @@ def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
     number = len(fit.options.extras)
     if not number:
         return Processes()
-    power = np.concatenate([fit.power, np.zeros(number)])
-    active = np.flatnonzero((power != 0.0) | (np.arange(len(power)) >= len(RANDOM_TERMS)))
-    whitening = Whitening.of(weights_at(table, power, fit.options.misfit))
-    errors = np.zeros(len(power))
+    variances = np.concatenate([fit.variances, np.zeros(number)])
+    active = np.flatnonzero((variances != 0.0) | (np.arange(len(variances)) >= len(RANDOM_TERMS)))
+    whitening = Whitening.of(weights_at(table, variances, fit.options.misfit))
+    errors = np.zeros(len(variances))
     errors[active] = standard_errors(whitening.apply(table.terms[:, active]))
-    return processes_in_si(fit.options.extras, power, errors, tau0)
+    return processes_in_si(fit.options.extras, variances, errors, tau0)
 
 
 def processes_in_si(
-    extras: Sequence[Extra], power: Floats, errors: Floats, tau0: float
+    extras: Sequence[Extra], variances: Floats, errors: Floats, tau0: float
 ) -> Processes:
     """Return processes with intervals that are symmetric in the logarithm.
 
     Parameters
     ----------
     extras : sequence of Extra
-    power : float64 array
+    variances : float64 array
         Variance coefficients of the four terms and of the processes.
     errors : (4 + 2 extras,) float64 array
         Standard errors of these, and of the factors of the derivatives of the columns of the
@@ -276,11 +278,11 @@ def processes_in_si(
     """
     gauss_markov, sinusoid = [], []
     for k, extra in enumerate(extras, start=len(RANDOM_TERMS)):
-        if not power[k] > 0.0:
+        if not variances[k] > 0.0:
             continue
-        reach = Z_95 * errors[[k, k + len(extras)]] / float(power[k])
+        reach = Z_95 * errors[[k, k + len(extras)]] / float(variances[k])
         of_power, of_shape = np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))).tolist()
-        size = math.sqrt(power[k])
+        size = math.sqrt(variances[k])
         ends = (size / math.sqrt(of_power), size * math.sqrt(of_power))
         low, high = extra.shape / of_shape, extra.shape * of_shape
         if isinstance(extra, GaussMarkovTerm):
@@ -347,10 +349,10 @@ def ramp_interval(
     tables = []
     for c in at:
         known = np.where(np.isnan(ignored), c, np.nan)
-        tables.append(fit.options.table(pooled, axis, fit.options.noise(fit.power), known))
+        tables.append(fit.options.table(pooled, axis, fit.options.noise(fit.variances), known))
     below, middle, above = (table.avar for table in tables)
     slope, bend = (above - below) / 2.0, (above + below) / 2.0 - middle
-    held = fit.power
+    held = fit.variances
 
     def z(c: float) -> float:
         nonlocal held
@@ -359,15 +361,15 @@ def ramp_interval(
         held = solve(less, held, signed=fit.options.signed, misfit=fit.options.misfit)
         noise = fit.options.noise(with_floor(less, held))
         free, weights = pooled.ramps(axis, noise, ignored)
-        of_ramps = pooled.ramp_variance(weights, noise.times) @ noise.power
+        of_ramps = pooled.ramp_variance(weights, noise.times) @ noise.variances
         r, sd = _mean(free[counted], of_ramps[counted])
         return (r - c) / sd
 
     bound = np.inf
     if np.isfinite(walk):
-        most = fit.power.copy()
+        most = fit.variances.copy()
         most[K] = max(walk, most[K])
-        bound = _mean(ramps, replace(fit, power=most).ramp_variance[counted])[1]
+        bound = _mean(ramps, replace(fit, variances=most).ramp_variance[counted])[1]
     reach, half = Z_95 * bound, Z_95 * deviation
     start = [(0.0, z(0.0)), (value, z(value))]
     low = cross(z, Z_95, start, value - half, value - reach)

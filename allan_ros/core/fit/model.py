@@ -28,7 +28,7 @@ WHITE = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
-"""coefficient = sqrt(power) tau0^exponent."""
+"""SI coefficient = sqrt(variance coefficient) * tau0**exponent, tau0 in s."""
 
 
 DIFFERENCE = (1.0, -2.0, 1.0)
@@ -62,14 +62,14 @@ def phase_covariance(t: Floats) -> Floats:
     )
 
 
-def coefficient_to_si(term: str, power: float, tau0: float) -> float:
+def coefficient_to_si(term: str, variance: float, tau0: float) -> float:
     """Return the SI coefficient of a variance coefficient (q, w, b, k) or of the ramp r.
 
     A negative variance coefficient gives 0.
     """
     if term == 'R':
-        return power / tau0
-    return math.sqrt(max(power, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])
+        return variance / tau0
+    return math.sqrt(max(variance, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])
 
 
 Z_95 = 1.96

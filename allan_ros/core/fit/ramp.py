@@ -62,19 +62,19 @@ fourth difference of its covariance."""
 class Noise(NamedTuple):
     """Variance coefficients of a noise model and the correlation times of its processes.
 
-    ``power`` contains q, w, b, k and the variance of each Gauss-Markov process, (4 + processes,);
-    ``times`` contains the correlation times in samples.
+    ``variances`` contains q, w, b, k and the variance of each Gauss-Markov process,
+    (4 + processes,). ``times`` contains the correlation times in samples.
     """
 
-    power: Floats = WHITE
+    variances: Floats = WHITE
     times: tuple[float, ...] = ()
 
     def white(self) -> Floats:
         """Return nonnegative q, w, b, k of noise with the same level at long times."""
-        power = np.maximum(self.power, 0.0)
-        four = power[: len(RANDOM_TERMS)].copy()
+        variances = np.maximum(self.variances, 0.0)
+        four = variances[: len(RANDOM_TERMS)].copy()
         if self.times:
-            four[N] += power[len(RANDOM_TERMS) :] @ gauss_markov_sums(self.times)[0]
+            four[N] += variances[len(RANDOM_TERMS) :] @ gauss_markov_sums(self.times)[0]
         return four
 
 
@@ -137,7 +137,7 @@ class RampGeometry:
         if z < 1:
             return None
         rows = np.concatenate([self.second_differences, self._decay_differences(noise.times)])
-        row = np.maximum(noise.power, 0.0) @ rows
+        row = np.maximum(noise.variances, 0.0) @ rows
         if not row[0] > 0.0:
             return None
         lag = np.abs(np.arange(z)[:, None] - np.arange(z))

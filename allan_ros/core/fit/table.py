@@ -132,13 +132,13 @@ class Table:
         )
         return np.asarray((above - below) / np.log(SHAPE_STEP))
 
-    def covariance(self, power: Floats) -> Floats:
+    def covariance(self, variances: Floats) -> Floats:
         """Return the covariance of ``avar`` under these coefficients, (factors, factors).
 
         A sinusoid multiplies with the noise at its frequency, which only changes its amplitude. If
         not every start is used, it also multiplies with the noise at its aliases (``line_rest``).
         """
-        p = np.maximum(power, 0.0)
+        p = np.maximum(variances, 0.0)
         a, b = _products(self.noises - len(RANDOM_TERMS))
         covariance = ((p[a] * p[b]) @ self.squares)[_packing(len(self.m))]
         for k, scatter in enumerate(self.line_scatter, start=self.noises):
@@ -354,7 +354,7 @@ class PooledTable:
         tangents : bool
             Whether to add the derivatives of these columns by the logarithm of their shapes.
         """
-        noise = noise if np.any(noise.power > 0.0) else Noise()
+        noise = noise if np.any(noise.variances > 0.0) else Noise()
         found, weights = self.ramps(axis, noise, ramps)
         times = correlation_times(extras)
         # Rounded, so that similar correlation times share their sums.
@@ -439,10 +439,12 @@ def clear_cache() -> None:
     mean_covariances.cache_clear()
 
 
-def _informative(table: Table, complete: Floats, power: Floats) -> NDArray[np.bool_]:
+def _informative(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
     """Return which factors keep enough variance when the ramps are removed."""
     p = np.zeros(table.noises)
-    p[: len(power)] = np.maximum(power, 0.0)
-    keep = (table.count > 0) & (table.terms @ p[: len(power)] > EMPTY_ROW * (complete @ power))
+    p[: len(variances)] = np.maximum(variances, 0.0)
+    keep = (table.count > 0) & (
+        table.terms @ p[: len(variances)] > EMPTY_ROW * (complete @ variances)
+    )
     diagonal = np.diag(table.covariance(p))
-    return np.asarray(keep & (diagonal > (EMPTY_ROW * (complete @ power)) ** 2))
+    return np.asarray(keep & (diagonal > (EMPTY_ROW * (complete @ variances)) ** 2))

@@ -14,7 +14,7 @@ import yaml
 
 from ...core.compare import Comparison
 from ...core.fit import TERMS, Coefficient
-from ...core.fit.reading import ADVISED_TERMS
+from ...core.fit.interpretation import ADVISED_TERMS
 from ..axis_result import AxisResult
 from ..datasheets import VERDICT_TEXT, DatasheetComparison
 from ..format import (

@@ -5,13 +5,13 @@ import pytest
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.fit.gls import fit_gls
-from allan_ros.core.fit.model import AxisFit, Coefficient
-from allan_ros.core.fit.reading import (
+from allan_ros.core.fit.interpretation import (
     LENGTHS_S,
     SECONDS_FOR_N,
     longest_recommended,
     recommended_duration,
 )
+from allan_ros.core.fit.model import AxisFit, Coefficient
 
 HOUR = 3600.0
 N = 1e-4

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.fit.gls_solver import NO_MISFIT, point_fit, solve
 from allan_ros.core.fit.goodness import (
     DEFICIT_LIMIT,
     goodness,
@@ -13,7 +14,6 @@ from allan_ros.core.fit.goodness import (
     misfit_of,
     misfit_without_deficit,
 )
-from allan_ros.core.fit.solve import NO_MISFIT, point_fit, solve
 from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
@@ -31,8 +31,8 @@ def fit_of(seed, samples=20000, terms=NoiseTerms(N=1e-3, B=3e-4)):
 
 def test_the_model_itself_fits_to_nothing():
     fit = fit_of(0)
-    table = replace(fit.table, avar=fit.table.terms @ fit.power)
-    assert goodness(table, fit.power).chi_squared < 1e-6
+    table = replace(fit.table, avar=fit.table.terms @ fit.variances)
+    assert goodness(table, fit.variances).chi_squared < 1e-6
 
 
 def test_noise_of_the_model_is_as_far_off_as_expected():
@@ -40,7 +40,7 @@ def test_noise_of_the_model_is_as_far_off_as_expected():
     z = []
     for seed in range(40):
         fit = fit_of(seed)
-        z.append(goodness(fit.table, fit.power).z)
+        z.append(goodness(fit.table, fit.variances).z)
     assert abs(np.mean(z)) < 4.0 / np.sqrt(40)
     assert 0.5 < np.std(z) < 1.7
 
@@ -51,10 +51,10 @@ def test_misfit_is_the_error_that_was_made(error):
     rng = np.random.default_rng(2)
     wrong = 1.0 + error * rng.standard_normal(len(fit.table.m))
     table = replace(fit.table, avar=fit.table.avar * np.abs(wrong))
-    assert goodness(table, fit.power).fails
-    misfit = misfit_of(table, fit.power, signed=False)
+    assert goodness(table, fit.variances).fails
+    misfit = misfit_of(table, fit.variances, signed=False)
     assert 0.5 * error < misfit.size < 1.6 * error
-    loose = goodness(table, fit.power, misfit)
+    loose = goodness(table, fit.variances, misfit)
     assert loose.chi_squared < 2.0 * loose.freedom
 
 
@@ -62,20 +62,20 @@ def test_misfit_is_the_error_that_was_made(error):
 def test_long_averages_of_the_models_own_noise_do_not_sag(terms):
     """40 records each; the fit follows them, so none comes near the limit."""
     fits = [fit_of(seed, terms=terms) for seed in range(40)]
-    assert min(long_tau_deficit(f.table, f.power) for f in fits) > DEFICIT_LIMIT
+    assert min(long_tau_deficit(f.table, f.variances) for f in fits) > DEFICIT_LIMIT
 
 
 def test_a_curve_that_levels_off_sags_until_the_misfit_allows_for_it():
     fit = fit_of(3, samples=200_000, terms=NoiseTerms(N=1e-3, K=2e-3))
-    model = fit.table.terms @ fit.power
+    model = fit.table.terms @ fit.variances
     bend = len(model) - 32
     level = np.where(np.arange(len(model)) < bend, model, model[bend])
     table = replace(fit.table, avar=level)
-    assert long_tau_deficit(table, fit.power) < DEFICIT_LIMIT - 1.0
-    eps = misfit_without_deficit(table, fit.power, False, NO_MISFIT)
+    assert long_tau_deficit(table, fit.variances) < DEFICIT_LIMIT - 1.0
+    eps = misfit_without_deficit(table, fit.variances, False, NO_MISFIT)
     assert 0.0 < eps.size < 1.0
     assert eps.m_min > 1000  # only long averages have the error
-    again = solve(table, fit.power, misfit=eps)
+    again = solve(table, fit.variances, misfit=eps)
     assert (
         long_tau_deficit(table, again, eps) > DEFICIT_LIMIT - 0.1
     )  # the fit ends where it began, to its tolerance

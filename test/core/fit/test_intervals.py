@@ -6,8 +6,17 @@ from scipy import special
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.errors import AllanError
+from allan_ros.core.fit.gls_solver import (
+    JITTER,
+    NO_MISFIT,
+    B,
+    K,
+    N,
+    Whitening,
+    point_fit,
+    weights_at,
+)
 from allan_ros.core.fit.intervals import Score, coefficient_interval, cross, normal_deviate
-from allan_ros.core.fit.solve import JITTER, NO_MISFIT, B, K, N, Whitening, point_fit, weights_at
 from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
@@ -70,16 +79,16 @@ def test_what_is_never_reached_is_the_limit():
 
 @pytest.mark.parametrize('term', [N, K])
 def test_ends_are_where_the_score_says(fit, term):
-    interval = coefficient_interval(fit.table, term, fit.power)
+    interval = coefficient_interval(fit.table, term, fit.variances)
     assert interval.observable
-    assert interval.low < fit.power[term] < interval.high
-    score = Score(fit.table, term, fit.power)
+    assert interval.low < fit.variances[term] < interval.high
+    score = Score(fit.table, term, fit.variances)
     assert score(interval.high) == pytest.approx(-1.96, abs=3e-3)
     assert score(interval.low) == pytest.approx(1.96, abs=3e-3)
 
 
 def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
-    # Two hours of the paper's z gyro: held at zero, K is estimated at 2.3 times its power.
+    # Two hours of the paper's z gyro: held at zero, K is estimated at 2.3 times its variances.
     axis_seed = np.random.SeedSequence(0).spawn(2)[0].spawn(6)[2]
     terms = NoiseTerms(Q=1e-7, N=7.13e-5, B=2.94e-5, K=4.09e-6, R=8.92e-8)
     y = simulate_axis(720_000, 0.01, terms, np.random.default_rng(axis_seed))
@@ -87,16 +96,16 @@ def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
     engine.update(y[:, None], 0, 7_199_990_000_000)
     engine.end_segment()
     fit = point_fit(PooledTable(engine.sums), 0)
-    at_zero = Score(fit.table, K, fit.power)
+    at_zero = Score(fit.table, K, fit.variances)
     at_zero(0.0)
-    assert at_zero.estimate > 2.0 * fit.power[K]
-    interval = coefficient_interval(fit.table, K, fit.power)
-    assert interval.low < 0.7 * fit.power[K] < 1.5 * fit.power[K] < interval.high
+    assert at_zero.estimate > 2.0 * fit.variances[K]
+    interval = coefficient_interval(fit.table, K, fit.variances)
+    assert interval.low < 0.7 * fit.variances[K] < 1.5 * fit.variances[K] < interval.high
     assert interval.high < at_zero.estimate
 
 
 def test_an_absent_term_has_a_limit_and_no_interval(fit):
-    interval = coefficient_interval(fit.table, B, fit.power)
+    interval = coefficient_interval(fit.table, B, fit.variances)
     assert not interval.observable
     assert interval.low == 0.0
     assert 0.0 < interval.high < np.inf
@@ -105,8 +114,8 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
 @pytest.mark.parametrize('factor', [30.0, 1e4])
 def test_a_walk_held_far_off_still_has_a_covariance(fit, factor):
     """Also where the weights of the ramps were made for another walk."""
-    power = fit.power * np.array([1.0, 1.0, 1.0, factor])
-    covariance = weights_at(fit.table, power, NO_MISFIT)
+    variances = fit.variances * np.array([1.0, 1.0, 1.0, factor])
+    covariance = weights_at(fit.table, variances, NO_MISFIT)
     deviation = np.sqrt(np.diag(covariance))
     assert np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))[0] > -JITTER
 
@@ -121,8 +130,8 @@ def test_an_indefinite_matrix_is_replaced_by_the_nearest_covariance():
 
 
 def test_a_term_held_further_off_is_further_off(fit):
-    score = Score(fit.table, K, fit.power)
-    z = [score(fit.power[K] * factor) for factor in (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3)]
+    score = Score(fit.table, K, fit.variances)
+    z = [score(fit.variances[K] * factor) for factor in (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3)]
     assert np.all(np.diff(z) < 0.0)
 
 

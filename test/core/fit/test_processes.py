@@ -14,14 +14,14 @@ from allan_ros.core.noise import gauss_markov_sums, sampled_gauss_markov_avar
 SAMPLES = 2048
 
 
-def direct(samples, power, times):
+def direct(samples, variances, times):
     """Return m and the covariance of the table, lag by lag."""
     m, stride = grid_for(samples)
     count = counts(samples, m, stride)
 
     def phase(t):
-        out = power[:4] @ phase_covariance(t.astype(float))
-        for p, time in zip(power[4:], times):
+        out = variances[:4] @ phase_covariance(t.astype(float))
+        for p, time in zip(variances[4:], times):
             slope, step = (float(x[0]) for x in gauss_markov_sums(time))
             out -= 0.5 * p * (slope * np.abs(t) + step * np.expm1(-np.abs(t) / time))
         return out
@@ -45,23 +45,23 @@ def direct(samples, power, times):
 
 
 @pytest.mark.parametrize(
-    ('power', 'times'),
+    ('variances', 'times'),
     [
         ((0.0, 1.0, 0.0, 0.0, 0.5), (10.0,)),
         ((0.3, 1.0, 0.01, 1e-5, 0.2), (3.0,)),
         ((0.0, 1.0, 0.0, 1e-5, 0.1, 0.3), (100.0, 7.0)),
     ],
 )
-def test_it_is_the_sum_over_all_lags(power, times):
-    power = np.array(power)
-    m, expected = direct(SAMPLES, power, times)
+def test_it_is_the_sum_over_all_lags(variances, times):
+    variances = np.array(variances)
+    m, expected = direct(SAMPLES, variances, times)
     stride = grid_for(SAMPLES)[1]
     count = counts(SAMPLES, m, stride).astype(float)
     squares = np.concatenate(
         [pair_sums(SAMPLES).squares, process_squares(m, stride, [(SAMPLES, 1)], times)]
     )
     pairs = (*TERM_PAIRS, *process_pairs(len(times)))
-    found = np.array([power[a] * power[b] for a, b in pairs]) @ squares
+    found = np.array([variances[a] * variances[b] for a, b in pairs]) @ squares
     i, j = np.triu_indices(len(m))
     deviation = np.sqrt(np.diag(expected))
     error = (found / (count[i] * count[j]) - expected[i, j]) / (deviation[i] * deviation[j])

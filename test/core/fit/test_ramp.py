@@ -31,39 +31,39 @@ def test_points_are_those_the_engine_keeps(samples):
     assert (geometry.points, geometry.step) == (len(record.phase), record.phase_step)
 
 
-@pytest.mark.parametrize('power', POWERS)
-def test_best_weights_find_a_ramp_and_nothing_else(power):
+@pytest.mark.parametrize('variances', POWERS)
+def test_best_weights_find_a_ramp_and_nothing_else(variances):
     geometry = ramp_geometry(SAMPLES)
-    weights = geometry.best_weights(Noise(power))
+    weights = geometry.best_weights(Noise(variances))
     t = np.arange(geometry.points) * float(geometry.step)
     assert weights @ np.ones_like(t) == pytest.approx(0.0, abs=1e-12)
     assert weights @ t == pytest.approx(0.0, abs=1e-9)
     assert weights @ (0.5 * t * t) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize('power', POWERS)
-def test_no_other_weights_are_better(power):
+@pytest.mark.parametrize('variances', POWERS)
+def test_no_other_weights_are_better(variances):
     geometry = ramp_geometry(SAMPLES)
-    best = geometry.best_weights(Noise(power))
-    variance = geometry.effect(best).variance @ power
+    best = geometry.best_weights(Noise(variances))
+    variance = geometry.effect(best).variance @ variances
     for other in POWERS:
-        assert geometry.effect(geometry.best_weights(Noise(other))).variance @ power >= variance * (
-            1 - 1e-9
-        )
+        assert geometry.effect(
+            geometry.best_weights(Noise(other))
+        ).variance @ variances >= variance * (1 - 1e-9)
 
 
-@pytest.mark.parametrize('power', POWERS)
-def test_expectation_less_the_ramp_is_exact(power):
+@pytest.mark.parametrize('variances', POWERS)
+def test_expectation_less_the_ramp_is_exact(variances):
     """sum over starts of E (d - r m^2)^2, every d and r as weights on the phase."""
     sums = one_segment(np.random.default_rng(0).normal(size=SAMPLES))
-    table = PooledTable(sums).table(0, Noise(power))
+    table = PooledTable(sums).table(0, Noise(variances))
     geometry = ramp_geometry(SAMPLES)
-    weights = geometry.best_weights(Noise(power))
+    weights = geometry.best_weights(Noise(variances))
     x = np.arange(geometry.points) * geometry.step
     m, stride = grid_for(SAMPLES)
     count = counts(SAMPLES, m, stride)
     at = np.arange(SAMPLES + 1.0)
-    covariance = np.tensordot(power, phase_covariance(at[:, None] - at[None, :]), axes=1)
+    covariance = np.tensordot(variances, phase_covariance(at[:, None] - at[None, :]), axes=1)
     for i in np.flatnonzero(np.isin(m, table.m)):
         functionals = np.zeros((count[i], SAMPLES + 1))
         functionals[:, x] -= m[i] ** 2 * weights
@@ -72,7 +72,7 @@ def test_expectation_less_the_ramp_is_exact(power):
         total = np.sum((functionals @ covariance) * functionals)
         want = total / (2.0 * m[i] ** 2 * count[i])
         row = int(np.flatnonzero(table.m == m[i])[0])
-        assert table.terms[row] @ power == pytest.approx(want, rel=1e-3)
+        assert table.terms[row] @ variances == pytest.approx(want, rel=1e-3)
 
 
 def process_covariance(t, time):
@@ -136,10 +136,10 @@ def test_moments_less_the_ramp_with_a_process(time):
         every.append(functionals / (np.sqrt(2.0) * lag))
     after = [f @ covariance for f in every]
     mean = np.array([np.mean(np.sum(f * a, axis=1)) for f, a in zip(every, after)])
-    assert table.terms @ noise.power == pytest.approx(mean, rel=2e-4)
+    assert table.terms @ noise.variances == pytest.approx(mean, rel=2e-4)
     want = np.array([[2.0 * np.mean((a @ f.T) ** 2) for f in every] for a in after])
     deviation = np.sqrt(np.diag(want))
-    error = (table.covariance(noise.power) - want) / np.outer(deviation, deviation)
+    error = (table.covariance(noise.variances) - want) / np.outer(deviation, deviation)
     assert np.max(np.abs(error)) < 0.01
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.core.fit.reading import SIGNIFICANT
+from allan_ros.core.fit.interpretation import SIGNIFICANT
 from allan_ros.io.format import deviation_text
 from allan_ros.io.report.chart_data import sensor_charts
 from allan_ros.io.report.tables import coefficient_table

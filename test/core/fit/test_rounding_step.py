@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.fit.findings import lattice_step
+from allan_ros.core.fit.findings import common_step
 
 
 def phase_of(samples, step):
@@ -16,17 +16,17 @@ def test_step_of_rounded_samples_is_found(lattice, relative):
     rng = np.random.default_rng(5)
     noise = rng.normal(size=60000) * lattice / relative
     samples = 9.8 + lattice * np.round(noise / lattice)
-    found = lattice_step(phase_of(samples, 512), lattice / relative)
+    found = common_step(phase_of(samples, 512), lattice / relative)
     assert found == pytest.approx(lattice, rel=1e-6)
 
 
 def test_smooth_samples_have_none():
     rng = np.random.default_rng(7)
-    assert lattice_step(phase_of(rng.normal(size=60000), 512), 1.0) is None
+    assert common_step(phase_of(rng.normal(size=60000), 512), 1.0) is None
 
 
 def test_constant_samples_have_none():
-    assert lattice_step(np.zeros(100), 1.0) is None
+    assert common_step(np.zeros(100), 1.0) is None
 
 
 def test_few_points_of_real_noise_have_no_step_and_divide_nothing_by_zero():
@@ -35,4 +35,4 @@ def test_few_points_of_real_noise_have_no_step_and_divide_nothing_by_zero():
     with np.errstate(all='raise'):
         for _ in range(2000):
             phase = np.cumsum(rng.normal(size=rng.integers(5, 40)))
-            assert lattice_step(phase, float(rng.uniform(0.1, 60.0))) is None
+            assert common_step(phase, float(rng.uniform(0.1, 60.0))) is None

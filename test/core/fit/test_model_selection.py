@@ -10,9 +10,9 @@ from allan_ros.core.allan.curve import allan_curve
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.fit.findings import with_deviations
 from allan_ros.core.fit.gls import fit_gls
+from allan_ros.core.fit.gls_solver import first_guess, weights_at
+from allan_ros.core.fit.process_search import ProcessSearch
 from allan_ros.core.fit.processes import GaussMarkovTerm
-from allan_ros.core.fit.search import ProcessSearch
-from allan_ros.core.fit.solve import first_guess, weights_at
 from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 

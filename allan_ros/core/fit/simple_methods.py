@@ -36,6 +36,8 @@ from ..errors import AllanError
 from ..findings import Finding, finding
 from ..imu import sensor_of, to_datasheet
 from ..noise import FLICKER_FLOOR, NoiseTerms, term_avar
+from .gls_solver import Whitening, nonnegative_least_squares
+from .interpretation import largest_deviation, model_line
 from .intervals import Z_DETECT, processes_in_si, standard_errors
 from .model import (
     RANDOM_TERMS,
@@ -48,9 +50,7 @@ from .model import (
     avar_terms,
     coefficient_to_si,
 )
-from .reading import largest_deviation, model_line
-from .search import Found, ProcessSearch
-from .solve import Whitening, nonnegative_least_squares
+from .process_search import Found, ProcessSearch
 from .table import Table
 
 MIN_GROUPS = 9
@@ -252,9 +252,9 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
         five = search.fitted(())
         z = search.z(five)
         found = five if z < Z_DETECT else search.search(found.extras)
-        model = table.terms @ found.power[: len(RANDOM_TERMS)]
+        model = table.terms @ found.variances[: len(RANDOM_TERMS)]
         if found.extras:
-            model = model + table.columns(found.extras) @ found.power[len(RANDOM_TERMS) :]
+            model = model + table.columns(found.extras) @ found.variances[len(RANDOM_TERMS) :]
         model = np.maximum(model, np.finfo(float).tiny)
     return _curve_fit(table, found, Whitening.of(covariance), z, relative, unit)
 
@@ -289,11 +289,11 @@ def _curve_fit(
         columns += [table.columns(extras), table.tangents(extras)]
     deviation = standard_errors(whitening.apply(np.column_stack(columns)))
     noise = {
-        term: _coefficient(term, float(found.power[t]), float(deviation[t]), unit)
+        term: _coefficient(term, float(found.variances[t]), float(deviation[t]), unit)
         for t, term in enumerate(RANDOM_TERMS)
     }
     noise['R'] = Coefficient(None, status='not_observable')
-    processes = processes_in_si(extras, found.power, deviation, unit)
+    processes = processes_in_si(extras, found.variances, deviation, unit)
     fit = AxisFit({t: noise[t] for t in TERMS}, gof_z=z, processes=processes)
     adev, bar = np.sqrt(table.avar), np.exp(relative / 2.0)
     line = model_line(fit, unit, table.m, adev, adev * bar)
@@ -302,12 +302,12 @@ def _curve_fit(
     return replace(fit, deviation=off)
 
 
-def _coefficient(term: str, power: float, deviation: float, unit: float) -> Coefficient:
+def _coefficient(term: str, variance: float, deviation: float, unit: float) -> Coefficient:
     """Return a term in SI units: a value with its interval, or an upper limit."""
-    upper = coefficient_to_si(term, max(power, 0.0) + Z_95 * deviation, unit)
-    if power < Z_DETECT * deviation or power <= 0.0:
-        value = coefficient_to_si(term, power, unit) or None
+    upper = coefficient_to_si(term, max(variance, 0.0) + Z_95 * deviation, unit)
+    if variance < Z_DETECT * deviation or variance <= 0.0:
+        value = coefficient_to_si(term, variance, unit) or None
         return Coefficient(value, None, upper, 'not_observable')
-    low, high = power - Z_95 * deviation, power + Z_95 * deviation
+    low, high = variance - Z_95 * deviation, variance + Z_95 * deviation
     ends = (coefficient_to_si(term, low, unit), coefficient_to_si(term, high, unit))
-    return Coefficient(coefficient_to_si(term, power, unit), ends)
+    return Coefficient(coefficient_to_si(term, variance, unit), ends)

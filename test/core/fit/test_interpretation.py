@@ -7,8 +7,8 @@ import pytest
 
 from allan_ros.core.allan.curve import AllanCurve
 from allan_ros.core.allan.sums import grid_for
+from allan_ros.core.fit.interpretation import dominant_regions
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
-from allan_ros.core.fit.reading import read_curve
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import NoiseTerms, term_avar
 
@@ -46,7 +46,7 @@ def exact(longest_tau=1300.0, **axes):
 
 def regions_of(axis, *values, longest_tau=1300.0):
     curve, fits = exact(longest_tau, **{axis: values})
-    return read_curve(curve, axis, fits[axis])
+    return dominant_regions(curve, axis, fits[axis])
 
 
 def test_axis_x_of_the_paper():
@@ -81,7 +81,7 @@ def test_axis_z_of_the_paper_begins_as_it_was_read():
 def test_regions_touch_and_cover_the_curve():
     curve, fits = exact(**PAPER)
     for axis in PAPER:
-        regions = read_curve(curve, axis, fits[axis])
+        regions = dominant_regions(curve, axis, fits[axis])
         assert regions[0].tau_low == curve.tau[0]
         assert regions[-1].tau_high == curve.tau[-1]
         for a, b in pairwise(regions):
@@ -111,4 +111,4 @@ def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
 def test_unknown_terms_rule_nothing():
     curve, _ = exact(**PAPER)
     unknown = AxisFit({t: Coefficient(None, status='not_observable') for t in TERMS})
-    assert read_curve(curve, 'gyro_x', unknown) == []
+    assert dominant_regions(curve, 'gyro_x', unknown) == []

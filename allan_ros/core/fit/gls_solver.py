@@ -213,7 +213,7 @@ def _cholesky(correlation: Floats) -> Floats | None:
 
 def solve(
     table: Table,
-    power: Floats,
+    variances: Floats,
     *,
     fixed: Mapping[int, float] | None = None,
     columns: tuple[int, ...] | None = None,
@@ -225,9 +225,9 @@ def solve(
     Parameters
     ----------
     table : Table
-    power : (terms,) float64 array
+    variances : (terms,) float64 array
         Initial coefficients.
-    fixed : mapping of term index to power, optional
+    fixed : mapping of term index to variances, optional
         Terms that are fixed.
     columns : tuple of int, optional
         Terms that may be other than 0; all by default.
@@ -236,7 +236,7 @@ def solve(
     misfit : Misfit
         Fractional error of the model, added to the covariance as (misfit V_model)^2.
     """
-    return iterate(table, power, fixed, columns, signed, misfit).power
+    return iterate(table, variances, fixed, columns, signed, misfit).variances
 
 
 class Iterated(NamedTuple):
@@ -245,14 +245,14 @@ class Iterated(NamedTuple):
     `white` has the whitened columns of the table and, last, its whitened Allan variances.
     """
 
-    power: Floats
+    variances: Floats
     whitening: Whitening
     white: Floats
 
 
 def iterate(
     table: Table,
-    power: Floats,
+    variances: Floats,
     fixed: Mapping[int, float] | None = None,
     columns: Sequence[int] | None = None,
     signed: bool = False,
@@ -269,7 +269,7 @@ def iterate(
     for c, value in held.items():
         new[c] = value
     now = new.copy()
-    now[free] = power[free]
+    now[free] = variances[free]
     both = np.column_stack([table.terms, table.avar])
     floor = white_floor(table)
     before = table.terms @ with_floor(table, now, floor)
@@ -304,20 +304,20 @@ def white_floor(table: Table) -> float:
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 
 
-def with_floor(table: Table, power: Floats, floor: float | None = None) -> Floats:
+def with_floor(table: Table, variances: Floats, floor: float | None = None) -> Floats:
     """Return nonnegative coefficients with at least `white_floor`, so that each factor has
     noise."""
-    p = np.maximum(power, 0.0)
+    p = np.maximum(variances, 0.0)
     p[table.noises + table.lines :] = 0.0
     p[N] = max(p[N], white_floor(table) if floor is None else floor)
     return p
 
 
 def weights_at(
-    table: Table, power: Floats, misfit: Misfit = NO_MISFIT, floor: float | None = None
+    table: Table, variances: Floats, misfit: Misfit = NO_MISFIT, floor: float | None = None
 ) -> Floats:
     """Return the covariance of the table at the coefficients `with_floor`."""
-    p = with_floor(table, power, floor)
+    p = with_floor(table, variances, floor)
     covariance = table.covariance(p)
     square = (table.terms @ p) ** 2
     diagonal = covariance.reshape(-1)[:: len(square) + 1]
@@ -376,10 +376,10 @@ class FitOptions:
         every = range(len(RANDOM_TERMS) + len(self.extras))
         return tuple(c for c in every if self.walk or c != K)
 
-    def noise(self, power: Floats) -> Noise:
+    def noise(self, variances: Floats) -> Noise:
         """Return the noise of the model, without negative coefficients and without sinusoids."""
         times = correlation_times(self.extras)
-        return Noise(np.maximum(power[: len(RANDOM_TERMS) + len(times)], 0.0), times)
+        return Noise(np.maximum(variances[: len(RANDOM_TERMS) + len(times)], 0.0), times)
 
 
 @dataclass(frozen=True)
@@ -388,18 +388,21 @@ class PointFit:
     options.
     """
 
-    power: Floats
+    variances: Floats
     table: Table
     options: FitOptions = field(default_factory=FitOptions)
 
     @property
     def ramp_variance(self) -> Floats:
         """Variance of the ramp of each kept segment, (segments,); 0 if no ramp was estimated."""
-        return np.asarray(self.table.ramp_variance @ self.options.noise(self.power).power)
+        return np.asarray(self.table.ramp_variance @ self.options.noise(self.variances).variances)
 
 
 def point_fit(
-    pooled: PooledTable, axis: int, options: FitOptions = FitOptions(), power: Floats | None = None
+    pooled: PooledTable,
+    axis: int,
+    options: FitOptions = FitOptions(),
+    variances: Floats | None = None,
 ) -> PointFit:
     """Return the variance coefficients of one axis, iterated with the ramps until both converge.
 
@@ -409,20 +412,22 @@ def point_fit(
     axis : int
         Position among the axes of the sums.
     options : FitOptions
-    power : (4,) float64 array, optional
+    variances : (4,) float64 array, optional
         Initial coefficients.
     """
-    if power is None:
-        power = first_guess(pooled.table(axis))
-    power = np.concatenate([power, np.zeros(len(RANDOM_TERMS) + len(options.extras) - len(power))])
-    table = options.table(pooled, axis, options.noise(power))
+    if variances is None:
+        variances = first_guess(pooled.table(axis))
+    variances = np.concatenate(
+        [variances, np.zeros(len(RANDOM_TERMS) + len(options.extras) - len(variances))]
+    )
+    table = options.table(pooled, axis, options.noise(variances))
     for _ in range(RAMP_ROUNDS):
         new = solve(
-            table, power, columns=options.columns, signed=options.signed, misfit=options.misfit
+            table, variances, columns=options.columns, signed=options.signed, misfit=options.misfit
         )
-        settled = np.all(np.abs(new - power) <= RAMP_TOLERANCE * np.abs(power))
-        power = new
+        settled = np.all(np.abs(new - variances) <= RAMP_TOLERANCE * np.abs(variances))
+        variances = new
         if settled:
             break
-        table = options.table(pooled, axis, options.noise(power))
-    return PointFit(power, table, options)
+        table = options.table(pooled, axis, options.noise(variances))
+    return PointFit(variances, table, options)

@@ -10,6 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import AllanError
+from .gls_solver import (
+    NO_MISFIT,
+    FitOptions,
+    K,
+    PointFit,
+    Q,
+    first_guess,
+    point_fit,
+    weights_at,
+)
 from .goodness import (
     DEFICIT_LIMIT,
     Z_CUT,
@@ -31,18 +41,8 @@ from .goodness import (
 )
 from .intervals import Score
 from .model import RANDOM_TERMS, Floats
+from .process_search import LONGEST_CORRELATION, MOST, ProcessSearch
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
-from .search import LONGEST_CORRELATION, MOST, ProcessSearch
-from .solve import (
-    NO_MISFIT,
-    FitOptions,
-    K,
-    PointFit,
-    Q,
-    first_guess,
-    point_fit,
-    weights_at,
-)
 from .table import PooledTable, Table
 
 M_MIN = (2, 4, 8, 16, 64)
@@ -146,14 +146,14 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
     fractional model error. If fit options are ``known``, only these are used.
     """
     free = point_fit(pooled, axis, FitOptions(signed=True))
-    first = best_case_goodness(free.table, free.power)
-    z_quantization = Score(free.table, Q, free.power)(0.0)
+    first = best_case_goodness(free.table, free.variances)
+    z_quantization = Score(free.table, Q, free.variances)(0.0)
     selected = Selection(free, first, z_quantization, z_quantization < Z_LOW_PASS)
     if not selected.filtered:
-        plain = point_fit(pooled, axis, FitOptions(), np.maximum(free.power, 0.0))
+        plain = point_fit(pooled, axis, FitOptions(), np.maximum(free.variances, 0.0))
         selected = replace(selected, fit=plain)
     if known is not None:
-        fit = point_fit(pooled, axis, known, selected.fit.power)
+        fit = point_fit(pooled, axis, known, selected.fit.variances)
         selected = replace(selected, fit=fit, filtered=known.signed)
         return selected if selected.fits else _with_misfit(pooled, axis, selected)
     if first.fails or not selected.fits:
@@ -188,11 +188,11 @@ def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) 
     if more is None or found.chi_squared - more.chi_squared < least:
         return None
     try:
-        new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.power)
+        new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.variances)
         search = _search_with(pooled, axis, new)
         more = search.adjusted(search.fitted(more.extras), 2)
-        new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.power)
-        before = fit.options.table(pooled, axis, new.options.noise(new.power))
+        new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.variances)
+        before = fit.options.table(pooled, axis, new.options.noise(new.variances))
         before = before.rows(np.isin(before.m, new.table.m))
         gain = surprise(before, fit) - surprise(new.table, new)
         if not is_line and gain > LIKELIER:
@@ -207,9 +207,9 @@ def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) 
 def _search_with(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
     """Return a search with the covariance of a fit."""
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
-    table = options.table(pooled, axis, fit.options.noise(fit.power))
+    table = options.table(pooled, axis, fit.options.noise(fit.variances))
     used = fit.table.rows(np.isin(fit.table.m, table.m))
-    covariance = weights_at(used, fit.power, NO_MISFIT)
+    covariance = weights_at(used, fit.variances, NO_MISFIT)
     return _search(pooled, table.rows(np.isin(table.m, used.m)), covariance, options)
 
 
@@ -256,7 +256,7 @@ def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     Both describe the precise part of the curve equally well. The few long averages decide whether
     the drift is bounded.
     """
-    if not fit.power[K] > 0.0:
+    if not fit.variances[K] > 0.0:
         return fit
     without = replace(fit, options=replace(fit.options, walk=False))
     other = _searched(pooled, axis, without)
@@ -284,7 +284,7 @@ def _exchanged(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
         new = (*extras[:count], GaussMarkovTerm(float(time)), *extras[count:])
         try:
             options = replace(fit.options, walk=False, extras=new)
-            out.append(point_fit(pooled, axis, options, fit.power))
+            out.append(point_fit(pooled, axis, options, fit.variances))
         except AllanError:  # beyond the precision of the covariance: not a better description
             break
     return out
@@ -296,12 +296,12 @@ def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selecti
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
     if deviate(fit) >= Z_FAIL:
-        misfit = misfit_of(fit.table, fit.power, signed)
-    levels_off = long_tau_deficit(fit.table, fit.power, misfit) <= DEFICIT_LIMIT
+        misfit = misfit_of(fit.table, fit.variances, signed)
+    levels_off = long_tau_deficit(fit.table, fit.variances, misfit) <= DEFICIT_LIMIT
     if levels_off:
-        misfit = misfit_without_deficit(fit.table, fit.power, signed, misfit)
+        misfit = misfit_without_deficit(fit.table, fit.variances, signed, misfit)
     options = replace(fit.options, misfit=misfit)
-    loose = point_fit(pooled, axis, options, fit.power)
+    loose = point_fit(pooled, axis, options, fit.variances)
     return replace(selected, fit=loose, levels_off=levels_off)
 
 
@@ -313,7 +313,7 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
     ``hopeless`` ends after the first round.
     """
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
-    table = options.table(pooled, axis, fit.options.noise(fit.power))
+    table = options.table(pooled, axis, fit.options.noise(fit.variances))
     search = _search(pooled, table, _scaled_covariance(table), options)
     extras: tuple[Extra, ...] = fit.options.extras
     for _ in range(ROUNDS):
@@ -323,7 +323,7 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
         if not extras and settled:
             break
         try:
-            fit = point_fit(pooled, axis, replace(options, extras=extras), found.power)
+            fit = point_fit(pooled, axis, replace(options, extras=extras), found.variances)
         except AllanError:  # below the precision of the covariance: no better description
             break
         if settled or search.z(found) > hopeless:
@@ -334,10 +334,10 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
 
 def _scaled_covariance(table: Table) -> Floats:
     """Return the covariance of a rough fit, scaled to the measured values."""
-    power = first_guess(table)
-    model = table.terms @ power
+    variances = first_guess(table)
+    model = table.terms @ variances
     growth = np.where(table.avar > 0.0, table.avar, model) / model
-    return np.asarray(weights_at(table, power, NO_MISFIT) * np.outer(growth, growth))
+    return np.asarray(weights_at(table, variances, NO_MISFIT) * np.outer(growth, growth))
 
 
 def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
@@ -393,7 +393,7 @@ def _without_the_shortest(
         if CUT_ERROR * np.sqrt(m_min / pooled.sums.samples) > most:
             break
         options = FitOptions(m_min=m_min, signed=True)
-        fit = point_fit(pooled, axis, options, start.power[: len(RANDOM_TERMS)])
+        fit = point_fit(pooled, axis, options, start.variances[: len(RANDOM_TERMS)])
         if not (fits(fit) or any(is_good(each) for each in out)):
             kept = tuple(e for e in start.options.extras if e.scale > CLEAR_OF_CUT * m_min)
             known = replace(fit, options=replace(options, extras=kept))
@@ -411,6 +411,6 @@ def _imitations(fit: PointFit) -> int:
 
 def _resized(fit: PointFit) -> PointFit:
     """Return the fit with the variances of all processes in its options set to 0."""
-    power = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
-    power[: len(RANDOM_TERMS)] = fit.power[: len(RANDOM_TERMS)]
-    return replace(fit, power=power)
+    variances = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
+    variances[: len(RANDOM_TERMS)] = fit.variances[: len(RANDOM_TERMS)]
+    return replace(fit, variances=variances)

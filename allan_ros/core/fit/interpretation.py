@@ -135,7 +135,7 @@ class _Stretch:
     points: slice
 
 
-def read_curve(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
+def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     """Return the regions of one axis, from the shortest tau to the longest.
 
     A part dominates where it has the largest share of the modelled sigma^2. A stretch narrower than

@@ -10,7 +10,7 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, fit_noise
-from allan_ros.core.fit.least_squares import fit_polynomials, fitted_factors
+from allan_ros.core.fit.simple_methods import fit_polynomials, fitted_factors
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms, simulate_axis

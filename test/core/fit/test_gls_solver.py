@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import nnls
 
-from allan_ros.core.fit.solve import nonnegative_least_squares
+from allan_ros.core.fit.gls_solver import nonnegative_least_squares
 
 
 def test_agrees_with_lawson_and_hanson():

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .gls_solver import B, K, N, Q, Whitening, nonnegative_least_squares
 from .goodness import Z_FAIL, degrees_of_freedom
 from .model import RANDOM_TERMS, Floats
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
-from .solve import B, K, N, Q, Whitening, nonnegative_least_squares
 from .table import Table
 
 SHAPES_PER_OCTAVE = 6
@@ -86,12 +86,12 @@ class Found:
     ----------
     extras : tuple of Extra
         Gauss-Markov processes before sinusoids.
-    power : (4 + extras,) float64 array
+    variances : (4 + extras,) float64 array
     chi_squared : float
     """
 
     extras: tuple[Extra, ...]
-    power: Floats
+    variances: Floats
     chi_squared: float
 
 
@@ -148,9 +148,9 @@ class ProcessSearch:
     def fitted(self, extras: Sequence[Extra]) -> Found:
         """Return the fit of given processes together with the four terms."""
         design = np.column_stack([self._terms, self._white(extras)])
-        power = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
-        rest = self._target - design @ power
-        return Found(tuple(extras), power, float(rest @ rest))
+        variances = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
+        rest = self._target - design @ variances
+        return Found(tuple(extras), variances, float(rest @ rest))
 
     def search(self, start: Sequence[Extra] = ()) -> Found:
         """Return the fewest processes that describe the table.
@@ -202,7 +202,7 @@ class ProcessSearch:
 
     def z(self, found: Found) -> float:
         """Return the goodness of fit as a normal deviate."""
-        freedom = max(self.freedom - np.count_nonzero(found.power) - len(found.extras), 1.0)
+        freedom = max(self.freedom - np.count_nonzero(found.variances) - len(found.extras), 1.0)
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
     def _needed(self, found: Found) -> float:
@@ -219,7 +219,7 @@ class ProcessSearch:
         at = np.flatnonzero(allowed)
         if not len(at):
             return None
-        chi_squared = self._tried(found.extras, found.power, self._columns[:, at])
+        chi_squared = self._tried(found.extras, found.variances, self._columns[:, at])
         best = int(np.argmin(chi_squared))
         if not np.isfinite(chi_squared[best]):
             return None
@@ -239,16 +239,16 @@ class ProcessSearch:
         """Return the fit with the best shape of one process: first on the grid, then refined."""
         best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
-        power = np.delete(found.power, len(RANDOM_TERMS) + k)
+        variances = np.delete(found.variances, len(RANDOM_TERMS) + k)
         kind = self._of_kind[type(best)]
         grid = [e for e, here in zip(self._grid, kind) if here]
         if not grid:  # too few averages remain to adjust the shape
             return found
         if everywhere:
-            coarse = self._tried(others, power, self._columns[:, kind])
+            coarse = self._tried(others, variances, self._columns[:, kind])
             if coarse.min() < found.chi_squared - LITTLE_GAIN:
                 best = grid[int(np.argmin(coarse))]
-        active = tuple(c for c in (B, K) if found.power[c] > 0.0)
+        active = tuple(c for c in (B, K) if found.variances[c] > 0.0)
         step = 2.0 ** (1.0 / SHAPES_PER_OCTAVE)
         low, high = grid[0].shape, grid[-1].shape
         points, zooms = (LINE_FINE, LINE_ZOOMS) if isinstance(best, SinusoidTerm) else (FINE, 2)
@@ -257,7 +257,7 @@ class ProcessSearch:
             reach = step ** (ZOOM**-zoom)
             shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * points + 1)
             fine = [replace(best, shape=float(s)) for s in np.clip(shapes, low, high)]
-            chi_squared = self._tried(others, power, self._white(fine), (active,))
+            chi_squared = self._tried(others, variances, self._white(fine), (active,))
             least = float(chi_squared.min())
             if not np.isfinite(least):
                 break
@@ -271,7 +271,7 @@ class ProcessSearch:
     def _tried(
         self,
         extras: Sequence[Extra],
-        power: Floats,
+        variances: Floats,
         candidates: Floats,
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
     ) -> Floats:
@@ -284,10 +284,10 @@ class ProcessSearch:
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
         # White noise with a small contribution could become negative next to any other process.
-        white = float(np.max(self.table.terms[:, N] * power[N] / self.table.avar))
+        white = float(np.max(self.table.terms[:, N] * variances[N] / self.table.avar))
         optional = (Q, N, B, K) if white < LITTLE_WHITE else (Q, B, K)
         certain = [c for c in range(known.shape[1]) if c not in optional]
-        if self.signed or power[Q] != 0.0:
+        if self.signed or variances[Q] != 0.0:
             certain.append(Q)
         for some in actives if self._walk else [each for each in actives if K not in each]:
             active = sorted((*certain, *some))
