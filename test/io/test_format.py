@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from allan_ros.core.findings import Finding
+from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import Coefficient
 from allan_ros.io.format import (
     ShownUnit,
@@ -18,6 +18,7 @@ from allan_ros.io.format import (
     interval_text,
     shown_unit,
     significant,
+    text_in_units,
     value_text,
 )
 
@@ -83,6 +84,11 @@ def test_units() -> None:
 
 def finding_of(axis, message, severity='warning', id='x', remedy='Fix it.'):
     return Finding(id, severity, message, remedy, (axis,) if axis else ())
+
+
+def test_the_mean_acceleration_of_a_wrong_unit_stays_as_recorded() -> None:
+    message = finding('accel_unit', norm=0.9974, unit='g').message
+    assert text_in_units(message, 'datasheet') == message
 
 
 def test_equal_causes_become_one_with_the_range_of_each_number():
