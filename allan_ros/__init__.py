@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the noise of IMUs by the Allan variance: coefficients with confidence intervals.
+"""Measure the noise coefficients of IMUs by the Allan variance, with confidence intervals.
 
 >>> import allan_ros as ar
 >>> recording = ar.simulate(hours=0.2, rate=50, preset='paper')
@@ -54,14 +54,15 @@ def keep_to_one_thread() -> None:
     """Limit linear algebra to one thread; entry points call this before numpy is imported.
 
     Matrices have about a hundred rows. With several threads, which spin while they wait for each
-    other, a fit takes three times the CPU and is not faster. Settings of the user are kept.
+    other, a fit takes three times the CPU and is not faster. Variables that the user has set are
+    kept.
     """
     for library in ('OPENBLAS', 'OMP', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')
 
 
 def __getattr__(name: str) -> Any:
-    # Loaded on first use, so that importing the package takes no time.
+    # Loaded at the first use: importing the package must be fast.
     if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     value = getattr(import_module(f'.{_HOME.get(name, "api")}', __name__), name)

@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The public functions, which are the only path from a recording to `Results`."""
+"""The public functions `analyze`, `merge`, `compare`, `inflate` and `simulate`.
+
+The command line calls the functions of this file, too, so both give the same results.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,8 @@ from .io.results import Results, analyse_recorded, judged_as_before
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
-"""Terms in datasheet units: for all axes of a sensor, by axis, or for x, y and z."""
+"""Coefficients in datasheet units: one mapping such as ``{'N': 0.3}`` for all axes of a sensor, a
+mapping such as ``{'z': {'N': 0.3}}`` for some axes, or a list of three mappings for x, y and z."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +90,10 @@ class ResultSettings(CheckedSettings):
 
 
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
-    """Fit the sums and compare them with the datasheet and the earlier run of the settings.
+    """Fit the sums of one IMU, and compare the results as the settings request.
 
-    Without a datasheet in the settings, the datasheet of earlier comparisons of the recordings is
-    used.
+    The settings name a datasheet (``sensor``) and an earlier run (``baseline``). If they name no
+    datasheet, the one with which the recordings were compared before is used again.
 
     Raises AllanError when there are too few data, or the datasheet or the earlier run cannot be
     read.
@@ -106,7 +110,12 @@ def results_of(
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> Results:
-    """Return results unchanged, the results of a document as `load` does, or of a recording."""
+    """Return the results of a path: a document, the folder of an analysis, or a recording.
+
+    Results instead of a path are returned unchanged. Sums and recordings are fitted by ``method``.
+    A recording is processed with the settings ``segmenter``, and ``observer`` receives the progress
+    of reading. Raises AllanError when the path cannot be read.
+    """
     expect((Results, *PATH), 'results or a path', source=path)
     if isinstance(path, Results):
         return path
@@ -133,15 +142,18 @@ def analyze(
     processes: int = 1,
     **options: Any,
 ) -> Results:
-    """Return the noise of an IMU from its recordings or samples.
+    """Measure the noise of an IMU from its recordings or samples.
+
+    Motion and gaps are detected and excluded.
 
     Parameters
     ----------
     source : path, sequence of paths, array, DataFrame, mapping of columns, or ImuBatch
-        Several paths are recordings of one IMU; their sums are added. Arrays are (n,) or
-        (n, axes), one row per sample.
+        Several paths must be recordings of the same IMU and give one common result. Arrays are
+        (n,) or (n, axes), with one row per sample.
     rate : float
-        Sample rate in Hz: needed by arrays, checked against the stamps of recordings.
+        Sample rate in Hz. It is required for samples without stamps. For recordings it is only
+        compared with the stamps, and 0 disables this check.
     axes : str or sequence of str, optional
         The axis of each column of an array, such as ``'gyro_z'``, ``'accel'`` or a list. By
         default one column is ``gyro_x``, three are the gyro, six are gyro and accelerometer.
@@ -149,25 +161,33 @@ def analyze(
         Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
         rad/s and m/s^2.
     method : str
-        'gls', 'relative' or 'paper'.
+        Method of the fit: 'gls' (generalised least squares, with confidence intervals), 'relative'
+        (least squares on relative residuals) or 'paper' (plain least squares, as Cong et al. 2019).
     sensor : str
-        Datasheet to compare with: a name of `allan sensors`, or the path of a .yaml file.
+        Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml file.
     baseline : Results or path
-        An earlier run of this IMU to compare with: results, a document, or a folder of an analysis.
+        An earlier run of this IMU to compare with: results, or the path of a results.json, a
+        sums.json or the folder of an analysis.
     margin : float
-        Fraction by which a complete interval must exceed the datasheet or the earlier run.
+        A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies
+        above it by this fraction.
     hardware_id : str
-        Serial number of the IMU; only sums with equal serial numbers can be merged.
+        Serial number of the IMU; only results with equal serial numbers can be merged.
     processes : int
-        Number of recordings that are read at the same time.
+        Number of recordings that are read at the same time, each in its own process.
     **options
-        Further fields of `SegmenterSettings` and `ReadOptions`: ``skip``, ``motion_gate``,
-        ``topic``, ``columns`` ...
+        Further options of `allan analyze`, with underscores: ``skip`` (time in s excluded at the
+        start), ``motion_gate`` (False uses all data), ``topic``, ``columns`` ...
+
+    Returns
+    -------
+    Results
+        The coefficients, curves and findings of each axis.
 
     Raises
     ------
     AllanError
-        When the source cannot be read, or has no static data.
+        When the source cannot be read, an argument is invalid, or no data at rest are found.
 
     Examples
     --------
@@ -203,16 +223,21 @@ def analyze(
 
 
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:
-    """Return the common results of several recordings of one IMU, by adding their sums.
+    """Combine several recordings of one IMU into one result, without reading them again.
 
-    If all earlier comparisons were with the same datasheet, the result is compared with it, too.
+    The stored sums of second differences are added and fitted together. If the sources were
+    compared with one datasheet, the result is compared with it, too.
 
     Parameters
     ----------
     *sources : Results or path
         Results of `analyze`, or paths of a sums.json, a checkpoint or the folder of an analysis.
     method : str
-        'gls', 'relative' or 'paper'.
+        Method of the fit: 'gls', 'relative' or 'paper', as in `analyze`.
+
+    Returns
+    -------
+    Results
 
     Raises
     ------
@@ -240,22 +265,31 @@ def compare(
     method: str = 'gls',
     observer: Observer = Silent(),
 ) -> RunComparison:
-    """Return the significant differences of recordings from the first one.
+    """Compare recordings with the first of them, and with datasheets.
 
     Parameters
     ----------
     *sources : Results or path
-        Results of `analyze` or `load`, documents, folders of an analysis, or recordings.
+        Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
+        analysis, or a recording.
     labels : sequence of str
-        Names of the recordings; by default their paths, or A, B, C ...
+        Names of the recordings in the output; by default their paths, or A, B, C ...
     sensor : str or sequence of str
-        Datasheets with which each recording is compared.
+        Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
+        .yaml files.
     margin : float
-        Fraction by which a complete interval must exceed the limit of a datasheet.
+        A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
+        by this fraction.
     method : str
-        Method of the fit of sums and recordings; results are not fitted again.
+        Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
     observer : Observer
-        Receives the progress of reading.
+        Receives the progress of reading recordings; silent by default.
+
+    Returns
+    -------
+    RunComparison
+        The differences of each recording from the first one (``pairs``), the comparisons with
+        the datasheets (``datasheets``), and whether any of them is significant (``differs``).
 
     Raises
     ------
@@ -299,18 +333,27 @@ def inflate(
     horizon: float = 30.0,
     observer: Observer = Silent(),
 ) -> Inflation:
-    """Return the increase of the noise of a robot at rest due to running motors.
+    """Measure by how much running motors increase the IMU noise of a robot at rest.
+
+    The factors are for a filter: its N and K are multiplied by them.
 
     Parameters
     ----------
     rest : Results or path
-        The robot at rest with its motors off: results, a document, a folder, or a recording.
+        The robot at rest with its motors off: results, or the path of a results.json, a sums.json,
+        the folder of an analysis, or a recording.
     running : Results or path
-        The same with its motors on. Vibration in a recording does not count as motion.
+        The robot at rest with its motors on. All samples of a recording are used, because the
+        vibration of motors could be mistaken for motion.
     horizon : float
-        Longest time in s that the filter integrates without correction.
+        Longest time in s for which the filter integrates the IMU without a correction.
     observer : Observer
-        Receives the progress of reading.
+        Receives the progress of reading recordings; silent by default.
+
+    Returns
+    -------
+    Inflation
+        The factors for N and K of each axis (``axes``), and the largest factor for N (``factor``).
 
     Raises
     ------
@@ -343,31 +386,38 @@ def simulate(
     frame_id: str = 'imu_link',
     **faults: Any,
 ) -> ImuBatch:
-    """Return the samples of a simulated IMU with known noise.
+    """Simulate the samples of an IMU at rest with known noise.
 
     Parameters
     ----------
     hours, rate : float
         Duration in h, and sample rate in Hz.
     preset : str
-        A name of `core.simulate.PRESETS`; '' for none.
+        Name of predefined noise: 'paper' (the ADIS16475-3 of Cong et al. 2019), or '' for none.
     sensor : str
-        Name of a datasheet whose limits replace the preset.
+        Name of a datasheet, whose N and B are used instead of the preset.
     gyro, accel : mapping or list of mappings, optional
-        Coefficients that replace those of the preset, in datasheet units. For all axes:
-        ``{'N': 0.3, 'B': 7}``. Per axis: a list of three such mappings (x, y, z), or a mapping by
-        axis such as ``{'z': {'N': 0.3}}``.
+        Coefficients that replace those of the preset, in datasheet units (gyro N in deg/sqrt(h), B
+        in deg/h; accelerometer N in m/s/sqrt(h), B in ug). For all axes: ``{'N': 0.3, 'B': 7}``.
+        Per axis: a list of three such mappings (x, y, z), or a mapping by axis such as
+        ``{'z': {'N': 0.3}}``.
     seed : int
-        Seed of the random numbers.
+        Seed of the random numbers, 0 or more.
     frame_id : str
         The frame_id of the messages.
     **faults
-        Fields of `core.simulate.Faults`: ``motion``, ``gaps``, ``low_pass`` ...
+        Faults of the IMU, which are the options of `allan simulate` with underscores: ``motion``,
+        ``gaps`` (both as pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
 
     Returns
     -------
     ImuBatch
-        With ``stamps_ns`` (n,) and ``samples`` (n, 6) in SI.
+        With ``stamps_ns`` (n,) in ns and ``samples`` (n, 6) in rad/s and m/s^2.
+
+    Raises
+    ------
+    AllanError
+        When an argument is unknown or invalid, or the samples do not fit into memory.
 
     Examples
     --------
@@ -397,7 +447,7 @@ def simulate(
 
 
 def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping[str, float]]:
-    """Return the changes as a mapping from the sensor, or from each axis, to its terms."""
+    """Return coefficients by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
     if not given:
         return {}
     if isinstance(given, Mapping):

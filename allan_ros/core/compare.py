@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Significant differences between two recordings, and coefficients that exceed a limit.
 
-`differences` is the only test of whether two recordings differ: two files, a recording and an
+`differences` tests whether two recordings differ. The two may be two files, a recording and an
 earlier one, or the last hour of a stream and the time before it.
 
 Coefficients are compared by the logarithm of their ratio. Its limits follow from the two intervals,
 each with its own width above and below (method of variance estimates recovery: Zou & Donner,
-Statistics in Medicine 27, 2008, eq. 9, on logarithms). A coefficient that only one recording
-resolves is compared with the upper limit of the other one: the confidence level of both limits is
-raised until they meet. Deviations at equal averaging times are compared by the F distribution of
-two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
+Statistics in Medicine 27, 2008, eq. 9, on logarithms). If only one recording resolves a
+coefficient, it is compared with the upper limit of the other one: the confidence level of both
+limits is raised until they meet. Deviations at equal averaging times are compared by the F
+distribution of two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
 keeps the probability of any false detection below `FAMILY_ERROR`, even if the comparisons are
@@ -32,8 +32,8 @@ from .deferred import special
 from .fit.model import TERMS, Z_95, Coefficient
 
 MARGIN = 0.2
-"""Tolerance above a limit: typical figures of a datasheet describe the median unit, and noise
-increases by some percent with temperature."""
+"""Fraction by which a coefficient may exceed a limit: typical figures of a datasheet
+describe the median unit, and noise increases by some percent with temperature."""
 
 FAMILY_ERROR = 0.05
 """Probability of at least one significant difference between recordings of equal noise, among all
@@ -43,40 +43,44 @@ TAU_RATIO = 4.0
 """Ratio of the averaging times that are compared: closer ones share most of their samples."""
 
 MIN_EDF = 3.0
-"""Smallest number of degrees of freedom on either side: with fewer, no ratio below 10 is
-significant."""
+"""Smallest number of degrees of freedom of a deviation that is compared: with fewer, no ratio below
+10 is significant."""
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
-"""Grid of degrees of freedom for the interpolation from the width of a curve's limits."""
+"""Degrees of freedom for which the ratio of the chi-squared limits is tabulated, (1000,)."""
 
 SMALLEST_SCALE = 1e-12
-"""Relative width below which an interval has no width."""
+"""Smallest standard error of the logarithm of an estimate, which avoids a division by zero."""
 
 LARGEST_EXPONENT = 709.0
 """Largest exponent whose exp is a finite float."""
 
 Verdict = Literal['within', 'beyond', 'open']
-"""Not above a limit; significantly above the limit and its margin; not decided."""
+"""Not above the limit; significantly above the limit by more than the margin; neither can be
+shown."""
 
 Change = Literal['higher', 'lower', 'alike', 'open']
-"""The second recording is significantly higher, lower, not significantly different, or
-undecided."""
+"""The second recording is significantly higher, significantly lower or not significantly different,
+or the test is impossible or inconclusive."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One quantity of one axis against one limit or earlier value, in SI.
+    """A coefficient or deviation of one axis, compared with a limit or an earlier value, in SI.
 
     Attributes
     ----------
     reference : str
         Name of the datasheet or of the earlier run.
+    axis : str
+        Name of the axis.
     term : str
-        A term, or 'adev' for the deviation at ``tau``.
+        A term (Q, N, B, K or R), or 'adev' for the Allan deviation at ``tau``.
     limit : float
         Limit of the datasheet, or the value or upper limit of the earlier run.
+    verdict : 'within', 'beyond' or 'open'
     at_least : float
         Lower end of the 95 % interval of measured / limit; 0 if unknown.
     tau : float or None
@@ -98,10 +102,12 @@ def compare_with_limits(
     noise: Mapping[str, Mapping[str, Coefficient]],
     margin: float,
 ) -> tuple[Comparison, ...]:
-    """Return a comparison for each coefficient with a limit (limits and coefficients: axis -> term,
-    in SI).
+    """Compare the coefficients of each axis with the upper limits of a datasheet.
 
-    A complete 95 % interval must lie above the limit by the fraction ``margin`` to be beyond it.
+    ``limits`` (axis -> term -> limit) and ``noise`` (axis -> term -> coefficient) are in SI;
+    coefficients without a limit are skipped. ``reference`` is the name of the datasheet. A
+    coefficient is 'beyond' its limit if its complete 95 % interval lies above the limit by the
+    fraction ``margin``.
     """
     found = []
     for axis, terms in noise.items():
@@ -131,8 +137,10 @@ class Difference:
 
     Attributes
     ----------
+    axis : str
+        Name of the axis.
     quantity : str
-        A term, or 'adev' for the deviation at ``tau``.
+        A term (Q, N, B, K or R), or 'adev' for the Allan deviation at ``tau``.
     tau : float or None
         Averaging time in s, of a deviation.
     first : float or None
@@ -162,16 +170,21 @@ class Difference:
         return self.verdict in ('higher', 'lower')
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the difference is significant and its complete interval exceeds a
-        fraction."""
+        """Return whether the two recordings differ significantly by more than a fraction.
+
+        The complete 95 % interval of the ratio must lie above 1 + margin, or below 1 / (1 +
+        margin).
+        """
         low, high = self.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 
     def against(self, reference: str, margin: float) -> Comparison | None:
-        """Return the comparison of the second recording with the first; None if impossible.
+        """Return a comparison of the second recording with the first as its limit.
 
-        An estimate that does not exceed the first recording significantly by the margin is within
-        it.
+        ``reference`` is the name of the first recording. The verdict is 'beyond' if the second
+        recording is significantly higher by more than the fraction ``margin``. It is 'open' if the
+        second recording has only an upper limit and this lies above the margin. Otherwise it is
+        'within'. Returns None if the recordings could not be compared.
         """
         if self.p is None or self.ci95 is None or self.first is None:
             return None
@@ -185,7 +198,8 @@ class Difference:
 
 
 class Measured(NamedTuple):
-    """Results of one axis of a recording: its coefficients by term, its curve, or both."""
+    """Results of one axis of a recording: its coefficients by term, and its curve; None if
+    unknown."""
 
     noise: Mapping[str, Coefficient] | None
     curve: AxisCurve | None
@@ -198,37 +212,41 @@ Run = Mapping[str, Measured]
 def differences(
     pairs: Iterable[tuple[Run, Run]], repeats: float = 1.0
 ) -> list[tuple[Difference, ...]]:
-    """Return the differences of the second recording of each pair from the first.
+    """Return for each pair of recordings the differences of the second from the first.
 
     For each common axis, the five terms and then the deviations at common averaging times are
-    compared. ``repeats`` accounts for repeated comparisons: it is 1 for a single comparison, and k
-    (k + 1) for the k-th of an endless series, so that the probability of any false detection in the
-    series stays below `FAMILY_ERROR`.
+    compared. The verdicts are corrected for the number of all comparisons of all pairs.
+
+    ``repeats`` is 1 for a single comparison. For the k-th comparison of an endless series it is
+    k (k + 1). The probability of any false detection in the series is then below `FAMILY_ERROR`.
     """
     found = [
-        [d for axis in first if axis in second for d in _of_axis(axis, first[axis], second[axis])]
+        [
+            d
+            for axis in first
+            if axis in second
+            for d in _axis_differences(axis, first[axis], second[axis])
+        ]
         for first, second in pairs
     ]
-    settled = iter(_settled([d for of_pair in found for d in of_pair], FAMILY_ERROR / repeats))
+    settled = iter(
+        _with_verdicts([d for of_pair in found for d in of_pair], FAMILY_ERROR / repeats)
+    )
     return [tuple(next(settled) for _ in of_pair) for of_pair in found]
 
 
-def _of_axis(axis: str, first: Measured, second: Measured) -> Iterator[Difference]:
+def _axis_differences(axis: str, first: Measured, second: Measured) -> Iterator[Difference]:
     if first.noise is not None and second.noise is not None:
         for term in TERMS:
-            yield _of_coefficients(axis, term, first.noise[term], second.noise[term])
+            yield _coefficient_difference(axis, term, first.noise[term], second.noise[term])
     if first.curve is not None and second.curve is not None:
-        yield from _of_curves(axis, first.curve, second.curve)
+        yield from _curve_differences(axis, first.curve, second.curve)
 
 
-def _of_curves(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
-    """Yield the differences of the deviations at common averaging times, without verdicts.
-
-    The times are a factor `TAU_RATIO` apart, from the shortest that both have to the longest at
-    which both have `MIN_EDF` degrees of freedom; deviations between two points of a curve are
-    interpolated.
-    """
-    points = _points(first), _points(second)
+def _curve_differences(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
+    """Yield the differences of interpolated deviations at common averaging times, without
+    verdicts."""
+    points = _log_points(first), _log_points(second)
     if not all(len(one) for one in points):
         return
     tau = math.exp(max(one[0, 0] for one in points))
@@ -245,7 +263,7 @@ def _of_curves(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Diffe
         tau *= TAU_RATIO
 
 
-def _points(curve: AxisCurve) -> Floats:
+def _log_points(curve: AxisCurve) -> Floats:
     """Return the logarithms of tau, deviation and degrees of freedom, (points, 3)."""
     with np.errstate(invalid='ignore', divide='ignore'):
         edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
@@ -253,8 +271,8 @@ def _points(curve: AxisCurve) -> Floats:
     return np.log(np.stack([curve.tau, curve.adev, edf], axis=1)[known])
 
 
-def _settled(found: Sequence[Difference], family_error: float) -> list[Difference]:
-    """Return the differences with their verdicts, by Holm's procedure over all of them."""
+def _with_verdicts(found: Sequence[Difference], family_error: float) -> list[Difference]:
+    """Return the differences with verdicts by Holm's procedure."""
     decidable = sorted((d.p, i) for i, d in enumerate(found) if d.p is not None)
     beyond: set[int] = set()
     for rank, (p, i) in enumerate(decidable):
@@ -273,25 +291,24 @@ def _change(difference: Difference, beyond: bool) -> Change:
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
 
-def _of_coefficients(axis: str, term: str, first: Coefficient, second: Coefficient) -> Difference:
-    """Return the difference of one term, without a verdict; None if unknown."""
+def _coefficient_difference(
+    axis: str, term: str, first: Coefficient, second: Coefficient
+) -> Difference:
     a, b = _estimate(first), _estimate(second)
     before = _limit(first) if a is None else a[0]
     unknown = Difference(axis, term, None, before, None, None, None)
     if a is not None and b is not None:
-        ratio, ci95, p = _of_estimates(a, b)
+        ratio, ci95, p = _ratio_of_estimates(a, b)
         return replace(unknown, ratio=ratio, ci95=ci95, p=p)
     if a is not None and (limit := _limit(second)) is not None:
-        return replace(unknown, ci95=(0.0, limit / a[1]), p=_of_limit(a, limit))
+        return replace(unknown, ci95=(0.0, limit / a[1]), p=_p_value_of_limit(a, limit))
     if b is not None and (limit := _limit(first)) is not None:
-        return replace(unknown, ci95=(b[1] / limit, math.inf), p=_of_limit(b, limit))
+        return replace(unknown, ci95=(b[1] / limit, math.inf), p=_p_value_of_limit(b, limit))
     return unknown
 
 
 def _estimate(c: Coefficient) -> tuple[float, float, float] | None:
-    """Return (value, low, high) of a coefficient that is estimated with an interval above 0, else
-    None.
-    """
+    """Return (value, low, high) of an estimate whose interval lies above 0; None for any other."""
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
     low, high = c.ci95
@@ -306,11 +323,14 @@ def _limit(c: Coefficient) -> float | None:
     return c.upper95 if known else None
 
 
-def _of_estimates(
+def _ratio_of_estimates(
     a: tuple[float, float, float], b: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float], float]:
-    """Return ratio b/a, interval and probability from the widths of the sides that face each
-    other."""
+    """Return the ratio b / a, its 95 % interval and the p value.
+
+    ``a`` and ``b`` are (value, low, high). The p value uses the upper width of the smaller estimate
+    and the lower width of the larger one.
+    """
     log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
     up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
@@ -321,20 +341,21 @@ def _of_estimates(
 
 
 def _exp(x: float) -> float:
-    """Return exp(x), or infinity on overflow."""
     return math.exp(x) if x < LARGEST_EXPONENT else math.inf
 
 
-def _width(upper: float, lower: float, of: tuple[float, float, float]) -> float:
-    """Return ln(upper / lower), but at least half the logarithmic width of the interval ``of``.
+def _width(upper: float, lower: float, interval: tuple[float, float, float]) -> float:
+    """Return ln(upper / lower), but at least half the logarithmic width of an interval.
 
-    The interval inverts a test in which the other terms are refitted, so the estimate may coincide
-    with one end. Its distance of 0 to that end would be too small for a standard error.
+    ``interval`` is (value, low, high). The value may coincide with one end of its interval, and its
+    distance to that end is then too small for a standard error.
     """
-    return max(math.log(upper) - math.log(lower), (math.log(of[2]) - math.log(of[1])) / 2.0)
+    return max(
+        math.log(upper) - math.log(lower), (math.log(interval[2]) - math.log(interval[1])) / 2.0
+    )
 
 
-def _of_limit(a: tuple[float, float, float], limit: float) -> float:
+def _p_value_of_limit(a: tuple[float, float, float], limit: float) -> float:
     """Return the p value if one recording has an estimate and the other only a limit.
 
     At the quantile z, the lower limit of the estimate, exp(-z s) times the estimate, meets the

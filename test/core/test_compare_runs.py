@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
-from allan_ros.core.compare import FAMILY_ERROR, Difference, Measured, _settled, differences
+from allan_ros.core.compare import FAMILY_ERROR, Difference, Measured, _with_verdicts, differences
 from allan_ros.core.fit.model import TERMS, Coefficient
 
 UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
@@ -88,8 +88,8 @@ def test_holm_by_hand():
     raw = [
         Difference('gyro_x', 'N', None, 1.0, 2.0, (1.5, 3.0), p) for p in (0.01, 0.03, 0.04, 0.005)
     ]
-    assert [d.verdict for d in _settled(raw, 0.05)] == ['higher', 'alike', 'alike', 'higher']
-    assert [d.verdict for d in _settled(raw, 0.2)] == ['higher'] * 4
+    assert [d.verdict for d in _with_verdicts(raw, 0.05)] == ['higher', 'alike', 'alike', 'higher']
+    assert [d.verdict for d in _with_verdicts(raw, 0.2)] == ['higher'] * 4
     assert differences([]) == []
 
 
