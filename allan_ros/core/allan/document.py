@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`AllanSums` as a plain document (dicts, lists, numbers, strings) and back, without loss.
+"""Conversion of `AllanSums` to a plain document (dicts, lists, numbers, strings) and back.
 
-The same document is the checkpoint, ``sums.json`` and the payload of the sums topic. The document
-is not trusted: the reader checks every length and bound, and the consistency of the parts.
+The same document is used in checkpoints, in ``sums.json`` and on the topic ``~/sums``. The reader
+does not trust it: it checks every length and bound, and that the fields are consistent.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .history import (
     add_padded,
     age_bin,
     edge_age,
-    short,
+    round_to_stored,
 )
 from .sums import (
     FIRST_FACTORS,
@@ -48,32 +48,33 @@ from .sums import (
 )
 
 SUMS_SCHEMA = 'allan_ros/sums/1'
-"""Name and version of the document; the reader rejects any other."""
+"""Name and version of the document format; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
-"""Largest number of averaging factors: more would be centuries of samples."""
+"""Largest accepted number of averaging factors; more would require centuries of samples."""
 
 MAX_CLASSES = 500
-"""Largest number of length classes: 1.1^500 is 5e20 samples."""
+"""Largest accepted number of length classes; class 500 has segments of 1.1^500 = 5e20 samples."""
 
 MAX_BINS = 120
-"""Largest number of bins by age: the last edge is at 2^66 samples."""
+"""Largest accepted number of bins by age; the last of them begins at 2^66 samples."""
 
 MOST_PERIODS = 1024
-"""Largest number of periods: a recording of 2^60 samples has about 300."""
+"""Largest accepted number of periods; a recording of 2^60 samples has about 300."""
 
 MAX_SUM = 1e80
-"""Largest sum of squares; the covariance in a fit uses its fourth power."""
+"""Largest accepted sum of squares. A fit uses its fourth power, which must not overflow."""
 
 MAX_PERIOD_NS = 10**13
-"""Longest sample period, nearly three hours."""
+"""Longest accepted sample period in ns, nearly three hours."""
 
-SAME = 1e-4
-"""Largest relative difference of the sums by age, added up, from the sums."""
+HISTORY_TOLERANCE = 1e-4
+"""Largest relative difference between the total of the sums by age and the sums of the recording;
+the sums by age are rounded to 16 significant bits."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
-    """Return the sums as a document; floats survive a round trip through JSON unchanged."""
+    """Return the sums as a document for JSON; `sums_from_document` restores them without loss."""
     tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq')
     return {
         'schema': SUMS_SCHEMA,
@@ -91,7 +92,7 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 
 def _plain(values: Any) -> dict[str, Any]:
-    """Return a dataclass of whole numbers and arrays as a dict with lists of numbers."""
+    """Return the fields of a dataclass (integers and arrays) as integers and lists."""
     found = {f.name: getattr(values, f.name) for f in dataclasses.fields(values)}
     return {k: v.tolist() if isinstance(v, np.ndarray) else int(v) for k, v in found.items()}
 
@@ -118,73 +119,66 @@ def _history_to_document(history: History) -> dict[str, Any]:
 
 
 PACKED = ('cell_samples', 'cell_means', 'period_begin', 'level_count', 'level_sum_sq')
-"""Arrays of a recording that are stored as text."""
+"""Arrays of a `Recording` that are stored as compressed text."""
 
 
 def _packed(values: NDArray[Any]) -> str:
-    """Return an array as text: its numbers in little-endian bytes, byte by byte, compressed.
+    """Return an array as 'z4:' (floats) or 'z8:' (integers) and its zlib-compressed base64 bytes.
 
-    Floats are shortened by `history.short` to the upper half of double precision. The base64 text
-    begins with 'z4:' (floats) or 'z8:' (whole numbers), the number of bytes per number.
+    The digit is the number of bytes per number. Of the little-endian float64, only the upper 4
+    bytes are stored: `round_to_stored` sets the others to 0. The bytes are transposed: first byte 0
+    of all numbers, then byte 1, and so on, which compresses better.
     """
     kind, size = ('<f8', 4) if values.dtype.kind == 'f' else ('<i8', 8)
     data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)[:, 8 - size :]
     return f'z{size}:' + base64.b64encode(zlib.compress(data.T.tobytes(), 9)).decode('ascii')
 
 
-def _unpacked(fields: Fields, key: str, most: int, former: str) -> NDArray[Any]:
-    """Return the at most ``most`` numbers of a packed text.
-
-    Texts of earlier versions are not compressed; their numbers have the type ``former``.
-    """
-    where = f'{fields.where}.{key}'
-    kind, _, coded = fields.text(key, longest=12 * most + 100).rpartition(':')
+def _unpacked(fields: Fields, key: str, kind: str, most: int) -> NDArray[Any]:
+    """Return the at most ``most`` numbers of a text written by `_packed`; kind: 'z4' or 'z8'."""
+    where, size = f'{fields.where}.{key}', int(kind[1])
+    text = fields.text(key, longest=12 * most + 100)
+    if not text.startswith(f'{kind}:'):
+        raise AllanError(f'{where} begins with {text[:3]!r}: {kind}: is expected')
     try:
-        data = base64.b64decode(coded, validate=True)
-        if not kind:
-            return np.frombuffer(data, former)
-        size = {'z4': 4, 'z8': 8}[kind]
+        data = base64.b64decode(text[3:], validate=True)
         stream = zlib.decompressobj()
         planes = np.frombuffer(stream.decompress(data, size * most + 1), np.uint8)
         full = np.zeros((len(planes) // size, 8), np.uint8)
         full[:, 8 - size :] = planes.reshape(size, -1).T
-    except (ValueError, KeyError, zlib.error) as error:
+    except (ValueError, zlib.error) as error:
         raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
     if not stream.eof:
         raise AllanError(f'{where} is cut off, or has more than {most} numbers')
     return full.view('<f8' if kind == 'z4' else '<i8').ravel()
 
 
-def _floats(
-    fields: Fields, key: str, former: str, shape: tuple[int, ...], least: float = -MAX_SUM
+def _packed_floats(
+    fields: Fields, key: str, shape: tuple[int, ...], least: float = -MAX_SUM
 ) -> NDArray[np.float64]:
-    """Return the array of a packed text."""
-    values = _unpacked(fields, key, math.prod(shape), former).astype(float)
+    values = _unpacked(fields, key, 'z4', math.prod(shape)).astype(float)
     if values.size != math.prod(shape):
         raise AllanError(f'{fields.where}.{key} has {values.size} numbers: {shape} are expected')
     if not np.all((least <= values) & (values <= MAX_SUM)):  # this also excludes NaN
         raise AllanError(f'{fields.where}.{key} is not from {least:g} to {MAX_SUM:g}')
-    return short(values).reshape(shape)
+    return round_to_stored(values).reshape(shape)
 
 
-def _integers(fields: Fields, key: str, most: int) -> NDArray[np.int64]:
-    """Return whole numbers of 0 or above, packed or, in earlier versions, as a list."""
-    if isinstance(fields.value(key), list):
-        return fields.integers(key, len(fields.sequence(key, most)))
-    values = _unpacked(fields, key, most, '<i8').astype(np.int64)
+def _packed_counts(fields: Fields, key: str, most: int) -> NDArray[np.int64]:
+    values = _unpacked(fields, key, 'z8', most).astype(np.int64)
     if np.any((values < 0) | (values >= MAX_INTEGER)):
         raise AllanError(f'{fields.where}.{key}: whole numbers of 0 or above are expected')
     return values
 
 
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
-    """Return the sums of a document.
+    """Return the sums from a document of `sums_to_document`; ``where`` is its name in errors.
 
     Raises
     ------
     AllanError
-        When the document has another version, or when a field is missing, has a wrong type or
-        shape, is not finite, exceeds its bounds, or contradicts other fields.
+        If the document has another version, or a field is missing, has a wrong type or shape, is
+        not finite, exceeds its bounds, or contradicts other fields.
     """
     top = Fields(document, where)
     top.schema(SUMS_SCHEMA)
@@ -211,12 +205,12 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
     )
     if not np.array_equal(top.integers('m', n), sums.m):
         raise AllanError(f'{where}.m is not the grid of this version: accumulate the data again')
-    _check(sums, where)
+    _check_consistency(sums, where)
     return sums
 
 
-def _check(sums: AllanSums, where: str) -> None:
-    """Raise `AllanError` naming a part of the sums that contradicts the others."""
+def _check_consistency(sums: AllanSums, where: str) -> None:
+    """Raise `AllanError` if fields of the sums contradict each other; the message names one."""
     if sums.intervals != sums.samples - sums.segment_count:
         raise AllanError(
             f'{where}.intervals is {sums.intervals}: {sums.samples} samples in '
@@ -244,7 +238,7 @@ def _check(sums: AllanSums, where: str) -> None:
     if bins:
         number = reduce(add_padded, (b.count for b in bins), none)
         total = reduce(add_padded, (b.sum_sq for b in bins), np.zeros_like(sums.sum_sq))
-        near = np.abs(total - sums.sum_sq) <= SAME * sums.sum_sq
+        near = np.abs(total - sums.sum_sq) <= HISTORY_TOLERANCE * sums.sum_sq
         if not np.array_equal(number, sums.count) or not near.all():
             raise AllanError(f'{where}.history does not add up to the sums: the file is damaged')
 
@@ -257,7 +251,7 @@ def _table(
     least: float = -MAX_SUM,
     most: float = MAX_SUM,
 ) -> NDArray[np.float64]:
-    """Return a table of numbers in the range of an IMU."""
+    """Return the table of a field; its numbers must be from ``least`` to ``most``."""
     values = fields.table(key, rows, columns, least=max(least, -most))
     if np.any(values > most):
         raise AllanError(f'{fields.where}.{key} is above {most:g}: too large for samples of an IMU')
@@ -265,7 +259,7 @@ def _table(
 
 
 def _filled(fields: Fields, axes: int) -> NDArray[np.int64]:
-    """Return the numbers of filled gaps by length."""
+    """Return `AllanSums.filled`, (lengths, axes)."""
     rows = len(fields.sequence('filled', LONGEST_FILLED))
     values = fields.table('filled', rows, axes, least=0.0)
     if np.any(values >= MAX_INTEGER) or np.any(values % 1.0):
@@ -322,7 +316,7 @@ def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
     age = fields.integer('age', least=0)
     if edge_age(age_bin(age)) != age:
         raise AllanError(f'{fields.where}.age is {age}: not an edge between two bins')
-    count = _integers(fields, 'count', factors)
+    count = _packed_counts(fields, 'count', factors)
     pooled = fields.sequence('pooled', MAX_CLASSES) if 'pooled' in fields else []
     for each in pooled:
         if (
@@ -338,7 +332,7 @@ def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
     return AgeBin(
         age_bin(age),
         count,
-        _floats(fields, 'sum_sq', '<f8', (len(count), axes), 0.0),
+        _packed_floats(fields, 'sum_sq', (len(count), axes), 0.0),
         tuple((each[0], each[1], each[2]) for each in pooled),
         ramp,
     )
@@ -348,9 +342,15 @@ def _recording(fields: Fields, axes: int) -> Recording:
     step = _power_of_two(fields, 'step')
     samples = fields.integer('samples', least=1)
     length = fields.integer('length', least=samples)
-    number = _integers(fields, 'cell_samples', CELLS)
+    number = _packed_counts(fields, 'cell_samples', CELLS)
     cells = len(number)
-    begins, count = _period_counts(fields, length)
+    begins = _packed_counts(fields, 'period_begin', MOST_PERIODS)
+    count = _packed_counts(fields, 'level_count', MOST_PERIODS * MAX_LEVELS)
+    levels = len(count) // max(len(begins), 1)
+    if levels * len(begins) != len(count):
+        raise AllanError(f'{fields.where}.level_count: {len(begins)} rows are expected')
+    if levels > MAX_LEVELS or np.any(np.diff(begins, append=length + 1) <= 0):
+        raise AllanError(f'{fields.where}: the periods do not fit the length of {length}')
     if len(fields.sequence('reference', axes)) != axes:
         raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
     if np.any(number > step) or cells * step > length + step:
@@ -361,28 +361,9 @@ def _recording(fields: Fields, axes: int) -> Recording:
         samples,
         step,
         number,
-        _floats(fields, 'cell_means', '<f4', (cells, axes)),
+        _packed_floats(fields, 'cell_means', (cells, axes)),
         fields.numbers('reference'),
         begins,
-        count,
-        _floats(fields, 'level_sum_sq', '<f4', (*count.shape, axes), 0.0),
+        count.reshape(len(begins), levels),
+        _packed_floats(fields, 'level_sum_sq', (len(begins), levels, axes), 0.0),
     )
-
-
-def _period_counts(fields: Fields, length: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the ages at which periods begin, and the counts (periods, levels) in them."""
-    if 'period' in fields:  # earlier versions had periods of equal length
-        rows = fields.sequence('level_count', MOST_PERIODS)
-        levels = len(rows[0]) if rows and isinstance(rows[0], list) else 0
-        count = fields.table('level_count', len(rows), levels, least=0.0).astype(np.int64)
-        begins = np.arange(len(rows)) * _power_of_two(fields, 'period')
-    else:
-        begins = _integers(fields, 'period_begin', MOST_PERIODS)
-        count = _integers(fields, 'level_count', MOST_PERIODS * MAX_LEVELS)
-        levels = len(count) // max(len(begins), 1)
-        if levels * len(begins) != len(count):
-            raise AllanError(f'{fields.where}.level_count: {len(begins)} rows are expected')
-        count = count.reshape(len(begins), levels)
-    if levels > MAX_LEVELS or np.any(np.diff(begins, append=length + 1) <= 0):
-        raise AllanError(f'{fields.where}: the periods do not fit the length of {length}')
-    return begins, count

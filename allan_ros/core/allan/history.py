@@ -1,19 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums by age: they assign each sum of squares to a part of the recording.
+"""Allan sums and means of a recording by age, to test whether its noise changes with time.
 
 The age of a sample is the number of sample periods since the first sample of its recording.
 
-- `AgeBin`: the Allan sums of the second differences that *start* in a range of ages. Segments are
-  not split: all averaging factors are kept, and the bins add up to the sums of the recording.
-  Edges lie at 2^k and 1.5 * 2^k samples: about 13 bins at any length. With them, the early part of
-  a recording can be left out afterwards (`parts.settled_sums`).
-- `Recording`: the means of up to 512 cells of equal length, and the sums of squares at every
-  second octave of about 100 periods, which are shorter towards the end. The stationarity tests and
-  the comparison of the recent noise with the earlier noise use them.
+- `AgeBin`: the Allan sums of the second differences that *start* in a range of ages. The bins add
+  up to the sums of the recording, at all averaging factors. Edges lie at 2^k and 1.5 * 2^k samples,
+  which gives about 13 bins at any length. The early part of a recording (its warm-up) can be
+  removed from the sums by leaving out the first bins.
+- `Recording`: the means of up to 512 cells (time intervals of equal length), and the sums of
+  squares at every second octave of about 100 periods (time intervals that are shorter towards the
+  end). The stationarity tests and the comparison of recent with earlier noise use them.
 
-All values depend only on the samples and their number, so any chunking gives the same values, and
-the values of several recordings can be added.
+All values depend only on the samples and their number, so they are the same for any chunking.
+Values of several recordings can be added.
 """
 
 from __future__ import annotations
@@ -33,34 +33,36 @@ FIRST_EDGE = 256
 """Age in samples of the first edge between two bins."""
 
 EARLIEST_PART = 64
-"""Bins that end before this fraction of the recording are merged into the first one, because the
-phase record has too few points to leave them out exactly."""
+"""Bins that end before 1/64 of the recording are merged into the first one. The phase record has at
+most 128 points, which is too few to leave out a shorter part exactly."""
 
 CELLS, MERGED_CELLS = 512, 64
-"""A recording has fewer cells than the first number; if several recordings are added, each has
-fewer cells than the second."""
+"""A single recording has fewer than 512 cells. If several recordings are added, each of them is
+reduced to fewer than 64."""
 
 LONGEST_PERIOD, PERIOD_DISTANCE = 32, 4
-"""Largest length of a period, as a fraction of its recording, and as a fraction of the time from
-its end to the end of the recording."""
+"""A period is at most 1/32 of the length of its recording, and at most 1/4 of the time from its end
+to the end of the recording."""
 
 MERGED_PERIODS = 16
-"""If several recordings are added, each of them except the latest has fewer periods than this."""
+"""If several recordings are added, each of them except the latest is reduced to fewer periods than
+this."""
 
 SHORTEST_PERIODS = (128, 2048)
-"""Shortest period in samples of a short recording, and of a recording of 2e6 samples or more."""
+"""Length in samples of the shortest period: 128 in a short recording, 2048 in one of 2e6 samples or
+more."""
 
 PERIOD_OVER_FACTOR = 16
-"""A period has sums at averaging factors up to its length divided by this number."""
+"""A period has sums at the averaging factors up to 1/16 of its length."""
 
 KEPT_RECORDINGS = 32
-"""Number of recordings that keep their means and periods."""
+"""Number of recordings whose means and periods are kept; the others contribute only to the bins."""
 
-MOST_PIECES = 512
-"""If there are more sums by period than this, they are merged to the periods of the recording."""
+MAX_STORED_PERIODS = 512
+"""Number of stored periods above which short ones are merged."""
 
 PooledCount = tuple[int, int, int]
-"""Index of a length class, and the number of its segments and samples that begin in a bin."""
+"""Index of a length class, number of its segments that begin in an age bin, and their samples."""
 
 
 def age_bin(age: int) -> int:
@@ -80,23 +82,24 @@ def edge_age(index: int) -> int:
 
 
 def cell_step(length: int, cells: int) -> int:
-    """Return the smallest power of two that divides a length into fewer than ``cells`` cells."""
+    """Return the length of a cell: the smallest power of two with fewer than ``cells`` complete
+    cells in ``length`` samples.
+    """
     return 1 << (length // cells).bit_length()
 
 
 def shortest_period(length: int) -> int:
-    """Return the length of the last periods of a recording, a power of two."""
+    """Return the length in samples of the shortest, last periods of a recording: a power of two."""
     shortest, longest = SHORTEST_PERIODS
     return min(max(shortest, cell_step(length, longest)), longest)
 
 
 def period_begins(length: int, begin: int = 0) -> Ints:
-    """Return the ages at which the periods of a recording begin, from the period that contains
-    ``begin``.
+    """Return the ages in samples at which the periods of a recording begin, (periods,).
 
-    The length of a period is a power of two, and it begins at a multiple of its length. It is the
-    longest one within 1/32 of the length of the recording and 1/4 of the distance from its end to
-    the end of the recording. So periods are only merged, never split, as the recording grows.
+    The first period returned contains the age ``begin``. The length of a period is a power of two,
+    and it begins at a multiple of its length. It is as long as `LONGEST_PERIOD` and
+    `PERIOD_DISTANCE` allow. As the recording grows, periods are merged but never split.
     """
     begins = []
     shortest = shortest_period(length)
@@ -112,17 +115,17 @@ def period_begins(length: int, begin: int = 0) -> Ints:
 
 
 def starts_before(ages: Ints, m: Ints | int, stride: Ints | int, offset: int, samples: int) -> Ints:
-    """Return how many second differences of a segment start before given ages.
+    """Return the number of second differences of a segment that start before each of ``ages``.
 
-    ``m`` and ``stride`` (averaging factor, samples between two starts) broadcast with ``ages``;
-    ``offset`` is the age of the first of the ``samples`` of the segment.
+    ``m`` is the averaging factor and ``stride`` the number of samples between two starts; both
+    broadcast with ``ages``. The segment has ``samples`` samples, the first at the age ``offset``.
     """
     ends = np.maximum(samples - 2 * np.asarray(m) + 1, 0)  # all starts are smaller than this
     return np.asarray(-(-np.clip(ages - offset, 0, ends) // stride))
 
 
-def short(values: Floats) -> Floats:
-    """Return values rounded to the 16 significant bits that the history stores."""
+def round_to_stored(values: Floats) -> Floats:
+    """Return values rounded to the 16 significant bits that a document of the history stores."""
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
     even = bits + ((bits >> 37) & 1) + ((1 << 36) - 1)
     return np.asarray((even >> 37 << 37).view('<f8'))
@@ -130,19 +133,20 @@ def short(values: Floats) -> Floats:
 
 @dataclass
 class PeriodSums:
-    """Sums of squares by period at one averaging factor; some periods may still be too short."""
+    """Sums of squared second differences by period, at one averaging factor of an open segment."""
 
-    m: int
-    begins: list[int]
-    sums: list[Floats]
+    m: int  # averaging factor in samples
+    begins: list[int]  # ages at which the periods begin
+    sums: list[Floats]  # (axes,) of each period
 
     def shortest(self, length: int) -> int:
-        """Return the length of the shortest period with sums at this factor."""
+        """Return the length of the shortest period with sums at this factor, in samples."""
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
     def add(self, begins: range, sums: Floats) -> None:
-        """Add sums, (periods, axes), of consecutive periods; the first is the last known one or the
-        next.
+        """Add sums, (periods, axes), of consecutive periods that begin at the ages ``begins``.
+
+        The first of them may be the last stored period; its sums are then added to it.
         """
         if self.begins and begins[0] <= self.begins[-1]:
             self.sums[-1] = self.sums[-1] + sums[0]
@@ -151,21 +155,25 @@ class PeriodSums:
         self.sums.extend(sums)
 
     def over(self, begins: Ints, axes: int) -> Floats:
-        """Return the sums over periods that begin at given ages, (periods, axes)."""
+        """Return the sums over longer periods that begin at ``begins``, (periods, axes)."""
         return regrouped(np.reshape(self.sums, (-1, axes)), np.array(self.begins, int), begins)
 
     def merge(self, length: int) -> None:
-        """Merge periods if there are too many for the present length of the recording."""
-        if len(self.begins) > MOST_PIECES:
+        """Merge short periods if more than `MAX_STORED_PERIODS` are stored.
+
+        ``length`` is the length of the recording in samples, which determines the new periods.
+        """
+        if len(self.begins) > MAX_STORED_PERIODS:
             coarser = period_begins(length, self.begins[0])
             self.sums = list(self.over(coarser, len(self.sums[0])))
             self.begins = coarser.tolist()
 
 
 class ByValue:
-    """Base of dataclasses with arrays that are compared by value with ``==``."""
+    """Base class of dataclasses with array fields; adds a ``==`` that compares the arrays."""
 
     def __eq__(self, other: object) -> bool:
+        """Return whether type and all fields are equal."""
         if type(self) is not type(other):
             return False
         pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
@@ -176,19 +184,17 @@ class ByValue:
 
 @dataclass(frozen=True, eq=False)
 class AgeBin(ByValue):
-    """Sums of the second differences that start in one range of ages."""
+    """Allan sums of the second differences that start in one range of ages."""
 
-    index: int  # it begins at ``edge_age(index)`` and ends where the next bin of the history begins
-    # (factors,) and (factors, axes), as in `AllanSums`
-    count: Ints
-    sum_sq: Floats
-    # segments that begin here and whose data are kept only in their length class
+    index: int  # begins at the age ``edge_age(index)``, ends where the next bin of a history begins
+    count: Ints  # (factors,) number of second differences
+    sum_sq: Floats  # (factors, axes) sum of their squares
+    # segments that begin in the bin and are pooled in a length class, without a record of their own
     pooled: tuple[PooledCount, ...]
-    # (factors, axes) contribution of these segments to the ramp corrections of their classes
-    ramp: Floats
+    ramp: Floats  # (factors, axes) sum of the ramp corrections of these segments
 
     def __add__(self, other: AgeBin) -> AgeBin:
-        """Return the sum of both bins, with the smaller index of the two."""
+        """Return the sum of both bins; it has the smaller of the two indices."""
         return AgeBin(
             min(self.index, other.index),
             add_padded(self.count, other.count),
@@ -200,46 +206,48 @@ class AgeBin(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Recording(ByValue):
-    """Means and levels of one recording by age."""
+    """Means and short-term variances of one recording by age."""
 
-    start_ns: int  # stamp of its first sample
-    # sample periods from the first to the last sample, and samples in its segments
-    length: int
-    samples: int
+    start_ns: int  # stamp of the first sample
+    length: int  # number of sample periods from the first to the last sample
+    samples: int  # number of samples, without those missing in gaps
     step: int  # length of a cell in samples, a power of two
-    cell_samples: Ints  # (cells,) number of samples of each cell, 0 in gaps
-    # (cells, axes) mean of these samples less ``reference``; 0 without samples
-    cell_means: Floats
+    cell_samples: Ints  # (cells,) number of samples in each cell, 0 in gaps
+    cell_means: Floats  # (cells, axes) mean of these samples minus ``reference``; 0 without samples
     reference: Floats  # (axes,) first sample of the recording
     period_begin: Ints  # (periods,) ages at which the periods begin, see `period_begins`
-    # (periods, levels) and (periods, levels, axes): number of second differences that start in each
-    # period at the factors 1, 4, 16 ..., and sum of their squares
+    # (periods, levels) number of second differences that start in each period, at the averaging
+    # factors 1, 4, 16 ... (one per level)
     level_count: Ints
-    level_sum_sq: Floats
+    level_sum_sq: Floats  # (periods, levels, axes) sum of their squares
 
     @property
     def order(self) -> tuple[int, int]:
-        """Sort key: longest first, then earliest. It decides which recordings are kept."""
+        """Sort key: most samples first, then earliest start."""
         return (-self.samples, self.start_ns)
 
     @property
     def mean(self) -> Floats:
-        """Mean of the samples in the segments, (axes,)."""
+        """Mean of all samples, (axes,)."""
         weights = self.cell_samples / max(int(self.cell_samples.sum()), 1)
         return np.asarray(self.reference + weights @ self.cell_means)
 
     @property
     def level_m(self) -> Ints:
-        """Averaging factors of the levels, (levels,)."""
+        """Averaging factors 1, 4, 16 ... of ``level_count`` and ``level_sum_sq``, (levels,)."""
         return 4 ** np.arange(self.level_count.shape[1])
 
     def cells(self, first: int, last: int | None = None) -> Recording:
-        """Return the recording with only the given cells; periods and length are unchanged."""
+        """Return a copy with the cells ``first`` to ``last`` only (``last`` excluded; None: to the
+        end); periods and length are unchanged.
+        """
         number, means = self.cell_samples[first:last], self.cell_means[first:last]
         return replace(self, cell_samples=number, cell_means=means)
 
     def coarser(self, cells: int, begins: Ints) -> Recording:
-        """Return the recording with fewer than ``cells`` cells, and with longer periods."""
+        """Return a copy with fewer than ``cells`` cells, and with longer periods that begin at the
+        ages ``begins``.
+        """
         step = max(cell_step(self.length, cells), self.step)
         number, means = self.cell_samples, self.cell_means
         if step > self.step:
@@ -258,17 +266,20 @@ class Recording(ByValue):
         )
 
     def summary(self) -> Recording:
-        """Return the recording with few cells and periods, as kept when several are added."""
+        """Return a copy with fewer than 64 cells and 16 periods, for a history of several."""
         period = cell_step(self.length, MERGED_PERIODS)
         return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
 
     def rounded(self) -> Recording:
-        """Return a copy rounded to the precision in which it is stored."""
-        means, squares = short(self.cell_means), short(self.level_sum_sq)
+        """Return a copy rounded by `round_to_stored`."""
+        means, squares = round_to_stored(self.cell_means), round_to_stored(self.level_sum_sq)
         return replace(self, cell_means=means, level_sum_sq=squares)
 
     def continued(self, later: Recording) -> Recording:
-        """Return this recording with a later segment; its ages count from the same first sample."""
+        """Return this recording extended by a later segment of it.
+
+        The ages of ``later`` count from the first sample of this recording.
+        """
         length = max(self.length, later.length)
         begins = period_begins(length)
         a = replace(self, length=length).coarser(CELLS, begins)
@@ -288,32 +299,34 @@ class Recording(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class History(ByValue):
-    """Sums by age of one recording, or of several recordings added age by age."""
+    """Sums by age of one recording, or of several recordings, whose sums at equal ages are added.
 
-    # index of the lowest edge that is kept: all smaller ages are in the bin of index 0
-    first: int = 1
-    bins: tuple[AgeBin, ...] = ()  # by index; bins without a difference are left out
-    # the latest recording and the 31 longest others, longest first, of ``recording_count``
+    It is empty for sums from a document without a history, and for the sums of zero samples.
+    """
+
+    first: int = 1  # index of the second bin: all smaller ages belong to the bin of index 0
+    bins: tuple[AgeBin, ...] = ()  # sorted by index; bins without a difference are left out
+    # the latest recording and the 31 longest others, longest first
     recordings: tuple[Recording, ...] = ()
-    recording_count: int = 0
+    recording_count: int = 0  # number of recordings in the sums; may exceed len(recordings)
 
     @classmethod
     def of_segment(cls, bins: Iterable[AgeBin], recording: Recording) -> History:
-        """Return the history of a single segment."""
+        """Return the history of a recording with a single segment."""
         return cls(1, tuple(bins), (recording,), 1)._from(_first_edge(recording.length))
 
     @property
     def ages(self) -> tuple[int, ...]:
-        """Ages in samples at which a bin begins, with data before and after."""
+        """Ages in samples at which the bins begin, without the first bin."""
         return tuple(edge_age(b.index) for b in self.bins[1:])
 
     @property
     def length(self) -> int:
-        """Sample periods of the longest recording."""
+        """Length of the longest recording in sample periods; 0 without recordings."""
         return max((r.length for r in self.recordings), default=0)
 
     def continued(self, later: History) -> History:
-        """Return the history of one recording with a later segment of it."""
+        """Return the history of one recording extended by a later segment of it."""
         if not self.recordings or not later.recordings:
             return self if self.recordings else later
         one = self.recordings[0].continued(later.recordings[0])
@@ -322,33 +335,35 @@ class History(ByValue):
         return History(first, bins, (one,), 1)
 
     def __add__(self, other: History) -> History:
-        """Return the history of the recordings of both; sums at equal ages are added."""
+        """Return the history of the recordings of both; sums at equal ages are added.
+
+        An empty history is neutral.
+        """
         if not self.recordings or not other.recordings:
             return self if self.recordings else other
         first = max(self.first, other.first)
         recordings = sorted(self.recordings + other.recordings, key=lambda r: r.order)
         latest = max(recordings, key=lambda r: (r.start_ns, r.length))
-        former = [r.summary() for r in recordings if r is not latest][: KEPT_RECORDINGS - 1]
+        others = [r.summary() for r in recordings if r is not latest][: KEPT_RECORDINGS - 1]
         return History(
             first,
             _add_bins(self._from(first).bins, other._from(first).bins),
-            tuple(sorted((*former, latest), key=lambda r: r.order)),
+            tuple(sorted((*others, latest), key=lambda r: r.order)),
             self.recording_count + other.recording_count,
         ).rounded()
 
     def rounded(self) -> History:
-        """Return a copy rounded to the precision in which it is stored: 16 significant bits."""
+        """Return a copy rounded by `round_to_stored`."""
         return replace(
             self,
-            bins=tuple(replace(b, sum_sq=short(b.sum_sq)) for b in self.bins),
+            bins=tuple(replace(b, sum_sq=round_to_stored(b.sum_sq)) for b in self.bins),
             recordings=tuple(r.rounded() for r in self.recordings),
         )
 
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
-        """Return a copy in which the given segments are kept only by their length class.
+        """Return a copy that records which segments were pooled in length classes, by age.
 
-        Each segment is given by the age of its first sample, (class index, segments, samples), and
-        its ramp correction.
+        Each segment is given as (age of its first sample, its `PooledCount`, its ramp correction).
         """
         more = [
             AgeBin(
@@ -363,7 +378,7 @@ class History(ByValue):
         return replace(self, bins=_add_bins(self.bins, more))
 
     def _from(self, first: int) -> History:
-        """Return a copy in which all bins below an edge are merged into the first bin."""
+        """Return a copy in which all bins with a smaller index than ``first`` are merged."""
         if first <= self.first:
             return self
         early = [b for b in self.bins if b.index < first]
@@ -375,7 +390,7 @@ class History(ByValue):
 
 
 def add_padded(a: NDArray, b: NDArray, axis: int = 0) -> NDArray:  # type: ignore[type-arg]
-    """Return a + b; along one axis, the shorter one is filled with zeros."""
+    """Return a + b; the shorter of the two is padded with zeros along ``axis``."""
     if a.shape[axis] < b.shape[axis]:
         a, b = b, a
     out = a.copy()
@@ -384,13 +399,17 @@ def add_padded(a: NDArray, b: NDArray, axis: int = 0) -> NDArray:  # type: ignor
 
 
 def _first_edge(length: int) -> int:
-    """Return the index of the lowest edge at or beyond `EARLIEST_PART` of a length in samples."""
+    """Return the index of the first bin that begins at 1/`EARLIEST_PART` of a length or later."""
     index = max(1, age_bin(max(length // EARLIEST_PART, 1)))
     return index if edge_age(index) * EARLIEST_PART >= length else index + 1
 
 
 def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type: ignore[type-arg]
-    """Return sums of rows over the periods that begin at the ages ``begins``."""
+    """Return the rows of ``values`` added up over longer periods.
+
+    Row i belongs to the period that begins at the age ``begins[i]``. The longer periods begin at
+    the ages ``coarser``; the result has one row for each. No period of ``begins`` is split.
+    """
     rows, first = np.unique(np.searchsorted(coarser, begins, 'right') - 1, return_index=True)
     out = np.zeros((len(coarser), *values.shape[1:]), values.dtype)
     if len(rows):
@@ -399,8 +418,7 @@ def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type:
 
 
 def _pair_sums(values: NDArray) -> NDArray:  # type: ignore[type-arg]
-    """Return the sums of pairs of neighbours along the first axis; a single last row is
-    unchanged."""
+    """Return the sums of rows 0 and 1, 2 and 3, and so on; an unpaired last row is unchanged."""
     if len(values) % 2:
         values = np.concatenate([values, np.zeros_like(values[:1])])
     return np.asarray(values[::2] + values[1::2])

@@ -13,7 +13,7 @@ from support.sums import TICK_NS, sums_of
 
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
 from allan_ros.core.allan.engine import BLOCK, RunningAllan
-from allan_ros.core.allan.history import CELLS, age_bin, edge_age, period_begins, short
+from allan_ros.core.allan.history import CELLS, age_bin, edge_age, period_begins, round_to_stored
 from allan_ros.core.allan.parts import settled_sums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES
@@ -67,9 +67,9 @@ def test_many_short_segments_lose_nothing_to_rounding():
 
 def test_rounding_keeps_16_bits_of_any_number():
     values = np.ldexp(np.random.default_rng(0).normal(size=1000), np.arange(-500, 500))
-    assert short(values) == pytest.approx(values, rel=2**-16, abs=0.0)
-    assert np.array_equal(short(short(values)), short(values))
-    assert short(np.zeros(2)).tolist() == [0.0, 0.0]
+    assert round_to_stored(values) == pytest.approx(values, rel=2**-16, abs=0.0)
+    assert np.array_equal(round_to_stored(round_to_stored(values)), round_to_stored(values))
+    assert round_to_stored(np.zeros(2)).tolist() == [0.0, 0.0]
 
 
 def test_periods_are_only_merged_as_the_recording_grows():
