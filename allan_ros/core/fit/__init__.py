@@ -1,6 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From sums to the five coefficients: `fit_noise`."""
+"""Estimate the noise coefficients of an IMU from Allan sums: `fit_noise`.
+
+Terms used in this package:
+
+- *phase* theta: cumulative sum of the samples of one axis.
+- *averaging factor* m: averaging time tau divided by the sample period tau0.
+- *difference* d: second difference theta(u + 2m) - 2 theta(u + m) + theta(u) of the phase. The
+  Allan variance at m is the mean of d^2/(2 m^2) over the start positions u.
+- *variance coefficients* q, w, b, k: the squares of Q, N, B, K with tau0 as the unit of time. The
+  expected Allan variance is linear in them.
+- *ramp*: constant rate of change of the samples of one segment (term R), per sample.
+- *process*: a Gauss-Markov process or a sinusoid that is added to the model if the five terms do
+  not describe the measured curve. Its *shape* is its correlation time or its frequency.
+- *table*: Allan variances of one axis with the ramps removed, their expectation per unit
+  coefficient (one column each), and their covariance.
+- *model error* (misfit): standard deviation of the relative difference between the true Allan
+  variance and the model. It is added to the covariance if no model passes the test of fit.
+"""
 
 from __future__ import annotations
 
@@ -38,26 +55,31 @@ METHODS = {
     'relative': 'nonnegative least squares on relative residuals: no intervals',
     'paper': 'plain least squares over groups that do not overlap, as Cong et al. 2019',
 }
-"""Method -> its description."""
+"""Fit method -> its description for users."""
 
 
 def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = None) -> NoiseModel:
-    """Return the five terms of every axis of the sums.
+    """Estimate the noise coefficients of every axis.
 
     Parameters
     ----------
     sums : AllanSums
-        Of one or many segments.
+        Sums of one or many segments.
     method : str
         One of `METHODS`.
     like : NoiseModel, optional
-        A fit of a part of the data by method gls: its processes and shortest averaging times are
-        kept and not selected again.
+        A fit by method 'gls' of a part of these data. Its processes and its shortest averaging time
+        are used instead of a new model selection, which saves most of the time.
+
+    Returns
+    -------
+    NoiseModel
+        Coefficients with intervals for each axis, and findings.
 
     Raises
     ------
     AllanError
-        When the method is unknown, or there are fewer than two samples.
+        If the method is unknown, or the sums contain fewer than two samples.
     """
     if method not in METHODS:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
@@ -72,7 +94,7 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
 
 
 def clear_cache() -> None:
-    """Clear the tables that fits share; useful in a process that rarely fits."""
+    """Free the precomputed covariance tables, which later fits would reuse."""
     for name in (f'{__name__}.table', f'{__package__.rpartition(".")[0]}.allan.likelihood'):
         if name in sys.modules:  # a module that is not imported has no cache
             sys.modules[name].clear_cache()

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The findings of a fit by method gls."""
+"""Findings about a fit by method 'gls': rounding, filters, vibration, drift, record length."""
 
 from __future__ import annotations
 
@@ -21,26 +21,34 @@ from .model import AxisFit, Floats, NoiseModel, Sinusoid
 from .model_selection import Selection
 from .table import PooledTable
 
-COARSEST_IGNORED = 0.02
-"""Steps below this fraction of the white noise per sample are ignored: they add 3e-5 of its
-variance."""
+NEGLIGIBLE_STEP = 0.02
+"""Rounding steps below this fraction of the white noise per sample are ignored: they increase its
+variance by a fraction of only 3e-5."""
 
 
-NEAR_WHOLE = 0.05
-"""Tolerance of the phase, in steps, within which it is a whole number."""
+WHOLE_TOLERANCE = 0.05
+"""Largest distance of the phase, divided by the step, from a whole number."""
 
 
 LEAST_POINTS = 8
-"""Smallest number of phase points: fewer points are multiples of some step by chance."""
+"""Smallest number of different phase values in which a step is searched. Fewer values are multiples
+of some step by chance."""
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
-    """Return the step of which all points of a coarse phase record are multiples, or None.
+    """Return the largest step of which all values are multiples, or None if there is none.
 
-    ``deviation`` is the standard deviation of the white noise per sample; much finer steps are
-    negligible.
+    Samples that are rounded to a step have a phase (cumulative sum) of multiples of this step.
+
+    Parameters
+    ----------
+    phase : (points,) float64 array
+        Phase at some of the samples.
+    deviation : float
+        Standard deviation of the white noise per sample. Steps below `NEGLIGIBLE_STEP` times this
+        value are ignored.
     """
-    least = COARSEST_IGNORED * deviation
+    least = NEGLIGIBLE_STEP * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
     if len(moved) < LEAST_POINTS or not deviation > 0.0:
         return None
@@ -57,12 +65,11 @@ def common_step(phase: Floats, deviation: float) -> float | None:
                 return None  # the divisor exceeds a number that it should divide: there is no step
             step = known / multiple
     off = np.abs(moved / step - np.round(moved / step))
-    return step if off.max() < NEAR_WHOLE else None
+    return step if off.max() < WHOLE_TOLERANCE else None
 
 
 def _common_divisor(a: float, b: float, least: float) -> float:
-    """Return the greatest common divisor of two numbers, where remainders below ``least`` count as
-    0."""
+    """Return the greatest common divisor; a remainder below ``least`` is taken as 0."""
     while b >= least:
         rest = a % b
         a, b = b, min(rest, b - rest)
@@ -70,31 +77,33 @@ def _common_divisor(a: float, b: float, least: float) -> float:
 
 
 ROUNDING_SHARE = 0.1
-"""Fraction of the white noise above which rounding is reported."""
+"""Variance of the rounding error, relative to that of the white noise, above which rounding is
+reported."""
 
-FILTER_REMOVES = 0.1
-"""Lost fraction of the white noise per sample above which a low-pass filter is reported.
-Interpolating 1 % of the samples removes 1.5 %."""
+FILTERED_FRACTION = 0.1
+"""Fraction of the white noise per sample that a low-pass filter must remove to be reported.
+Interpolation of 1 % of the samples removes 1.5 %."""
 
 SMALL_DEVIATION = 0.05
-"""Deviation of the curve from the model below which the finding is only information."""
+"""Relative deviation of the curve from the model below which the finding has severity info."""
 
 HUMP_RATIO = 1.5
-"""Sinusoids whose frequency ratio is smaller than this describe one broad hump."""
+"""Neighbouring sinusoids with a smaller ratio of frequencies are reported as one broad hump."""
 
 SLOWEST_VIBRATION = 0.5
 """In Hz. Slower sinusoids are not called vibration: buildings and tables resonate above this
 frequency."""
 
 SHORTEST_THERMAL_S = 300.0
-"""Slower cycles are typical of heating, air conditioning and temperature control."""
+"""Shortest period in s of a cycle that is attributed to heating, air conditioning or temperature
+control."""
 
 FASTEST_VIBRATION = 400.0
-"""In Hz: at twice this sample rate or more, vibration of rotors and engines is not aliased."""
+"""In Hz. Vibration of rotors and engines has no aliases at this sample rate or above."""
 
 ALIAS_FROM = 0.02
-"""Fraction of the sample rate: slower lines can only be aliases of a narrow band next to the
-rate."""
+"""Lowest frequency, as a fraction of the sample rate, for which an alias is mentioned. Slower lines
+can only be aliases of vibration at nearly the sample rate."""
 
 
 def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -107,17 +116,21 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def rounding_step(phase: Floats, white: float) -> float | None:
-    """Return the step to which samples are rounded, or None if it is small compared with their
-    noise.
+    """Return the step to which the samples are rounded, or None if its effect is small.
 
-    ``phase`` is the coarse phase record, ``white`` the variance of the white noise per sample.
+    Parameters
+    ----------
+    phase : (points,) float64 array
+        Phase at some of the samples.
+    white : float
+        Variance of the white noise per sample.
     """
     step = common_step(phase, math.sqrt(max(white, 0.0)))
     return step if step is not None and step * step / 12.0 > ROUNDING_SHARE * white else None
 
 
-def explain_nothing(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return the finding on an axis without coefficients."""
+def explain_no_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
+    """Return the finding that explains why an axis has no estimates."""
     name = (pooled.sums.axes[axis],)
     longest = max((s.samples for s in pooled.segments), default=0)
     if constant and len(pooled.m):
@@ -133,7 +146,23 @@ def explain(
     ramp: RampInterval | None,
     tau0: float,
 ) -> list[Finding]:
-    """Return the findings of the fit of one axis."""
+    """Return the findings about the fit of one axis.
+
+    Parameters
+    ----------
+    pooled : PooledTable
+        The data of all axes.
+    axis : int
+        Position among the axes of the sums.
+    selected : Selection
+        The selected model and its fit.
+    fit : AxisFit
+        The same fit in SI units.
+    ramp : RampInterval or None
+        The ramp, if it can be estimated.
+    tau0 : float
+        Sample period in s.
+    """
     name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']
     found = [*_shape_findings(name, unit, selected, fit, tau0)]
@@ -148,9 +177,9 @@ def explain(
 
 
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
-    """Return the model with the largest deviation of each axis from the curve that was fitted.
+    """Return the model with the largest deviation of each axis from the measured curve.
 
-    A finding reports it if the selected model does not fit.
+    If a model fails the test of fit, a finding reports this deviation.
     """
     axes, found = {}, []
     for i, name in enumerate(curve.axes):
@@ -170,7 +199,7 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
 def _shape_findings(
     name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
-    """Return the findings about features of the curve that the five terms do not describe."""
+    """Return the findings about filters, vibration and bounded drift."""
     found = []
     if fit.m_min > 1:
         hint = ''
@@ -181,9 +210,9 @@ def _shape_findings(
         elif selected.filtered:
             hint = ': a low-pass filter'
         found.append(finding('short_averages', name, tau=fit.m_min * tau0, hint=hint))
-    elif selected.filtered and _removed(selected) > FILTER_REMOVES:
+    elif selected.filtered and _filtered_fraction(selected) > FILTERED_FRACTION:
         found.append(finding('low_pass', name))
-    for lines in _neighbours(fit.processes.sinusoid):
+    for lines in _grouped(fit.processes.sinusoid):
         found.append(line_finding(name, unit, lines, tau0))
     n = fit.noise['N']
     if fit.processes.sinusoid and n.status != 'estimated' and n.upper95:
@@ -195,12 +224,12 @@ def _shape_findings(
         found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
     if selected.levels_off:
         found.append(
-            finding('levels_off', name, tau=duration_text(_precise_until(selected) * tau0))
+            finding('levels_off', name, tau=duration_text(_first_imprecise_factor(selected) * tau0))
         )
     return found
 
 
-def _removed(selected: Selection) -> float:
+def _filtered_fraction(selected: Selection) -> float:
     """Return the fraction of the white noise per sample that a low-pass filter has removed."""
     fit = selected.fit
     white = float(fit.table.terms[0, N] * fit.variances[N])
@@ -209,14 +238,14 @@ def _removed(selected: Selection) -> float:
     )
 
 
-def _precise_until(selected: Selection) -> float:
-    """Return the averaging factor above which the curve has few degrees of freedom."""
+def _first_imprecise_factor(selected: Selection) -> float:
+    """Return the smallest averaging factor at which the curve has few degrees of freedom."""
     few = few_averages(selected.fit.table, selected.fit.variances)
     return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
 
 
-def _neighbours(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Return groups of sinusoids: neighbouring frequencies are one broad hump."""
+def _grouped(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
+    """Group sinusoids whose neighbours in frequency differ by less than the factor `HUMP_RATIO`."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
         if groups and line.frequency < HUMP_RATIO * groups[-1][-1].frequency:
@@ -227,7 +256,19 @@ def _neighbours(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
 
 
 def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
-    """Return the finding about one sinusoid, or about several that describe a broad hump."""
+    """Return the finding about one sinusoid, or about several that describe one broad hump.
+
+    Parameters
+    ----------
+    name : (str,)
+        The axis.
+    unit : str
+        SI unit of the amplitude.
+    lines : sequence of Sinusoid
+        Lowest frequency first.
+    tau0 : float
+        Sample period in s.
+    """
     largest = max(lines, key=lambda line: line.amplitude)
     amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
     if len(lines) > 1:
@@ -265,13 +306,16 @@ def _time_findings(
     name = (pooled.sums.axes[axis],)
     found = []
     if {'K', 'R'} <= {t for t, c in fit.noise.items() if c.status == 'not_observable'}:
-        held = selected.fit.options.table(
+        without_ramps = selected.fit.options.table(
             pooled,
             axis,
             selected.fit.options.noise(selected.fit.variances),
             np.zeros(len(pooled.segments)),
         )
-        if Score(held, K, selected.fit.variances, selected.fit.options.misfit)(0.0) > Z_DETECT:
+        if (
+            Score(without_ramps, K, selected.fit.variances, selected.fit.options.misfit)(0.0)
+            > Z_DETECT
+        ):
             found.append(finding('drift_not_separable', name))
     advice = recommended_duration(fit, pooled.segments[0].samples * tau0)
     if advice is not None:

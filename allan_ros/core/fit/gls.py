@@ -1,6 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The default method: generalised least squares with the covariance of the model, and intervals."""
+"""Fit method 'gls': generalised least squares with the covariance of the Allan variances.
+
+It gives 95 % intervals and upper limits, adds processes to the five terms where the data need them,
+and reports findings.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import numpy as np
 
 from ..allan.sums import AllanSums
 from ..findings import Finding
-from .findings import explain, explain_nothing, joined
+from .findings import explain, explain_no_estimates, joined
 from .gls_solver import FitOptions, K, Misfit, N, Q, solve
 from .intervals import (
     CoefficientInterval,
@@ -36,23 +40,29 @@ from .processes import GaussMarkovTerm, SinusoidTerm
 from .table import PooledTable, Table
 
 LEAST_FACTORS = 5
-"""Smallest number of averaging factors: one more than there are terms."""
+"""A table with this many averaging factors or fewer is not fitted: there are five terms."""
 
 MAIN_LOBE = 2.0
-"""Width of the spectrum of a sinusoid between its zeros, times the length of the record."""
+"""Width of the spectral line of a sinusoid between its zeros, times the length of the record."""
 
-HIDDEN = 1.1
-"""Ratio of the ends of the interval of N above which sinusoids hide the white noise, if the model
-fails. The estimate may then be wrong by a third."""
+WIDEST_N_INTERVAL = 1.1
+"""Largest ratio of the ends of the interval of N for which N is reported if the model includes
+sinusoids and fails the test of fit. Above it, the estimate may be wrong by a third."""
 
-AT_AN_END = 1e-9
-"""Relative distance from an end of its interval below which a value counts as that end."""
+END_TOLERANCE = 1e-9
+"""Relative tolerance for a value that equals an end of its interval."""
 
 
 def fit_gls(sums: AllanSums, like: NoiseModel | None = None) -> NoiseModel:
-    """Return the five terms of every axis with 95 % intervals and verdicts.
+    """Estimate the five terms of every axis by generalised least squares.
 
-    Too few data cause no error: a term that the sums do not determine has neither value nor limit.
+    Too few data raise no error: a term that the data do not determine has no value and no limit.
+
+    Parameters
+    ----------
+    sums : AllanSums
+    like : NoiseModel, optional
+        An earlier fit whose processes and shortest averaging times are used; no model is selected.
     """
     pooled = PooledTable(sums)
     tau0 = sums.tau0 or 1.0
@@ -71,12 +81,12 @@ def _fit_axis(
     """Return the fit of one axis and its findings."""
     constant = pooled.is_noiseless(axis)
     if constant or len(pooled.m) <= LEAST_FACTORS:
-        return _nothing(), explain_nothing(pooled, axis, constant)
+        return _without_estimates(), explain_no_estimates(pooled, axis, constant)
     selected = select_model(pooled, axis, _options_of(like, tau0) if like else None)
     variances, options = selected.fit.variances, selected.fit.options
     if len(selected.fit.table.m) <= LEAST_FACTORS:
-        return _nothing(), explain_nothing(pooled, axis, constant)
-    # The tangents widen all intervals because of uncertain correlation times and frequencies.
+        return _without_estimates(), explain_no_estimates(pooled, axis, constant)
+    # With the derivatives by the shapes, intervals include the uncertainty of the shapes.
     table = options.table(pooled, axis, options.noise(variances), tangents=True)
     variances = np.concatenate([variances, np.zeros(table.terms.shape[1] - len(variances))])
     sizes = range(table.noises + table.lines)
@@ -90,8 +100,8 @@ def _fit_axis(
     if selected.filtered or options.m_min > 1:
         noise['Q'] = _unresolved(None, np.inf)
     elif noise['Q'].status == 'not_observable':
-        # A q that is not significant nearly doubles the error of N; only the interval of N includes
-        # q.
+        # A q that is not significant nearly doubles the error of N. Only the interval of N allows
+        # for q.
         others = tuple(t for t in sizes if t != Q)
         alone = solve(
             selected.fit.table, variances[: len(sizes)], columns=others, misfit=options.misfit
@@ -99,7 +109,7 @@ def _fit_axis(
         value = _consistent(selected.fit.table, alone, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
     if options.misfit.size and any(isinstance(e, SinusoidTerm) for e in options.extras):
-        noise['N'] = _hidden(noise['N'])
+        noise['N'] = _limit_if_uncertain(noise['N'])
     ramp = ramp_interval(pooled, axis, selected.fit, intervals[K].high)
     noise['R'] = _ramp(ramp, tau0)
     fit = AxisFit(
@@ -107,7 +117,7 @@ def _fit_axis(
         options.misfit.size,
         options.m_min,
         selected.first.z,
-        _joined(
+        _merge_close_sinusoids(
             processes_of(selected.fit, table, tau0), MAIN_LOBE / (pooled.segments[0].samples * tau0)
         ),
         signed=options.signed,
@@ -116,7 +126,7 @@ def _fit_axis(
 
 
 def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
-    """Return the fit options of a selected model; None for an axis without coefficients."""
+    """Return the fit options of a selected model; None for an axis without estimates."""
     if fit.noise['N'].value is None:
         return None
     drifts = fit.processes.gauss_markov
@@ -129,13 +139,13 @@ def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
 def _consistent(
     table: Table, variances: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
-    """Return the variance coefficients such that each value lies within its interval.
+    """Return the variance coefficients, changed where a value lies outside its interval.
 
-    Intervals allow a negative q, values do not. In one of a hundred records, a value would
-    therefore lie outside its interval. It is replaced by the estimate for which the interval was
-    computed.
+    The intervals of the other terms allow a negative q, but the estimates do not. In about one
+    record in a hundred, an estimate therefore lies outside its interval. It is replaced by the
+    estimate with q unconstrained.
     """
-    above, below = 1.0 + AT_AN_END, 1.0 - AT_AN_END
+    above, below = 1.0 + END_TOLERANCE, 1.0 - END_TOLERANCE
     seen = [(t, each) for t, each in enumerate(intervals) if each.observable]
     outside = [t for t, i in seen if not above * i.low < variances[t] < below * i.high]
     if not outside:
@@ -148,7 +158,7 @@ def _consistent(
 def _coefficient(
     name: str, variance: float, interval: CoefficientInterval, tau0: float
 ) -> Coefficient:
-    """Return a random term in SI units."""
+    """Return a random term in SI units, with its interval or its upper limit."""
     if not (interval.observable and math.isfinite(interval.high)):
         return _unresolved(
             coefficient_to_si(name, variance, tau0), coefficient_to_si(name, interval.high, tau0)
@@ -160,12 +170,13 @@ def _coefficient(
     )
 
 
-def _hidden(n: Coefficient) -> Coefficient:
-    """Return N if the model does not describe the sinusoids: only a limit if N is uncertain.
+def _limit_if_uncertain(n: Coefficient) -> Coefficient:
+    """Return N, as unresolved if its interval is wider than the factor `WIDEST_N_INTERVAL`.
 
-    A small error of a sinusoid far above the noise is as large as the white noise.
+    Used if the model includes sinusoids and fails the test of fit: a small relative error of a
+    strong sinusoid is as large as the white noise.
     """
-    if n.ci95 is None or n.ci95[1] <= HIDDEN * n.ci95[0]:
+    if n.ci95 is None or n.ci95[1] <= WIDEST_N_INTERVAL * n.ci95[0]:
         return n
     return _unresolved(n.value, n.ci95[1])
 
@@ -182,21 +193,21 @@ def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
 
 
 def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient:
-    """Return a term that is not resolved, with its upper limit if there is one."""
+    """Return a term that is not resolved; an infinite limit becomes None."""
     limit = upper if np.isfinite(upper) else None
     return Coefficient(value or None, None, limit, 'not_observable', sign)
 
 
-def _nothing() -> AxisFit:
-    """Return the fit of an axis without coefficients."""
+def _without_estimates() -> AxisFit:
+    """Return the fit of an axis without estimates."""
     return AxisFit({term: _unresolved(None, np.inf) for term in TERMS})
 
 
-def _joined(processes: Processes, resolution: float) -> Processes:
-    """Return the processes; sinusoids closer than a resolution in Hz are merged.
+def _merge_close_sinusoids(processes: Processes, resolution: float) -> Processes:
+    """Merge sinusoids whose frequencies differ by less than a resolution in Hz.
 
-    The mean square of the differences of a sinusoid depends on its phase. If a sinusoid is far
-    above the noise, a fit needs two adjacent sinusoids to describe this.
+    The mean square of the differences of a sinusoid depends on its phase. The fit of a strong
+    sinusoid needs two sinusoids of neighbouring frequency to describe this.
     """
     out: list[Sinusoid] = []
     for line in processes.sinusoid:

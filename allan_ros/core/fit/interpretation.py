@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Interpretation of a fit.
+"""Interpretation of a fitted curve.
 
-The drawn line and the largest deviation from it; the part of the model that dominates in each range
-of tau (as in Cong et al. 2019); and the recommended length of a recording.
+The line of the model and the largest deviation from it, the term that dominates in each range of
+tau (as in Cong et al. 2019), and the recommended length of a recording.
 """
 
 from __future__ import annotations
@@ -22,26 +22,29 @@ from ..noise import FLICKER_FLOOR
 from .model import AxisFit, Deviation, Floats
 
 MIN_WIDTH = 3.0
-"""Smallest ratio tau_high/tau_low of a range that a single part dominates: half a decade."""
+"""Smallest ratio tau_high/tau_low of a range with a single dominant term: half a decade."""
 
 
 SIGNIFICANT = 3.0
-"""Deviations of a point from the line of fewer error bars than this are chance."""
+"""Number of error bars below which the deviation of a point from the model is not significant."""
 
 
 FILTER_LOSS = 0.02
-"""Relative loss of deviation below which a low-pass filter has no visible effect."""
+"""Relative decrease of the Allan deviation below which the effect of a low-pass filter is not
+visible."""
 
 
 class ModelLine(NamedTuple):
-    """The selected model as it is drawn: NaN at averaging times that it does not describe.
+    """Allan deviation of the selected model at the points of a curve, for drawing.
+
+    Both arrays are NaN at averaging times that the model does not describe.
 
     Attributes
     ----------
     adev : (factors,) float64 array
-        Deviation of the selected model.
+        Allan deviation of the selected model.
     upper : (factors,) float64 array
-        The same model with every unresolved term at its 95 % upper limit.
+        The same with every unresolved term at its 95 % upper limit.
     """
 
     adev: Floats
@@ -51,10 +54,10 @@ class ModelLine(NamedTuple):
 def model_line(
     fit: AxisFit, tau0: float, m: NDArray[np.int64], adev: Floats, high: Floats
 ) -> ModelLine:
-    """Return the line of the selected model at the points of a measured curve.
+    """Return the Allan deviation of the selected model at the points of a measured curve.
 
-    The line begins at the shortest averaging time of the fit. If Q cannot be measured because of a
-    low-pass filter, it begins where the filter no longer lowers the points.
+    The line begins at the shortest averaging time of the fit. If the samples are low-pass filtered,
+    it begins where the filter no longer decreases the measured values.
 
     Parameters
     ----------
@@ -80,11 +83,10 @@ def model_line(
 def largest_deviation(
     line: ModelLine, tau: Floats, adev: Floats, low: Floats, high: Floats
 ) -> Deviation | None:
-    """Return the largest deviation of the measured points from the line of the model.
+    """Return the largest significant deviation of the measured points from the model, or None.
 
-    For a point above the line, the deviation is measured from the model with unresolved terms at
-    their upper limits. Points within `SIGNIFICANT` error bars, on the logarithmic axis, are
-    ignored.
+    A point above the line is compared with the model with unresolved terms at their upper limits. A
+    deviation is significant if it exceeds `SIGNIFICANT` error bars on a logarithmic axis.
 
     Parameters
     ----------
@@ -98,10 +100,10 @@ def largest_deviation(
         edge = np.clip(adev, line.adev, line.upper)
         off = np.log(adev / edge)
         bar = np.where(off > 0.0, np.log(adev / low), np.log(high / adev))
-        counts = (adev > 0.0) & (np.abs(off) > SIGNIFICANT * bar)
-    if not counts.any():
+        significant = (adev > 0.0) & (np.abs(off) > SIGNIFICANT * bar)
+    if not significant.any():
         return None
-    at = int(np.argmax(np.where(counts, np.abs(off), -1.0)))
+    at = int(np.argmax(np.where(significant, np.abs(off), -1.0)))
     return Deviation(math.expm1(off[at]), float(tau[at]))
 
 
@@ -114,11 +116,11 @@ class Region:
     tau_low, tau_high : float
         Ends of the range in s.
     term : str
-        The part of the model with the largest share of sigma^2 (a term's letter, or the name of
-        a process), or several parts joined by '+', if they dominate alternately or together.
+        Term or process with the largest share of the Allan variance. Several names joined by '+' if
+        no single one dominates over a wide enough range.
     slope : float
-        d log adev / d log tau of the measured curve over the range: -1 (Q), -1/2 (N), 0 (B),
-        1/2 (K), 1 (R) for a single term.
+        d log adev / d log tau of the measured curve over the range. A single term has the slope -1
+        (Q), -1/2 (N), 0 (B), 1/2 (K) or 1 (R).
     """
 
     tau_low: float
@@ -129,32 +131,32 @@ class Region:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Consecutive points with one dominant part, or with several parts if stretches were joined."""
+    """Consecutive points, and the term or terms that dominate there."""
 
     terms: tuple[str, ...]
     points: slice
 
 
 def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
-    """Return the regions of one axis, from the shortest tau to the longest.
+    """Return the ranges of averaging times of one axis with the dominant term of each.
 
-    A part dominates where it has the largest share of the modelled sigma^2. A stretch narrower than
-    a factor of 3 in tau has no dominant part: adjacent stretches are joined, and a single one gets
-    its two largest parts.
+    A term or process dominates where it has the largest share of the Allan variance of the model.
+    Adjacent ranges narrower than a factor of 3 in tau are merged; a single narrow range gets the
+    two terms with the largest shares.
 
     Parameters
     ----------
     curve : AllanCurve
         The measured curve.
     axis : str
-        One of its axes.
+        Name of the axis.
     fit : AxisFit
-        Its selected model; terms outside it have no share.
+        Fit of the axis; only terms of its selected model are considered.
 
     Returns
     -------
     list of Region
-        Contiguous regions that cover the curve; empty if no part is known.
+        Contiguous ranges, shortest tau first, that cover the curve. Empty if no term is known.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
     parts = fit.selected.parts(curve.tau, tau0) if len(curve.m) else {}
@@ -176,7 +178,7 @@ def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]
 
 
 def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:
-    """Return the stretches of the curve; narrow ones are joined."""
+    """Return the stretches of the curve, with narrow ones merged."""
     simple = []
     for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
         run = list(same)
@@ -200,8 +202,7 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
 
 
 def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
-    """Return the slope of log adev over log tau of the points (of more points if there are too
-    few)."""
+    """Return the slope of log adev over log tau at the points, or at more if there are too few."""
     if points.stop - points.start < 2:
         points = slice(max(points.start - 1, 0), points.stop + 1)
     adev, degrees = curve.adev[points, axis], curve.edf[points, axis]
@@ -214,60 +215,64 @@ def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
 
 
 ADVISED_TERMS = ('N', 'B', 'K')
-"""The terms that filters use; Q and R are no reason for a longer record."""
+"""The terms for which a longer record is recommended; filters do not use Q and R."""
 
 HORIZON_S = 100.0
-"""Time in s over which a filter integrates without correction; noise that is small at this time is
-negligible."""
+"""Time in s over which a filter integrates without correction. A term with a small effect at this
+time is negligible."""
 
 NEGLIGIBLE = 0.25
-"""Share of the known Allan variance at `HORIZON_S` below which an unresolved term is negligible."""
+"""Fraction of the known Allan variance at `HORIZON_S` below which an unresolved term is
+negligible."""
 
 SECONDS_FOR_N = 60.0
-"""Length of a record in s that resolves N at any sample rate of an IMU."""
+"""Length in s of a record that resolves N at any sample rate of an IMU."""
 
 B_RESOLVED = 8.5
-"""Smallest B, relative to N/sqrt(T), that is resolved in T seconds if K is not resolved."""
+"""Smallest B that a record of T seconds resolves, divided by N/sqrt(T), if K is not resolved."""
 
-B_RESOLVED_BESIDE_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
-"""Values of K T/N, and for each the smallest B/sqrt(N K) that is resolved, if K is resolved."""
+B_RESOLVED_WITH_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
+"""Pairs of K T/N and the smallest resolved B divided by sqrt(N K), if K is resolved."""
 
 K_RESOLVED = 51.0
-"""Smallest K, relative to N/T, that is resolved."""
+"""Smallest K that a record of T seconds resolves, divided by N/T."""
 
-K_RESOLVED_BESIDE_B = 6.2
-"""Smallest K, relative to B/sqrt(T), that is resolved if B dominates the curve."""
+K_RESOLVED_WITH_B = 6.2
+"""Smallest K that a record of T seconds resolves, divided by B/sqrt(T), if B dominates the
+curve."""
 
 LENGTHS_S = (
     *(60.0 * n for n in (1, 2, 5, 10, 20, 30)),
     *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
 )
-"""Recommended lengths are rounded up to one of these; longer times are not recommended."""
+"""Recommended lengths in s. A length is rounded up to one of these; longer ones are not
+recommended."""
 
 
 def recommended_duration(
     fit: AxisFit, seconds: float, limits: Mapping[str, float] | None = None
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return the recommended length of a record of one axis, or None if a longer one is useless.
+    """Return the recommended length of a record of one axis, or None if a longer one is not useful.
 
-    A longer record is recommended if N, B or K is not resolved and its 95 % upper limit is
-    relevant: above the limit of the datasheet, or, without one, above a quarter of the known Allan
-    variance at 100 s. The time follows from N (and from B if it is resolved), not from the
-    uncertain estimate of the missing term, so it is stable during the recording.
+    A longer record is recommended if N, B or K is not resolved and its upper limit is relevant:
+    above the limit of the datasheet or, without a datasheet, above a quarter of the known Allan
+    variance at 100 s. The length is computed from N (and from B and K if they are resolved), not
+    from the uncertain estimate of the unresolved term. The advice is therefore stable during a
+    recording.
 
     Parameters
     ----------
     fit : AxisFit
-        By method gls.
+        Fit by method 'gls'.
     seconds : float
-        Length of the longest segment at rest, in s.
+        Length of the longest static segment so far, in s.
     limits : mapping of term to float, optional
-        Limits of a datasheet for this axis, in SI.
+        Limits of a datasheet for this axis, in SI units.
 
     Returns
     -------
     (seconds, terms) or None
-        Length of a single recording, and the terms that it resolves or limits.
+        Length of a recording without gaps in s, and the terms for which it is recommended.
     """
     n = fit.noise['N'].value
     if fit.noise['N'].status != 'estimated' or not n:
@@ -288,7 +293,11 @@ def recommended_duration(
 def longest_recommended(
     advice: Iterable[tuple[float, tuple[str, ...]] | None],
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return the longest recommended time of all axes, and all terms that need it."""
+    """Return the longest length in s of the given recommendations, and all their terms.
+
+    ``advice`` contains the results of `recommended_duration` for the axes. Returns None if no axis
+    needs a longer record.
+    """
     known = [each for each in advice if each is not None]
     if not known:
         return None
@@ -302,7 +311,7 @@ def _known(term: str, fit: AxisFit) -> float:
 
 
 def _negligible(term: str, fit: AxisFit) -> float:
-    """Return the largest coefficient that is negligible in the Allan variance at the horizon."""
+    """Return the largest coefficient with a negligible effect at averaging time `HORIZON_S`."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
     unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
@@ -310,11 +319,11 @@ def _negligible(term: str, fit: AxisFit) -> float:
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length of record that resolves a term of the given size."""
+    """Return the length in s of a record that resolves a term of the given size."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     if term == 'K':
-        return max(K_RESOLVED * n / size, (K_RESOLVED_BESIDE_B * b / size) ** 2)
+        return max(K_RESOLVED * n / size, (K_RESOLVED_WITH_B * b / size) ** 2)
     if k > 0.0:
-        walk, least = np.log(B_RESOLVED_BESIDE_K).T
+        walk, least = np.log(B_RESOLVED_WITH_K).T
         return float(np.exp(np.interp(-np.log(size / (n * k) ** 0.5), -least, walk)) * n / k)
     return (B_RESOLVED * n / size) ** 2

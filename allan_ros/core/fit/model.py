@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The result of a fit: five terms per axis with intervals and verdicts, and processes."""
+"""Result types of a fit: five terms per axis with intervals, and additional processes."""
 
 from __future__ import annotations
 
@@ -20,39 +20,40 @@ Ints = NDArray[np.int64]
 
 
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')
-"""The terms with a column, in the order of all arrays of variance coefficients."""
+"""The random terms, in the order of all arrays of variance coefficients (q, w, b, k)."""
 
 
 WHITE = np.array([0.0, 1.0, 0.0, 0.0])
-"""Variance coefficients of pure white noise, for weights before the noise is known."""
+"""Variance coefficients of white noise of unit variance."""
 
 
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
-"""SI coefficient = sqrt(variance coefficient) * tau0**exponent, tau0 in s."""
+"""SI coefficient = sqrt(variance coefficient) * tau0**exponent, where tau0 is in s."""
 
 
 DIFFERENCE = (1.0, -2.0, 1.0)
-"""d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u)."""
+"""Coefficients of the second difference theta(u + 2m) - 2 theta(u + m) + theta(u) of the phase."""
 
 
 def avar_terms(m: NDArray[np.int64]) -> Floats:
-    """Return the Allan variance of unit q, w, b, k at averaging factors m, (factors, 4)."""
+    """Return the Allan variance at averaging factors m for q, w, b, k = 1, shape (factors, 4)."""
     return term_avar(m, 1.0, NoiseTerms(1.0, 1.0, 1.0, 1.0))[:, : len(RANDOM_TERMS)]
 
 
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return the column of k, (|t|^3 - |t|)/12, computed from the columns -|t|/2 and |t|^3/12.
+    """Return the covariance function of a sampled random walk, per unit k.
 
-    The sampled walk is the continuous walk plus white noise of a sixth of its step.
+    It is (|t|^3 - |t|)/12: the sum of the ``cubic`` part |t|^3/12 of a continuous random walk and
+    of 1/6 of the part ``white`` = -|t|/2 of white noise. Any linear function of both may be given.
     """
     return cubic + white / 6.0
 
 
 def phase_covariance(t: Floats) -> Floats:
-    """Return the generalised covariances of theta at lag t of unit q, w, b, k, (4, ...).
+    """Return the generalised covariance of the phase at lag t for q, w, b, k = 1, shape (4, ...).
 
-    They are valid for differences that do not depend on straight lines in theta (Matheron 1973):
-    delta(t), -|t|/2, t^2 ln|t|/(2 pi), (|t|^3 - |t|)/12.
+    The four functions are delta(t), -|t|/2, t^2 ln|t|/(2 pi) and (|t|^3 - |t|)/12. They give the
+    covariance of differences that are not changed by a straight line in the phase (Matheron 1973).
     """
     a = np.abs(t)
     white = -a / 2
@@ -63,9 +64,16 @@ def phase_covariance(t: Floats) -> Floats:
 
 
 def coefficient_to_si(term: str, variance: float, tau0: float) -> float:
-    """Return the SI coefficient of a variance coefficient (q, w, b, k) or of the ramp r.
+    """Convert a variance coefficient (q, w, b, k), or the ramp per sample, to an SI coefficient.
 
-    A negative variance coefficient gives 0.
+    Parameters
+    ----------
+    term : str
+        One of `TERMS`.
+    variance : float
+        Variance coefficient, or the ramp for term 'R'. A negative variance coefficient gives 0.
+    tau0 : float
+        Sample period in s.
     """
     if term == 'R':
         return variance / tau0
@@ -75,10 +83,10 @@ def coefficient_to_si(term: str, variance: float, tau0: float) -> float:
 Z_95 = 1.96
 """Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
 
-The same data decide whether a term gets an interval or a limit. With 1.645, the quantile of 95 %, a
-term near the threshold would be missed in 5 % of records below and in 2.5 % above. With one
-quantile, a limit is the upper end of an interval that begins at 0, as in the unified intervals of
-Feldman & Cousins (Phys. Rev. D 57, 1998) for estimates of 0 and above."""
+The same data decide whether a term gets an interval or an upper limit. With 1.645, the quantile of
+95 %, for limits, a term near the threshold would be missed in 5 % of records below and in 2.5 %
+above. With one quantile, a limit is the upper end of an interval that begins at 0, as in the
+unified intervals of Feldman & Cousins (Phys. Rev. D 57, 1998) for nonnegative estimates."""
 
 
 TERMS = ('Q', 'N', 'B', 'K', 'R')
@@ -95,15 +103,15 @@ class Coefficient:
     Attributes
     ----------
     value : float or None
-        The point estimate (|R| for the ramp), or None if there is none.
+        Estimate (|R| for the ramp), or None if there is none.
     ci95 : (low, high) or None
-        95 % interval; None if the method gives none.
+        95 % interval; None for a term that is not observable, or if the method gives none.
     upper95 : float or None
-        95 % upper limit of a term that is not observable: the upper end of an interval that begins
-        at 0.
+        95 % upper limit of a term that is not observable; None if there is no limit.
     status : 'estimated' or 'not_observable'
+        'estimated' if the data show that the term is not 0.
     sign : int
-        Sign of the ramp (R only), else 0.
+        Sign of the ramp; 0 for the other terms.
     """
 
     value: float | None
@@ -120,13 +128,13 @@ class GaussMarkov:
     Attributes
     ----------
     sigma : float
-        Stationary standard deviation in the unit of the samples.
+        Stationary standard deviation in SI units.
     sigma_ci95 : (low, high)
-        95 % interval.
+        95 % interval of sigma.
     correlation_time : float
-        In s.
+        Correlation time in s.
     correlation_time_ci95 : (low, high)
-        95 % interval.
+        95 % interval of the correlation time.
     """
 
     sigma: float
@@ -137,18 +145,18 @@ class GaussMarkov:
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """Sinusoidal noise of IEEE Std 952, e.g. vibration.
+    """Sinusoidal noise of IEEE Std 952, for example vibration.
 
     Attributes
     ----------
     amplitude : float
-        In the unit of the samples.
+        Amplitude in SI units.
     amplitude_ci95 : (low, high)
-        95 % interval.
+        95 % interval of the amplitude.
     frequency : float
-        In Hz, below half the sample rate. A faster vibration appears at its alias.
+        Frequency in Hz, below half the sample rate. A faster vibration appears at its alias.
     frequency_ci95 : (low, high)
-        95 % interval.
+        95 % interval of the frequency.
     """
 
     amplitude: float
@@ -159,14 +167,14 @@ class Sinusoid:
 
 @dataclass(frozen=True)
 class Processes:
-    """Processes in addition to the five terms, if these do not describe the curve.
+    """Processes that are added to the five terms if these do not describe the curve.
 
     Attributes
     ----------
     gauss_markov : tuple of GaussMarkov
-        Shortest correlation time first.
+        Sorted by correlation time, shortest first.
     sinusoid : tuple of Sinusoid
-        Lowest frequency first.
+        Sorted by frequency, lowest first.
     """
 
     gauss_markov: tuple[GaussMarkov, ...] = ()
@@ -174,15 +182,15 @@ class Processes:
 
 
 class Deviation(NamedTuple):
-    """Largest deviation of the measured curve from the drawn line of the model.
+    """Largest relative difference between the measured Allan deviation and the model.
 
     Attributes
     ----------
     relative : float
-        Ratio of the measured Allan deviation to that of the model, less 1. For points above the
-        line, the model includes the unresolved terms at their upper limits.
+        Measured Allan deviation divided by that of the model, minus 1. Points above the model are
+        compared with the model that contains unresolved terms at their upper limits.
     tau : float
-        Averaging time in s.
+        Averaging time of the point in s.
     """
 
     relative: float
@@ -191,24 +199,26 @@ class Deviation(NamedTuple):
 
 @dataclass(frozen=True)
 class AxisFit:
-    """The fit of one axis.
+    """Fit of one axis.
 
     Attributes
     ----------
     noise : mapping of term to Coefficient
         All five of `TERMS`.
     misfit : float
-        Fractional model error with which the selected model fits; 0 if it fits without one.
+        Relative model error that was added to the covariance of the Allan variances; 0 if the model
+        passes the test of fit.
     m_min : int
         Smallest averaging factor used; above 1 if a low-pass filter affects the shorter ones.
     gof_z : float or None
-        Goodness of fit of the five terms as a normal deviate; None if the method has none.
+        Goodness of fit of the five terms as a normal deviate; above 3 they are rejected. None if
+        the method has no test of fit.
     processes : Processes
         Gauss-Markov processes and sinusoids; empty if the five terms describe the curve.
     deviation : Deviation or None
-        Largest deviation of the data from the selected model; None if the model fits.
+        Largest deviation of the data from the selected model; None if no deviation is significant.
     signed : bool
-        Whether q could be negative in the fit, as for filtered samples. It is not saved.
+        Whether q was allowed to be negative, as for low-pass filtered samples. It is not saved.
     """
 
     noise: Mapping[str, Coefficient]
@@ -231,11 +241,10 @@ class AxisFit:
 
     @property
     def selected(self) -> ProcessModel:
-        """The selected model: likely terms and the processes, for drawing and prediction.
+        """Model for drawing and prediction: resolved and likely terms, and the processes.
 
-        It contains the processes, if there are any. A term that is not resolved is included if its
-        square is more than one standard deviation above zero, because a model without likely drift
-        predicts too little drift.
+        A term that is not resolved is likely if its squared estimate is more than one standard
+        deviation above zero. A model without likely drift terms would predict too little drift.
         """
         values = {
             term: c.value * (c.sign or 1)
@@ -250,13 +259,13 @@ class AxisFit:
 
     @property
     def likely(self) -> tuple[str, ...]:
-        """Terms of the selected model that are not resolved."""
+        """Terms that are not resolved but are part of the selected model."""
         noise, terms = self.noise, self.selected.terms
         return tuple(t for t in noise if getattr(terms, t) and noise[t].status != 'estimated')
 
     @property
     def selected_at_limits(self) -> ProcessModel:
-        """The selected model with every term that is not resolved at its 95 % upper limit."""
+        """The selected model with every unresolved term at its 95 % upper limit."""
         model = self.selected
         limits = {
             term: max(c.upper95, abs(getattr(model.terms, term)))
@@ -267,13 +276,13 @@ class AxisFit:
 
     @property
     def is_filtered(self) -> bool:
-        """Whether the fit describes the curve with a low-pass filter; Q then cannot be measured."""
+        """Whether the samples are low-pass filtered, so that Q cannot be measured."""
         q, n = self.noise['Q'], self.noise['N']
         return self.m_min == 1 and q.value is q.upper95 is None and n.value is not None
 
 
 def _is_likely(term: str, c: Coefficient) -> bool:
-    """Return whether a term is resolved, or its square exceeds one standard deviation."""
+    """Return whether a term is resolved, or its squared estimate exceeds one standard deviation."""
     if c.status == 'estimated':
         return True
     if term not in 'NBK' or c.value is None or c.upper95 is None:
@@ -285,7 +294,7 @@ def _is_likely(term: str, c: Coefficient) -> bool:
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """The fit of all axes of one `AllanSums`.
+    """Fit of all axes of one `AllanSums`.
 
     Attributes
     ----------
@@ -295,6 +304,7 @@ class NoiseModel:
         Sample period in s.
     axes : mapping of axis name to AxisFit
     findings : tuple of Finding
+        Findings of the fit, for all axes.
     """
 
     method: str
