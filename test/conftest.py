@@ -83,7 +83,9 @@ def fit_once(
 
 @pytest.fixture(autouse=True, scope='session')
 def each_fit_is_computed_once() -> Iterator[None]:
-    """Most tests analyse one of a few recordings, and most of their time would be the same fits."""
+    """Reuse identical fits: most tests analyze one of a few recordings, and fits take most of
+    the time.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('allan_ros.io.results.fit_stationary', fit_once)
         yield
@@ -106,7 +108,7 @@ ACCEL = NoiseTerms(N=2e-4, B=4e-5)
 
 @pytest.fixture(scope='session')
 def small_run() -> tuple[AllanSums, Provenance]:
-    """Return the sums of 20 simulated minutes at 50 Hz, and where they came from."""
+    """Return the sums of 20 simulated minutes at 50 Hz, and their provenance."""
     accumulator = ImuStream(hardware_id='unit 7')
     for batch in simulate_imu(1200.0, 50.0, [GYRO] * 3, [ACCEL] * 3, seed=5, start_ns=10**18):
         accumulator.update(batch)

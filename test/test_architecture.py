@@ -181,7 +181,9 @@ LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas
     ],
 )
 def test_no_large_library_is_loaded_before_it_is_needed(code: str, libraries: str) -> None:
-    """Each takes 0.2 to 1 s of CPU at every start of `allan` or a node, and up to 20 MB."""
+    """Each library costs 0.2 to 1 s of CPU time at every start of `allan` or a node, and up to
+    20 MB.
+    """
     if 'monitor' in code:
         pytest.importorskip('rclpy')
     check = (

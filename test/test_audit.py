@@ -27,7 +27,7 @@ def audit(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def answer(audit: ModuleType, monkeypatch: pytest.MonkeyPatch, **of_numpy: object) -> None:
-    """Make the tool report this for numpy, and nothing for the others."""
+    """Let pip-audit report these fields for numpy, and no vulnerability for the other packages."""
     said = [{'name': name, 'version': '1', 'vulns': []} for name in audit.required()]
     (numpy,) = (each for each in said if each['name'] == 'numpy')
     if 'skip_reason' in of_numpy:

@@ -25,7 +25,7 @@ def named(path: Path) -> str:
 
 
 def text_of(page: Path) -> str:
-    """Return the page without its code."""
+    """Return the page without its code blocks."""
     fenced = re.sub(r'^```.*?^```', '', page.read_text(), flags=re.MULTILINE | re.DOTALL)
     return re.sub(r'^(?:    ).*$', '', fenced, flags=re.MULTILINE)
 
@@ -39,7 +39,7 @@ def anchors_of(page: Path) -> set[str]:
 
 
 def commands_of(page: Path) -> list[list[str]]:
-    """Return the words of every command line of `allan` in a separate block."""
+    """Return the words of each command line of `allan` that starts a line of the page."""
     joined = page.read_text().replace('\\\n', ' ')
     lines = re.findall(r'^(?:    )?(?:\$ )?(?:ros2 run allan_ros )?(allan [a-z-].*)$', joined, re.M)
     words = [shlex.split(line, comments=True) for line in lines]

@@ -92,7 +92,7 @@ def test_an_input_that_hangs_is_reported_with_its_seed(tmp_path: Path) -> None:
 
 
 def messages_in(path: Path) -> int:
-    """Return the number of messages that can be read; 0 if the file is refused."""
+    """Return the number of messages that can be read; 0 if the file is rejected."""
     try:
         (recording,) = open_recordings([path])
         return sum(len(batch) for batch in recording.batches())

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The package as a whole: one version, a licence header everywhere, metadata where colcon looks."""
+"""The package as a whole: one version, a licence header everywhere, metadata that colcon finds."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forbidden calls, found in the source code, and paths that stay in their folder."""
+"""No forbidden calls in the source code, and no input can name a path outside its folder."""
 
 from __future__ import annotations
 

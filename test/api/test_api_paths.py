@@ -73,7 +73,7 @@ def test_a_worker_that_dies_is_reported(tmp_path: Path) -> None:
 
 
 class _Deadly(str):
-    """A path that ends the process that receives it."""
+    """A path that ends the process to which it is sent."""
 
     def __reduce__(self) -> tuple[object, tuple[int]]:
         return os._exit, (1,)

@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Impossible samples and stamps: the rest is analyzed and drawn, or refused in one line."""
+"""Impossible samples and stamps: the valid data are analyzed and drawn, or one line states the
+error.
+"""
 
 from __future__ import annotations
 

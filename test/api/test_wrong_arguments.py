@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A wrong argument of any public function is one clear line of the package's error."""
+"""A wrong argument of a public function raises an `AllanError` with a one-line message."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan analyze` and `allan merge` from recording to files."""
+"""`allan analyze` and `allan merge`, from recordings to files."""
 
 from __future__ import annotations
 

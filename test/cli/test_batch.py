@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of separate recordings: what counts as one, and what is written."""
+"""A folder of recordings: which files and folders are recordings, and what is written."""
 
 from __future__ import annotations
 

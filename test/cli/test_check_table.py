@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan check` on recordings of known state: the exit codes that the page of checks states."""
+"""`allan check` on recordings of known state gives the exit codes of docs/engineering/checks.md."""
 
 from __future__ import annotations
 

@@ -76,7 +76,9 @@ def test_what_one_process_finds_wrong_is_said(
 
 @pytest.fixture(scope='module')
 def cluster() -> Iterator[Any]:
-    """Yield a cluster of two worker processes, in which a second death loses a job."""
+    """Yield a cluster of two worker processes. It gives up a recording after two of its workers
+    have died.
+    """
     distributed = pytest.importorskip('distributed')
     dask = pytest.importorskip('dask')
     settings = {
@@ -101,7 +103,7 @@ def test_a_cluster_gives_what_one_process_gives(
 
 
 def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], RecordingSums]:
-    """Return a job function that kills the worker a given number of times at one recording."""
+    """Return a job function that kills its worker the first ``times`` times it reads ``victim``."""
 
     def work(job: ReadJob) -> RecordingSums:
         if job.path == victim and len(list(deaths.iterdir())) < times:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan fit`: curves that were made elsewhere, healthy and faulty."""
+"""`allan fit`: curves of other tools, good and faulty."""
 
 import json
 
@@ -79,7 +79,7 @@ def test_what_is_no_curve_is_an_error(tmp_path, text, capsys):
 
 @pytest.mark.parametrize(('name', 'faulty'), [('alphasense', False), ('adis', True)])
 def test_published_values_are_checked(shared_data, name, faulty, capsys):
-    """The accelerometer z of one was not at rest, and its published N is far too large."""
+    """In one of them the z accelerometer was not at rest, so its published N is far too large."""
     folder = shared_data / 'curves'
     curve, published = folder / f'{name}.allan_variance.csv', folder / f'{name}.imu.yaml'
     arguments = [str(curve), '--published', str(published), '--hours', '36', '--json']

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan inflate`: factors of a robot at rest with motors on over motors off."""
+"""`allan inflate`: how much running motors raise the noise of a robot at rest."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ RATE, SECONDS = 50.0, 600
 
 @pytest.fixture(scope='module')
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
-    """Return two tables of samples: motors off, and on, with 4 times the noise of the gyro."""
+    """Return two tables of samples: motors off, and motors on with 4 times the noise of the
+    gyro.
+    """
     folder = tmp_path_factory.mktemp('recordings')
     rng = np.random.default_rng(3)
     t = np.arange(int(RATE * SECONDS)) / RATE
@@ -38,7 +40,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
 def test_the_factor_is_measured_with_vibration_included(
     recordings: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two thirds of the time at factor 4: N is sqrt(1/3 + 16 2/3) = 3.3 times that at rest."""
+    """The noise is 4 times higher for two thirds of the time: N rises by sqrt(1/3 + 16 2/3) =
+    3.3.
+    """
     assert main(['inflate', *recordings, '-o', str(tmp_path / 'out')]) == 0
     shown = capsys.readouterr().out
     assert 'N and K for a filter, over 1 to 30 s' in shown

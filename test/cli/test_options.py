@@ -18,7 +18,7 @@ from allan_ros.io.readers.recording import ReadOptions
 
 @dataclass(frozen=True)
 class Some:
-    """One field of every kind."""
+    """Settings with one field of each type."""
 
     limit: float = parameter(2.5, 'A limit of 50 %.', unit='s', low=0.0)
     count: int = parameter(3, 'A count.')

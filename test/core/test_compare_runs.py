@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two runs differ when chance does not explain it, however many comparisons are made."""
+"""Two runs differ only if the difference is significant, whatever the number of comparisons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
 
 
 def compare(first: Coefficient, second: Coefficient) -> Difference:
-    """Return the difference of N, alone in its family."""
+    """Return the difference of N as the only comparison, so without correction for several
+    tests.
+    """
     others = {term: Coefficient(None) for term in TERMS}
     runs = ({'gyro_x': Measured(others | {'N': c}, None)} for c in (first, second))
     [found] = differences([tuple(runs)])
@@ -53,7 +55,7 @@ def test_verdicts(first, second, verdict):
 
 
 def test_the_ratio_has_the_widths_that_face():
-    """Zou & Donner: down from the lower width of one and the upper width of the other."""
+    """Zou & Donner: the lower limit has the lower width of one and the upper width of the other."""
     d = compare(Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0)))
     low, high = d.ci95
     assert d.ratio == pytest.approx(2.0)
@@ -124,7 +126,7 @@ def test_runs_of_equal_noise_seldom_differ():
 
 
 def test_all_pairs_are_one_family():
-    """A p of 1 % is significant alone, and not among those of ten pairs."""
+    """A p of 1 % is significant alone, but not as one of ten pairs."""
     tau = np.array([1.0, 4.0])
     edf = np.array([200.0, 200.0])
     a, b = curve(np.ones(2), edf, tau), curve(np.array([1.2, 1.0]), edf, tau)
@@ -135,7 +137,7 @@ def test_all_pairs_are_one_family():
 
 
 def test_an_endless_series_of_comparisons_seldom_alarms():
-    """At most 5 % of 300 series alarm: more than 27 have a probability of 0.1 %."""
+    """At most 5 % of 300 series raise an alarm: more than 27 have a probability of 0.1 %."""
     rng = np.random.default_rng(9)
     tau, edf = 4.0 ** np.arange(8), np.geomspace(1e4, 4.0, 8)
     alarms = 0

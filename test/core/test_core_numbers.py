@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers at the ends: the tiniest, the largest, decades of samples, and exact arithmetic."""
+"""Extreme numbers: tiny and huge samples, decades of data, and a comparison with exact
+arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -115,7 +117,9 @@ def test_a_refusal_tells_of_a_number_without_being_none(huge: float) -> None:
 
 
 def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
-    """Return the sums of white, flicker and walk expected of this number of segments."""
+    """Return the expected sums of white noise, flicker and random walk in segments of equal
+    length.
+    """
     m, stride = grid_for(samples)
     count, groups = segments * counts(samples, m, stride), segments * counts(samples, m, m)
     twice = 2.0 * m.astype(float) ** 2 * term_avar(m, PERIOD_NS * 1e-9, TRUTH).sum(axis=1)
@@ -186,7 +190,7 @@ def test_the_recent_noise_after_decades_is_of_numbers() -> None:
 
 
 def exactly(y: list[Fraction], m: int, stride: int) -> Fraction:
-    """Return the sum of d^2 without any rounding."""
+    """Return the sum of squared second differences in exact arithmetic."""
     theta = [Fraction(0)]
     for sample in y:
         theta.append(theta[-1] + sample - y[0])
@@ -210,7 +214,9 @@ def test_the_engine_is_right_to_rounding(noise: list[float], offset: float) -> N
 
 
 def test_of_whole_numbers_the_engine_loses_nothing() -> None:
-    """A walk of 2e5 whole steps on a large offset: every running sum is a whole number too."""
+    """A random walk of 2e5 integer steps on a large offset: every running sum is an integer,
+    too.
+    """
     y = np.random.default_rng(3).integers(-9, 10, 200_000)
     sums = sums_of((y + 2**40).astype(float)[:, None], [7777])
     theta = np.concatenate([[0], np.cumsum(y - y[0])]).astype(object)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Batches are values: equal if their samples are."""
+"""Batches are equal if their samples are equal."""
 
 import numpy as np
 

@@ -37,7 +37,9 @@ def test_impossible_coefficients_are_refused(bad):
 
 
 def two_mean_variance(covariance, points: int) -> float:
-    """Return E (mean of the second half - mean of the first)^2 / 2 by the covariance of samples."""
+    """Return E (mean of the second half - mean of the first)^2 / 2 from the covariance of
+    samples.
+    """
     sign = np.repeat([-1.0, 1.0], points) / points
     lag = np.arange(2 * points)
     return float(sign @ covariance(np.abs(lag[:, None] - lag)) @ sign) / 2.0

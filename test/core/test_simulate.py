@@ -22,7 +22,7 @@ QUIET = [NoiseTerms(N=1e-3)] * 3
 
 
 def avar(y, m):
-    """Fully overlapping Allan variance along the last axis, straight from its definition."""
+    """Return the fully overlapping Allan variance along the last axis, from its definition."""
     theta = np.concatenate([np.zeros((*y.shape[:-1], 1)), np.cumsum(y, axis=-1)], axis=-1)
     d = theta[..., 2 * m :] - 2 * theta[..., m:-m] + theta[..., : -2 * m]
     return (d**2).mean(axis=-1) / (2 * m**2)
@@ -58,7 +58,7 @@ def test_the_circulant_is_a_covariance_and_holds_the_autocovariance(half):
     'terms', [*(dataclasses.replace(NoiseTerms(), **{t: 0.1}) for t in 'QNBKR'), MIXED]
 )
 def test_mean_allan_variance_is_the_expected_one_at_every_factor(terms):
-    """False alarm: 60 comparisons at 4.5 sigma of a nearly normal mean, below 1e-3 in all."""
+    """False alarm probability below 1e-3: 60 comparisons of a nearly normal mean at 4.5 sigma."""
     n, tau0, draws = 1024, 0.1, 1000
     rng = np.random.default_rng(11)
     y = np.stack([simulate_axis(n, tau0, terms, rng) for _ in range(draws)])
@@ -75,7 +75,7 @@ def test_the_seed_decides_everything():
 
 
 def test_axes_are_independent_and_centred_on_the_mean():
-    """False alarm: 15 correlations of 20000 samples at 5 sigma, below 1e-5."""
+    """False alarm probability below 1e-5: 15 correlations of 20000 samples at 5 sigma."""
     _, samples = recording(200.0, mean=[1, 2, 3, 4, 5, 6])
     assert np.abs(samples.mean(axis=0) - [1, 2, 3, 4, 5, 6]).max() < 0.05
     steps = np.diff(samples, axis=0)

@@ -54,7 +54,7 @@ def test_gaps_lose_exactly_their_seconds():
 
 
 def test_drops_lose_their_share():
-    """Ten thousand samples at 5 %: 500 +- 22; the bound is 6 sigma (2e-9)."""
+    """500 +- 22 of 10,000 samples are lost at 5 %; the bound is 6 sigma (false alarm 2e-9)."""
     t, _ = record(Faults(drop=0.05))
     assert abs(len(t) - 9500) < 6 * 22
     assert t[0] == 0.0
@@ -78,7 +78,9 @@ def test_bursts_are_silences_made_up_for_by_what_follows():
 
 
 def test_low_pass_keeps_the_mean_and_takes_the_variance():
-    """Variance of white noise after a pole p is (1 - p)/(1 + p); bound 5 sigma of 3 x 10^4."""
+    """White noise filtered with the pole p has the variance (1 - p)/(1 + p); bound 5 sigma of
+    3e4.
+    """
     _, raw = record(noise=QUIET)
     _, slow = record(Faults(low_pass=20.0), noise=QUIET)
     pole = np.exp(-2 * np.pi * 20.0 / RATE)
@@ -97,7 +99,9 @@ def test_vibration_is_one_line():
 
 
 def test_gauss_markov_has_its_variance_and_correlation_time():
-    """2000 s of T_c = 1 s and six axes: 6000 independent values, 2 % each way; bounds 5 sigma."""
+    """2000 s of T_c = 1 s and six axes: 6000 independent values determine each to 2 %; bounds 5
+    sigma.
+    """
     faults = Faults(gauss_markov_gyro=0.3, gauss_markov_accel=0.3, gauss_markov_time=1.0)
     _, y = record(faults, seconds=2000.0, rate=20.0)
     assert y.var() == pytest.approx(0.09, rel=0.1)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Imu samples to write, and what reading a recording gives back as whole arrays."""
+"""Fixtures: Imu samples to write, and complete recordings as arrays."""
 
 from __future__ import annotations
 

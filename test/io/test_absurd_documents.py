@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Documents of a consistent schema with absurd values: used, or refused in one line."""
+"""Documents of a valid schema with absurd values: used, or rejected in one line."""
 
 from __future__ import annotations
 

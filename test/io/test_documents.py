@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""results.json and sums.json: complete round trips, and wrong documents are refused."""
+"""results.json and sums.json: complete round trips; wrong documents are rejected."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from allan_ros.io.results import Results
 
 
 def through_text(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the document as another program reads it: strictly, so that NaN is an error."""
+    """Return the document as another program reads it: strict JSON, in which NaN is an error."""
 
     def refuse(constant: str) -> None:
         raise AssertionError(f'{constant} in JSON')
@@ -157,7 +157,7 @@ def test_sums_survive_the_round_trip_bit_for_bit(small_run) -> None:
 
 
 def spoiled(document: dict[str, Any], path: tuple[str | int, ...], value: object) -> Any:
-    """Return a copy with one field replaced, or taken out when the value is `KeyError`."""
+    """Return a copy with one field replaced, or removed if the value is `KeyError`."""
     copied = copy.deepcopy(document)
     place: Any = copied
     for key in path[:-1]:

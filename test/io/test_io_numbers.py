@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Axes at the ends of all numbers, through everything that is written of them."""
+"""Axes with extreme numbers give finite numbers in every output."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}
 
 @pytest.fixture(scope='module', params=[('noisy', 'gls'), ('noiseless', 'paper')])
 def results(request: pytest.FixtureRequest) -> Results:
-    """Return the results of a method for axes of every size."""
+    """Return the results of one method for axes with samples of very different sizes."""
     kind, method = request.param
     return analyse_sums([SUMS[kind]()], Provenance(), method)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures show the numbers, also when some are missing."""
+"""Plots show the numbers, also when some are missing."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def runs() -> list[ar.Results]:
 
 @pytest.fixture(autouse=True)
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing, which takes a second each time and changes nothing here."""
+    """Skip the drawing of pictures, which takes a second and is not tested here."""
     monkeypatch.setattr('allan_ros.io.plots.sensor_figure', lambda *_: None)
 
 

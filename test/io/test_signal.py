@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The envelope of a signal: exact, whatever its chunks, and never more than its spans."""
+"""The envelope of a signal: exact for any chunking, with a limited number of points."""
 
 from __future__ import annotations
 

@@ -19,7 +19,9 @@ LETTERS = 'abcdefghi'
 
 
 def grown(first: str, link: str) -> str:
-    """Return eight entries, each of nine references to the one before: 4e7 of the first."""
+    """Return eight YAML entries, each with nine references to the previous one: 4e7 of the
+    first.
+    """
     steps = (
         f'{here}: &{here} {link.format(", ".join([f"*{before}"] * 9))}\n'
         for before, here in itertools.pairwise(LETTERS)

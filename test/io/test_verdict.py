@@ -185,7 +185,7 @@ def test_an_earlier_run_and_compare_agree(small_results: Results) -> None:
 
 
 def test_a_curve_that_rose_fails_although_no_coefficient_changed(small_results: Results) -> None:
-    """A vibration that is fitted as a process of its own changes only the curve."""
+    """A vibration that is fitted as a separate term changes only the curve."""
     axis = small_results.axes['accel_x']
     curve = axis.curve
     assert curve is not None

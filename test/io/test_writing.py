@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The same samples in every form come back bit for bit, and nothing half-written is left."""
+"""Samples are read back bit for bit from every format, and no incomplete file remains."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_every_form_keeps_every_bit(
 
 
 def test_every_form_gives_identical_sums(tmp_path: Path) -> None:
-    """The whole identity travels too: frame, rate and start, in every form."""
+    """Frame, rate and start time are also the same in every format."""
     rng = np.random.default_rng(8)
     stamps = 1_700_000_000_000_000_001 + np.arange(6000) * 10_000_000
     batch = ImuBatch(stamps, rng.normal(size=(6000, 6)) * 1e-3 + [0, 0, 0, 0, 0, 9.8], None, 'imu')

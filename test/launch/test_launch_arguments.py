@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every launch argument reaches the nodes it is meant for, in real processes.
+"""Every launch argument reaches the right nodes, in real processes.
 
 Needs launch_testing and the installed package, as in a ROS workspace.
 """
@@ -103,7 +103,7 @@ CONFIG = """/**:
 
 
 def filled(value, folder):
-    """Return the value with the temporary folder in it."""
+    """Return the value with the temporary folder inserted."""
     return value.replace('{folder}', folder) if isinstance(value, str) else value
 
 
@@ -123,7 +123,7 @@ def generate_test_description(case):
 
 
 class TestArguments(unittest.TestCase):
-    """While the nodes run."""
+    """Tests while the nodes are running."""
 
     def setUp(self):
         """Create a client node."""
@@ -136,7 +136,7 @@ class TestArguments(unittest.TestCase):
         rclpy.shutdown()
 
     def until(self, holds):
-        """Spin until the condition holds, and return its value."""
+        """Spin until the condition is true, and return its value."""
         deadline = time.monotonic() + PATIENCE_S
         while not (value := holds()):
             assert time.monotonic() < deadline, 'waited too long'
@@ -169,7 +169,7 @@ class TestArguments(unittest.TestCase):
 
 @launch_testing.post_shutdown_test()
 class TestExit(unittest.TestCase):
-    """After the nodes were interrupted."""
+    """Tests after the nodes were interrupted."""
 
     def test_every_node_ends_with_code_0(self, proc_info):
         """SIGINT ends every node cleanly."""

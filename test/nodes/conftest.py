@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real nodes in real processes over real DDS, each test in a ROS domain of its own.
+"""Real nodes in real processes over real DDS; each test has its own ROS domain.
 
-Messages go over UDP on the loopback interface, not through shared memory: what a killed process
-leaves in ``/dev/shm`` stays there, Fast DDS names it by port, and its readers of
-``ros_discovery_info`` use the ports from 7000 in every domain. So tests that kill nodes could
-disturb other tests.
+Messages use UDP on the loopback interface, not shared memory. A killed process leaves its files
+in ``/dev/shm``, Fast DDS names them by port, and its readers of ``ros_discovery_info`` use the
+ports from 7000 in every domain, so tests that kill nodes could disturb other tests.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ ASK_AGAIN_S = 1.0
 
 
 def _domains_of_processes() -> set[int]:
-    """Return the domains of running processes: nodes that a killed test run left behind, too."""
+    """Return the domains of running processes, including nodes left behind by a killed test run."""
     found = set()
     for environ in Path('/proc').glob('[0-9]*/environ'):
         with contextlib.suppress(OSError):
@@ -77,7 +76,9 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 class Graph:
-    """A ROS graph for one test: our processes, and a client node in this one."""
+    """The ROS graph of one test: started processes, and a client node in the process of the
+    test.
+    """
 
     def __init__(self, folder: Path, server: NodeServer) -> None:
         import rclpy
@@ -100,7 +101,7 @@ class Graph:
     def start(
         self, module: str, *arguments: str, remap: dict[str, str] | None = None, **parameters: Any
     ) -> NodeProcess:
-        """Start ``allan_ros.nodes.<module>``; parameters by their full name."""
+        """Start ``allan_ros.nodes.<module>``; ``parameters`` have their full names."""
         ros = [f'{old}:={new}' for old, new in (remap or {}).items()]
         given = [a for pair in ros for a in ('-r', pair)]
         for name, value in parameters.items():
@@ -113,7 +114,7 @@ class Graph:
         return process
 
     def until(self, holds: Callable[[], Any], patience: float = PATIENCE_S) -> Any:
-        """Spin until the condition holds and return its value."""
+        """Spin until the condition is true and return its value."""
         deadline = time.monotonic() + patience
         while not (value := holds()):
             if time.monotonic() > deadline:
@@ -123,30 +124,34 @@ class Graph:
         return value
 
     def spin(self, seconds: float) -> None:
-        """Let time pass."""
+        """Spin for a duration."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)
 
     def status(self, ending: str) -> Any:
-        """Return the latest diagnostic status whose name ends so, or None."""
+        """Return the latest diagnostic status whose name ends with ``ending``, or None."""
         return next((s for name, s in self.statuses.items() if name.endswith(ending)), None)
 
     def value(self, ending: str, key: str) -> str | None:
-        """Return one value of that status; the key may leave out its unit."""
+        """Return one value of that status; ``key`` may omit the unit."""
         status = self.status(ending)
         pairs = status.values if status else ()
         return next((v.value for v in pairs if v.key == key or v.key.startswith(f'{key} [')), None)
 
     def summary(self) -> str:
-        """Return every status, and all that is known of the inputs."""
+        """Return every status and the values of the inputs as text, for messages of failed
+        tests.
+        """
         known = (v for name, s in self.statuses.items() if name.endswith('input') for v in s.values)
         counts = ', '.join(f'{v.key} {v.value}' for v in known)
         said = '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
         return f'{said} ({counts})'
 
     def override(self, **parameters: Any) -> None:
-        """Give the client node parameters, as a launch file does; for what it makes from now on."""
+        """Give the client node parameter overrides, as a launch file does, for publishers
+        created later.
+        """
         from rclpy.parameter import Parameter
 
         for name, value in parameters.items():
@@ -164,7 +169,9 @@ class Graph:
         return publisher
 
     def introduce(self, publisher: Any, wanted: int = 1) -> None:
-        """Wait until this publisher and at least ``wanted`` subscribers have found each other."""
+        """Wait until this publisher and at least ``wanted`` subscribers have discovered each
+        other.
+        """
         from allan_ros.nodes.player import Handshake
 
         handshake = Handshake(self.node, publisher, wanted)
@@ -172,7 +179,7 @@ class Graph:
         handshake.close()
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:
-        """Publish every sample; a full queue of a reliable subscriber makes it wait."""
+        """Publish every sample, waiting while the queue of a reliable subscriber is full."""
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
         for payload in encode_imus(batch, 'cdr'):
@@ -229,7 +236,7 @@ class Graph:
     def model_of(self, samples: int) -> dict[str, Any]:
         """Let the monitor fit this number of samples, and return its model.
 
-        It fits no more by itself after that, until more samples come.
+        It does not fit again until more samples arrive.
         """
         models = self.latched('/allan_monitor/noise_model')
         self.until(lambda: self.value('input', 'used') == str(samples))
@@ -238,7 +245,9 @@ class Graph:
         return self.until(lambda: models and models[-1]['samples'] == samples and models[-1])
 
     def latched(self, topic: str) -> list[dict[str, Any]]:
-        """Subscribe to a latched String topic and return the list its documents go to."""
+        """Subscribe to a latched String topic and return the list to which its documents are
+        appended.
+        """
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from std_msgs.msg import String
 
@@ -269,7 +278,7 @@ def _yaml(value: Any) -> str:
 
 @pytest.fixture(scope='session')
 def node_server() -> Iterator[NodeServer]:
-    """Yield the process that nodes are forked from."""
+    """Yield the process from which nodes are forked."""
     server = NodeServer(ROOT)
     yield server
     server.close()
@@ -285,7 +294,7 @@ def graph(ros_domain: int, tmp_path: Path, node_server: NodeServer) -> Iterator[
 
 @pytest.fixture
 def still_imu() -> Callable[..., ImuBatch]:
-    """Return a maker of a still, white, level IMU with even stamps."""
+    """Return a function that makes samples of a level IMU at rest: white noise, even stamps."""
 
     def make(
         n: int, rate: float = 200.0, start_ns: int = 10**18, seed: int = 1, frame_id: str = 'imu'

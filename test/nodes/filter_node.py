@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node like a filter: its parameters have ranges, and can be set or refused at run time."""
+"""A node like a filter: its parameters have ranges, and can be set or rejected at run time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def main() -> None:
     node.declare_parameter('fixed', 1.0)
 
     def on_set(parameters: list) -> SetParametersResult:
-        """Refuse the fixed one."""
+        """Reject changes of the fixed parameter."""
         if any(p.name == 'fixed' for p in parameters):
             return SetParametersResult(successful=False, reason='fixed is not for you')
         return SetParametersResult(successful=True)

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A DDS client without any ROS: publishes Imu, hears /diagnostics, prints what it heard as JSON.
+"""A DDS client without ROS: publishes Imu, receives /diagnostics and prints it as JSON.
 
 usage: independent_client.py DOMAIN SAMPLES
 
-Topic and type names are those ROS 2 gives its topics on the wire
+Topic and type names are those of ROS 2 topics on the wire
 (design.ros2.org/articles/topic_and_service_names.html): ``rt/<topic>`` and
 ``<package>::msg::dds_::<Type>_``.
 """
@@ -88,7 +88,7 @@ class DiagnosticArray(IdlStruct, typename='diagnostic_msgs::msg::dds_::Diagnosti
 
 
 def listen(reader: DataReader, heard: dict[str, DiagnosticStatus]) -> None:
-    """Take what has come, or wait for a moment."""
+    """Receive the pending statuses, or wait for a moment."""
     for message in reader.take(100):
         heard |= {status.name: status for status in message.status}
     time.sleep(0.1)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The accumulator gives the sums of the offline analysis, and no input ends it."""
+"""The accumulator gives the sums of the offline analysis, and no input stops it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FAST = {
 
 
 def offline(*batches: ImuBatch) -> list[dict]:
-    """Return the documents of the sums of the batches, as any offline analysis makes them."""
+    """Return the documents of the sums of an offline analysis of the batches."""
     accumulator = ImuStream()
     for batch in batches:
         accumulator.update(batch)
@@ -69,7 +69,9 @@ def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path
 
 
 def test_deep_shared_memory_holds_what_comes_at_once(graph, monkeypatch):
-    """Best effort, and more at once than Fast DDS holds by default, but less than the profile."""
+    """A best-effort burst that exceeds the default shared memory of Fast DDS, but not the
+    profile.
+    """
     profile = Path(__file__).resolve().parents[2] / 'config' / 'fastdds' / 'deep_shared_memory.xml'
     for name in ('FASTDDS', 'FASTRTPS'):  # the second is that of Fast DDS 2
         monkeypatch.setenv(f'{name}_DEFAULT_PROFILES_FILE', str(profile))
@@ -226,7 +228,7 @@ def test_a_looped_recording_counts_once(graph, still_imu, tmp_path: Path):
 
 @pytest.mark.parametrize('knocks', [0, 40])
 def test_a_restart_of_a_replay_counts_no_sample_twice(graph, still_imu, tmp_path: Path, knocks):
-    """Also where the end of the pass is not among the 32 longest segments, or in motion."""
+    """Also if the end of the pass is not among the 32 longest segments, or is in motion."""
     checkpoint = tmp_path / 'sums.json'
     settings = {**FAST, 'checkpoint.path': str(checkpoint), 'use_sim_time': True}
     batch = still_imu(22_000)
@@ -253,7 +255,9 @@ def test_a_restart_of_a_replay_counts_no_sample_twice(graph, still_imu, tmp_path
 
 
 def test_a_clock_that_is_set_back_only_cuts(graph, still_imu, tmp_path: Path):
-    """Without simulated time it is the same IMU that goes on, so both stretches count."""
+    """Without simulated time the same IMU continues, so the data before and after the step are
+    added.
+    """
     checkpoint = tmp_path / 'sums.json'
     graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint)})
     publisher = graph.publisher()
@@ -340,7 +344,7 @@ def test_parameters_change_at_run_time_within_reason(graph):
 
 
 def test_the_first_data_at_rest_count_as_an_event(still_imu):
-    """Else the findings of the time without sums stay until the sums are next published."""
+    """Otherwise the findings from before the first sums remain until the next publication."""
     batch, stream = still_imu(1500), ImuStream()
     batch.samples[:300] += np.random.default_rng(3).normal(size=(300, 6))  # it is moved at first
     stream.update(batch[:800])

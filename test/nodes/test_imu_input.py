@@ -84,7 +84,7 @@ def test_what_a_full_queue_lost_is_counted(graph, still_imu):
 
 
 def test_nothing_of_a_drained_subscription_is_waited_for(graph):
-    """Each of its events in the wait set would wake the executor as long as messages lie unread."""
+    """Events in the wait set would wake the executor as long as there are unread messages."""
     before = list(graph.node.waitables)
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
     assert list(graph.node.waitables) == before

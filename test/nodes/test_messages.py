@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bias at rest: published by the estimator, subtracted by the relay only when it may be."""
+"""The bias at rest: published by the estimator, subtracted by the relay only where permitted."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BIAS = np.array([1e-3, -2e-3, 3e-3])
 
 
 def biased(batch: ImuBatch) -> ImuBatch:
-    """Return the samples with a bias of the gyro."""
+    """Return the samples with a bias added to the gyro."""
     samples = batch.samples.copy()
     samples[:, :3] += BIAS
     return ImuBatch(batch.stamps_ns, samples, frame_id=batch.frame_id)
@@ -64,7 +64,7 @@ def test_the_estimator_publishes_the_bias(graph: Any, still_imu: Callable[..., I
 
 
 def relayed_rates(graph: Any, payloads: list[bytes], bias: Any, **parameters: Any) -> list[Any]:
-    """Return the angular velocities that the relay makes of messages, with a bias known."""
+    """Return the angular velocities of messages after the relay, which knows a bias."""
     from geometry_msgs.msg import TwistWithCovarianceStamped
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import Imu
@@ -87,7 +87,7 @@ def relayed_rates(graph: Any, payloads: list[bytes], bias: Any, **parameters: An
 
 
 def message_at(batch: ImuBatch) -> Any:
-    """Return the bias as known at the start of these samples."""
+    """Return the bias message of the time at which these samples start."""
     from allan_ros.core.filters.bias import AxisBias, BiasEstimate
 
     known = {

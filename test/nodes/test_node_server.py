@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The process that the nodes of the tests are forked from leaves none behind."""
+"""The process that forks the nodes of the tests leaves no process behind."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of another node are set when values are known, refused with a reason, restored."""
+"""Parameters of another node are set once values are known, rejected with a reason, and
+restored.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ QUICK = {
 
 @pytest.fixture
 def filter_node(ros_domain: int) -> Iterator[Callable[..., None]]:
-    """Return what starts the node whose parameters are set (in the graph's domain)."""
+    """Return a function that starts the node whose parameters are set, in the graph's domain."""
     started: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
@@ -58,7 +60,7 @@ def filter_node(ros_domain: int) -> Iterator[Callable[..., None]]:
 
 
 def values(graph: Any, *names: str) -> list[Any]:
-    """Return parameters of the node, asked of itself."""
+    """Return parameters of the node, read from the node itself."""
     from rcl_interfaces.srv import GetParameters
     from rclpy.parameter import parameter_value_to_python
 

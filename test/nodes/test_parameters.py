@@ -21,7 +21,7 @@ from allan_ros.nodes.settings import GROUPS, EstimatorSettings, PublishSettings
 
 @pytest.fixture
 def make_node(ros_domain: int) -> Iterator[Any]:
-    """Return a maker of a node with given parameters."""
+    """Return a function that creates a node with given parameters."""
     from rclpy.node import Node
 
     context = rclpy.Context()
@@ -47,7 +47,7 @@ def set_all(node: Any, **values: Any) -> Any:
 
 @pytest.mark.parametrize('group', GROUPS)
 def test_every_settings_class_checks_its_values(group: str) -> None:
-    """A choice that does not exist, or a number beyond its range, is refused by every class."""
+    """Every class rejects an unknown choice and a number out of range."""
     from allan_ros.core.settings import describe
 
     for name, info in describe(GROUPS[group]).items():

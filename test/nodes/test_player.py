@@ -23,7 +23,7 @@ from allan_ros.nodes.settings import InputSettings
 
 
 class Ear:
-    """Collects what is played."""
+    """Collects the played messages."""
 
     def __init__(self, graph) -> None:
         self._graph = graph
@@ -33,7 +33,7 @@ class Ear:
         self._batches: list[ImuBatch] = []
 
     def hear(self, count: int) -> np.ndarray:
-        """Return the first stamps, once that many have come."""
+        """Return the first ``count`` stamps, as soon as they have arrived."""
 
         def enough() -> bool:
             self._input.drain()
@@ -76,8 +76,9 @@ def test_a_loop_with_rebased_stamps_goes_on_evenly_from_now(graph, bag):
 
 
 def test_the_end_is_answered_for_anew(graph):
-    """An earlier answer proves nothing about the last messages: a node that is frozen gives
-    none."""
+    """An earlier answer does not prove that the last messages arrived, since a frozen node gives
+    none.
+    """
     accumulator = graph.start('accumulator')
     publisher = graph.node.create_publisher(Imu, 'imu/data', 10)
     handshake = Handshake(graph.node, publisher)

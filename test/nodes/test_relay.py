@@ -39,7 +39,9 @@ QUICK = {
 
 @pytest.fixture(scope='module')
 def results() -> Results:
-    """Return what 20 s of an IMU with gyro N 1e-3/sqrt(200) and accel N 1e-2/sqrt(200) show."""
+    """Return the results of 20 s of an IMU with gyro N 1e-3/sqrt(200) and accel N
+    1e-2/sqrt(200).
+    """
     rng = np.random.default_rng(7)
     samples = rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (4000, 6))
     stamps = 10**18 + np.arange(4000) * 5_000_000
@@ -60,9 +62,9 @@ def publish_model(graph: Any, results: Results) -> Any:
 
 
 def raw(graph: Any, topic: str = OUT) -> list[bytes]:
-    """Subscribe to the relayed messages and return the list that their bytes go to.
+    """Subscribe to the relayed messages and return the list to which their bytes are appended.
 
-    Called before `Graph.publisher`, whose handshake makes sure that the relay has found us.
+    Call it before `Graph.publisher`, which waits until the relay has discovered this subscriber.
     """
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import Imu
@@ -83,7 +85,9 @@ def payloads(batch: ImuBatch) -> list[bytes]:
 
 
 def variances(results: Results, rate: float | None = None) -> dict[str, Any]:
-    """Return N^2 f of the axes to the last bit, held against what is computed by hand."""
+    """Return N^2 f of each axis in full precision, after a check against values computed by
+    hand.
+    """
     fits = {name: axis.fit for name, axis in results.axes.items()}
     found = white_variances(fits, rate or results.rate_hz)
     for sensor, values in found.items():
@@ -233,7 +237,9 @@ def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
     driver = CovariancePatch({'gyro': (1.0, 2.0, 3.0)}).patch(whole)
 
     def relayed(expected: bytes) -> None:
-        """Send until what the relay makes of it is as it must be: a change takes a moment."""
+        """Send until the relayed message equals ``expected``, because a change takes effect
+        after a moment.
+        """
 
         def arrives() -> bool:
             del received[:]

@@ -56,7 +56,7 @@ def test_the_policy_is_of_the_documented_form() -> None:
 
 
 def test_the_tables_of_the_docs_are_what_the_policy_says() -> None:
-    """The policy is held against the running nodes, so the tables are too."""
+    """Another test compares the policy with running nodes, so the tables agree with these, too."""
     text = (ROOT / 'docs' / 'online.md').read_text()
     told: dict[str, set[tuple[str, str]]] = {}
     for names, _, uses, _ in rows(text, '| topic |'):
@@ -77,7 +77,7 @@ def rows(text: str, head: str) -> list[list]:
 
 
 def allowed(node: str) -> set[tuple[str, str]]:
-    """Return what the policy allows to a node, without what every node has."""
+    """Return what the policy allows to a node, without what all nodes have in common."""
     enclave = ET.parse(POLICY).getroot().find(f".//enclave[@path='/allan_ros/allan_{node}']")
     return {
         (WORDS[how], element.text)

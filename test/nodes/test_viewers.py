@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The layouts in config/viewers name what the nodes really publish."""
+"""The names in the layouts of config/viewers are names that the nodes publish."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model whose sums were replaced is withdrawn, and no document ends the estimator."""
+"""A model whose sums were replaced is withdrawn, and no document stops the estimator."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_replaced_sums_withdraw_the_model_at_once_and_are_fitted(graph, still_im
 
 
 def test_a_looped_recording_gets_new_coefficients(graph, still_imu) -> None:
-    """The second pass has the same stamps and other noise; it must not keep the first's model."""
+    """The second pass has the same stamps but other noise, so the first model must not be kept."""
     _, publisher, models = estimator(graph)
     publisher.publish(String(data=sums_text(still_imu(4000))))
     graph.until(lambda: models and models[-1]['samples'] == 4000)
@@ -112,7 +112,7 @@ HOSTILE = {
 
 
 def test_no_sums_document_ends_the_estimator(graph, still_imu) -> None:
-    """The topic is latched: what ends a node once would end it at every start."""
+    """The topic is latched: a document that stops a node once would stop it at every start."""
     process, publisher, models = estimator(graph)
     good = sums_text(still_imu(4000))
     for key, value in HOSTILE.items():
@@ -129,7 +129,7 @@ def test_no_sums_document_ends_the_estimator(graph, still_imu) -> None:
 
 
 def test_the_axes_have_a_status_from_the_first_message(graph, still_imu) -> None:
-    """An aggregator takes a missing status for an error."""
+    """An aggregator treats a missing status as an error."""
     graph.start('monitor', **{'publish.diagnostics_period': 0.2})
     graph.send(graph.publisher(), still_imu(3))
     status = graph.until(lambda: graph.status('imu accel z'))

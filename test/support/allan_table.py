@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Allan sums of one finite record at any factors, by the plain formula."""
+"""Allan sums of one finite record at any factors, computed from the definition."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A real browser, driven over its debugging pipe: no driver and no network socket between."""
+"""A real browser, controlled through its debugging pipe, without a driver or a network socket."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PATIENCE_S = 120.0
 
 
 def find_chromium() -> str | None:
-    """Return the path of a Chromium, if there is one."""
+    """Return the path of Chromium; None if it is not installed."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
@@ -82,7 +82,7 @@ class Chromium:
             self.call(f'{domain}.enable')
 
     def open(self, path: Path, width: int, dark: bool = False) -> None:
-        """Load a file into a window so wide."""
+        """Load a file into a window of this width in pixels."""
         self.call(
             'Emulation.setDeviceMetricsOverride',
             width=width,
@@ -100,7 +100,7 @@ class Chromium:
         self.wait_for('document.readyState === "complete"')
 
     def evaluate(self, expression: str) -> Any:
-        """Return what an expression is in the page."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self.call(
             'Runtime.evaluate', expression=expression, returnByValue=True, userGesture=True
         )
@@ -108,18 +108,18 @@ class Chromium:
         return answer['result'].get('value')
 
     def wait_for(self, expression: str) -> None:
-        """Return once an expression holds in the page."""
+        """Wait until a JavaScript expression is true in the page."""
         end = time.monotonic() + PATIENCE_S
         while not self.evaluate(expression):
             assert time.monotonic() < end, f'never came true: {expression}'
             time.sleep(0.02)
 
     def point_at(self, x: float, y: float) -> None:
-        """Move the mouse there."""
+        """Move the mouse to this position of the page."""
         self.call('Input.dispatchMouseEvent', type='mouseMoved', x=x, y=y)
 
     def close(self) -> None:
-        """End the browser."""
+        """End the browser process."""
         self._session = ''
         self.call('Browser.close')
         self._process.wait(PATIENCE_S)
@@ -127,7 +127,7 @@ class Chromium:
         os.close(self._out)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Ask for something and return the answer."""
+        """Send a command of the DevTools protocol and return its result."""
         self._last += 1
         message: dict[str, Any] = {'id': self._last, 'method': method, 'params': parameters}
         if self._session:

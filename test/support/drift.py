@@ -16,7 +16,10 @@ SECONDS = 7200
 
 
 def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0, rate=1.0):
-    """Return sums of three axes of noise and an early part; samples of 1 Hz, stamped at a rate."""
+    """Return the sums of three axes of noise with an early part added.
+
+    Samples are simulated at 1 Hz and get stamps at ``rate``.
+    """
     rng = np.random.default_rng(seed)
     y = np.stack([simulate_axis(seconds, 1.0, terms, rng) for _ in AXES], axis=1)
     engine = RunningAllan(axes=AXES)

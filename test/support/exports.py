@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exported files as their readers find them, with the numbers computed by hand.
+"""Parsers of exported files, and the numbers that the files must contain.
 
-The numbers by hand are the bare coefficients of the fixed results.
+The numbers are computed by hand from the bare coefficients of the fixed results.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from allan_ros.io.results import Results
 
 
 def near(value: Any) -> Any:
-    """Return what equals a number to the six digits that are written."""
+    """Return an object that equals ``value`` to the six digits that the files contain."""
     return pytest.approx(value, rel=2e-6)
 
 
@@ -32,7 +32,7 @@ def read_yaml(text: str) -> Any:
 
 
 def read_lines(text: str) -> dict[str, float]:
-    """Return key -> number of a parameter file, of either autopilot."""
+    """Return key -> number of a parameter file of PX4 or ArduPilot."""
     rows = [line.replace(',', '\t').split('\t') for line in text.splitlines() if line[0] != '#']
     return {
         row[-3] if len(row) > 2 else row[0]: float(row[-2 if len(row) > 2 else 1]) for row in rows
@@ -230,7 +230,10 @@ NO_HEADER = {'mean', 'white'}
 
 
 def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
-    """Return the numbers of a file as its reader finds them, by default the bare coefficients."""
+    """Return the numbers of an exported file as its reader parses them.
+
+    The default is the file of the bare coefficients.
+    """
     options = {'fidelity': 'coefficients', **options}
     read, path, _ = EXPECTED[name]
     found = read(make_export(results, name, ExportOptions(**options)).text)
@@ -240,7 +243,9 @@ def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
 
 
 def with_process(results: Results, axis: str, sigma: float, hours: float) -> Results:
-    """Return results where an axis has a Gauss-Markov bias."""
+    """Return the results with a Gauss-Markov process of ``sigma`` and ``hours`` added to one
+    axis.
+    """
     seconds = 3600.0 * hours
     process = GaussMarkov(
         sigma, (0.9 * sigma, 1.1 * sigma), seconds, (0.8 * seconds, 1.3 * seconds)

@@ -33,7 +33,7 @@ PR_SET_PDEATHSIG = 1
 
 
 class NodeServer:
-    """The server, from the outside."""
+    """Starts the server process and sends requests to it."""
 
     def __init__(self, repository: Path) -> None:
         path = os.pathsep.join([str(repository), os.environ.get('PYTHONPATH', '')])
@@ -47,7 +47,7 @@ class NodeServer:
         )
 
     def ask(self, request: Any) -> Any:
-        """Return the answer to a request."""
+        """Send a request and return the answer."""
         assert self._process.stdin and self._process.stdout
         self._process.stdin.write(json.dumps(request) + '\n')
         self._process.stdin.flush()
@@ -64,7 +64,7 @@ class NodeServer:
 
 
 class NodeProcess:
-    """One node in a process of its own."""
+    """One node in its own process."""
 
     def __init__(
         self, server: NodeServer, arguments: Iterable[str], environment: dict[str, str], log: Path
@@ -106,7 +106,7 @@ class NodeProcess:
 
 
 def serve() -> dict[str, Any]:
-    """Answer requests; in a forked process, return the one that it is for."""
+    """Answer requests. In a forked process, return the request that this process has to execute."""
     running, server = set(), os.getpid()
     for line in sys.stdin:
         request = json.loads(line)

@@ -26,7 +26,9 @@ SIGNED = {
 
 
 def check_numbers(value: Any, key: str = '') -> None:
-    """Raise unless every number of a document is finite, and none negative where it cannot be."""
+    """Raise unless all numbers of a document are finite, and none is negative where it cannot
+    be.
+    """
     if isinstance(value, dict):
         for name, inner in value.items():
             check_numbers(inner, name)
@@ -40,7 +42,7 @@ def check_numbers(value: Any, key: str = '') -> None:
 
 
 def noisy_sums(n: int = 1000) -> AllanSums:
-    """Return sums of axes with tiny, common, huge, walking, rounded and steep noise."""
+    """Return sums of axes with tiny, common, huge, drifting, rounded and steep samples."""
     noise = np.random.default_rng(8).uniform(-1.0, 1.0, (n, 6))
     noise *= (1e-36, 1e-3, LARGEST, 1e-20, 1.0, 1e12)
     noise[:, 3] = noise[:, 3].cumsum()
@@ -50,7 +52,9 @@ def noisy_sums(n: int = 1000) -> AllanSums:
 
 
 def noiseless_sums(n: int = 400) -> AllanSums:
-    """Return sums of axes that are constant, subnormal, knocked, stepped, steep, alternating."""
+    """Return sums of axes without noise: constant, subnormal, stepped, steep or alternating
+    samples.
+    """
     i = np.arange(n)
     columns = (
         np.full(n, 9.8),

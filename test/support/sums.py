@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums of samples, and their comparison to the last bit."""
+"""Sums of samples, and their comparison bit for bit."""
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
@@ -10,7 +10,9 @@ TICK_NS = 10_000_000
 
 
 def feed(engine, samples, chunks=None, first=0):
-    """Feed samples in chunks of the given lengths (cycled); stamps tick by 10 ms."""
+    """Pass samples to the engine in chunks of the given lengths (repeated), with stamps every 10
+    ms.
+    """
     at = 0
     for i in range(len(samples)):
         if at >= len(samples):
@@ -23,7 +25,7 @@ def feed(engine, samples, chunks=None, first=0):
 
 
 def sums_of(samples, chunks=None, cuts=(), axes=None):
-    """Return the sums of samples cut into segments at the given rows."""
+    """Return the sums of samples that are split into segments at the given rows."""
     axes = axes or tuple(f'axis_{i}' for i in range(samples.shape[1]))
     engine = RunningAllan(ImuIdentity('imu'), axes)
     at = 0
@@ -35,5 +37,5 @@ def sums_of(samples, chunks=None, cuts=(), axes=None):
 
 
 def assert_identical(a: AllanSums, b: AllanSums) -> None:
-    """Every number of the two is the same, bit for bit."""
+    """Check that all numbers of the two are equal, bit for bit."""
     assert a == b

@@ -58,7 +58,9 @@ def test_many_pooled_segments_count_like_kept_ones():
 
 
 def test_white_noise_is_covered_as_often_as_the_limits_say():
-    """40 records, two axes, four factors apart: 0.683 of 320 is 219 +- 8.3; bound 4.5 sigma."""
+    """40 records, two axes, four factors: 219 +- 8.3 of 320 (0.683) are covered; bound 4.5
+    sigma.
+    """
     inside = total = 0
     for seed in range(40):
         curve = allan_curve(sums_of(noise(20000, seed, (NoiseTerms(N=1e-3),) * 2)))

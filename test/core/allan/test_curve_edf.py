@@ -11,7 +11,7 @@ ALPHA = {'Q': 2, 'N': 0, 'B': -1, 'K': -2}
 
 
 def test_published_limits_of_phase_dat(shared_data):
-    """Stable32's octave table: seven printed digits allow 1e-4, its edf formula 1 %."""
+    """Stable32's table of octaves: its seven printed digits allow 1e-4, its formula of edf 1 %."""
     folder = shared_data / 'truth' / 'phase_dat'
     y = np.diff(np.loadtxt(folder / 'PHASE.DAT'))
     published = np.loadtxt(folder / 'phase_dat_oadev_octave.txt')
@@ -79,7 +79,7 @@ def test_one_sigma_limits_of_many_degrees_of_freedom():
 
 
 def test_limits_hold_the_truth_as_often_as_they_say():
-    """White noise, 3000 draws: coverage 0.683 +- 0.0085; bound 5 sigma."""
+    """White noise, 3000 draws: the coverage is 0.683 +- 0.0085; bound 5 sigma."""
     n, m, draws = 200, 20, 3000
     y = np.random.default_rng(0).standard_normal((n, draws))
     table = allan_table(y, np.array([m]))

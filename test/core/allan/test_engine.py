@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine: equal in any chunking, equal to the plain definition, equal to published tables."""
+"""The engine: equal for any chunking, equal to the definition, equal to published tables."""
 
 import allantools
 import numpy as np
@@ -16,7 +16,7 @@ from allan_ros.core.imu import ImuIdentity
 
 
 def nbs14(n):
-    """The NBS14 1000-point data set, extended to n: a linear congruential sequence."""
+    """Return the 1000-point data set NBS14 with n points: a linear congruential sequence."""
     value, out = 1234567890, np.empty(n)
     for i in range(n):
         out[i] = value / 2147483647
@@ -114,7 +114,7 @@ def test_phase_record_is_the_phase_and_stays_small():
 
 
 def test_pure_ramp_has_its_known_variance():
-    """V(m) = r^2 m^2 / 2 exactly, and the coarse record carries r."""
+    """V(m) = r^2 m^2 / 2 exactly, and the coarse phase record contains r."""
     r = 0.25
     sums = sums_of(r * np.arange(4000.0)[:, None])
     assert sums.avar[:, 0] == pytest.approx(0.5 * (r * sums.m) ** 2, rel=1e-12)

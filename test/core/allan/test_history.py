@@ -24,7 +24,7 @@ def noise(n, axes=2, seed=0):
 
 
 def recording(y, gaps=(), axes=None):
-    """Return the sums of samples with gaps (first, last) left out of one recording."""
+    """Return the sums of one recording, without the samples of the gaps (first, last)."""
     engine = RunningAllan(axes=axes or AXES[: y.shape[1]])
     at = 0
     for first, last in (*gaps, (len(y), len(y))):
@@ -58,7 +58,7 @@ def test_bins_add_up_to_the_sums(gaps):
 
 
 def test_many_short_segments_lose_nothing_to_rounding():
-    """Rounded after each of 3000 segments, the bins would stop growing."""
+    """If the bins were rounded after each of 3000 segments, small contributions would be lost."""
     sums = recording(noise(60_000), tuple((i, i + 1) for i in range(19, 59_980, 20)))
     number, total = binned(sums)
     assert np.array_equal(number, sums.count)
@@ -141,7 +141,7 @@ def test_the_settled_part_equals_sums_of_the_samples_alone():
 
 
 def test_the_settled_part_between_phase_points_is_near():
-    """The differences left out or kept in excess are at most 1/64 of all."""
+    """At most 1/64 of all differences are assigned to the wrong part."""
     y = noise(60_000)
     sums = recording(y, ((100, 150),))
     for age in sums.history.ages[:-3]:

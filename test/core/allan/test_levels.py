@@ -69,7 +69,7 @@ def test_drift_that_differs_between_sixths_widens_the_interval_of_k():
 
 
 def test_drift_is_compared_from_two_minutes_on():
-    """The same samples at other rates: the tests do not depend on the rate, their meaning does."""
+    """The same samples with stamps at other rates: only the length in seconds decides."""
     for rate, axes in ((250.0, [AXES]), (1000.0, [])):
         sums = sums_of_noise(NoiseTerms(N=NOISE.N), 3, 36_000, uneven_walk(), rate=rate)
         assert drift_scatter(sums.history.recordings, SENSORS).all()
@@ -78,7 +78,9 @@ def test_drift_is_compared_from_two_minutes_on():
 
 
 def test_even_drift_has_no_scatter():
-    """0.1 % of clean sensors fail by design: chance of one in 4 below 0.5 %; seeds fixed."""
+    """0.1 % of clean sensors are false alarms by design: probability of one in 4 below 0.5 %;
+    seeds fixed.
+    """
     for seed in range(2):
         for terms in (NOISE, NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)):
             recordings = sums_of_noise(terms, 20 + seed).history.recordings
@@ -114,14 +116,16 @@ def test_heavy_tails_widen_the_interval_of_n():
 
 
 def test_normal_noise_has_no_excess():
-    """0.1 % of axes fail by design: chance of one in 6 below 1 %; seeds fixed."""
+    """0.1 % of axes are false alarms by design: probability of one in 6 below 1 %; seeds fixed."""
     for seed in range(2):
         recordings = sums_of_noise(NOISE, 30 + seed, 100_000).history.recordings
         assert not level_scatter(recordings, 3).any()
 
 
 def test_small_but_certain_changes_widen_without_a_finding():
-    """1.6 % between the first and the last half: over 20 standard deviations."""
+    """N changes by 1.6 % between the halves: over 20 standard deviations, but below the 2 % of a
+    finding.
+    """
     rng = np.random.default_rng(8)
     y = rng.normal(size=(400_000, 1))
     y[200_000:] *= 1.016

@@ -17,7 +17,7 @@ TAU0 = TICK_NS * 1e-9
 
 
 class Stream:
-    """White noise of one axis, of a deviation that the test chooses, at 100 Hz."""
+    """White noise of one axis at 100 Hz, with a standard deviation that the test sets."""
 
     def __init__(self, seed=0, start=0):
         self.rng, self.engine = np.random.default_rng(seed), RunningAllan(axes=('gyro_x',))
@@ -35,7 +35,7 @@ class Stream:
 
 
 def difference(noise):
-    """Return the difference of the deviations at the shortest averaging time."""
+    """Return the difference between before and now at the shortest averaging time."""
     sides = [{'gyro_x': Measured(None, c.axis(0))} for c in (noise.before, noise.recent)]
     return differences([tuple(sides)])[0][0]
 
@@ -76,7 +76,7 @@ def test_a_second_rise_is_compared_with_the_level_before_the_first():
 
 
 def test_steady_noise_has_no_step():
-    """A step of steady noise: 2e-7 at each of 40 looks."""
+    """False alarm probability: 2e-7 at each of 40 checks."""
     stream = Stream()
     for _ in range(40):
         noise = stream.play(30).recent()
@@ -95,7 +95,9 @@ def test_without_a_step_the_window_is_compared_with_all_before():
 
 
 def test_an_earlier_recording_is_the_time_before():
-    """A restarted node goes on from its checkpoint: what was before the restart still counts."""
+    """A restarted node continues from its checkpoint, so recent noise is compared with data
+    before the restart.
+    """
     first = Stream(seed=1).play(600).engine.sums
     later = Stream(seed=2, start=10**8).play(100, 1.5).engine.sums
     for total in (first + later, later + first):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The spectrum: the level of white noise, the slope of a walk, and the same for any chunks."""
+"""The spectrum: the level of white noise, the slope of a random walk, and no effect of chunking."""
 
 from __future__ import annotations
 

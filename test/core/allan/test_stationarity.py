@@ -39,7 +39,9 @@ def test_covariance_of_the_means_is_that_of_simulated_noise():
     'terms', [NOISE, NoiseTerms(N=NOISE.N), NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)]
 )
 def test_stationary_noise_has_no_early_part(terms):
-    """One false alarm in 200 recordings by design: chance of one in 12 below 6 %; seeds fixed."""
+    """One false alarm in 200 recordings by design: probability of one in 12 below 6 %; seeds
+    fixed.
+    """
     assert not any(parts_of(sums_of_noise(terms, seed)) for seed in range(4))
 
 
@@ -73,7 +75,7 @@ def test_the_settled_part_is_fitted_and_both_values_are_stated():
 
 @pytest.mark.parametrize('rate', [1.0, 200.0])
 def test_a_short_warm_up_is_left_out_if_a_coefficient_changes(rate):
-    """2 h with 30 s, and the same samples as a recording of 36 s."""
+    """A warm-up of 30 s in 2 h, and the same samples as a recording of 36 s."""
     early = 1000 * DEG_H * np.exp(-np.arange(SECONDS) / 30.0)
     sums = sums_of_noise(NOISE, 6, early=early, rate=rate)
     used, model = fit_stationary(sums)
@@ -140,7 +142,9 @@ def test_steps_of_the_bias_are_found_where_they_are():
 
 
 def test_a_change_of_the_bias_between_segments_is_no_random_walk():
-    """As after a restart: no coefficient includes it, so it is not stated as K."""
+    """No coefficient includes a change between segments, such as a restart, so K does not
+    include it.
+    """
     rng, engine = np.random.default_rng(2), RunningAllan(axes=AXES)
     for first, bias in ((0, 0.0), (20_000, 400 * DEG_H)):
         y = np.stack([simulate_axis(18_000, 1.0, NOISE, rng) for _ in AXES], axis=1) + bias
@@ -152,7 +156,9 @@ def test_a_change_of_the_bias_between_segments_is_no_random_walk():
 
 
 def test_a_random_walk_is_no_row_of_steps():
-    """0.05 % of such axes fail by design: chance of one in 9 below 0.5 %; seeds fixed."""
+    """0.05 % of such axes are false alarms by design: probability of one in 9 below 0.5 %; seeds
+    fixed.
+    """
     terms = NoiseTerms(N=NOISE.N, K=32 * DEG_H / 60)
     for seed in range(3):
         assert bias_steps(sums_of_noise(terms, 10 + seed).history.recordings[0]) == ()

@@ -25,7 +25,7 @@ def noise(n, seed=0, axes=3):
 
 
 def frozen(sums):
-    """Return a comparable picture of everything in the sums."""
+    """Return everything in the sums as a value that can be compared."""
     return json.dumps(sums_to_document(sums))
 
 
@@ -71,7 +71,7 @@ def test_only_the_longest_segments_are_kept_the_rest_is_pooled():
 
 
 def test_pooled_segments_are_freed_of_their_ramps_exactly():
-    """Pure ramps, each with its own slope: with the correction nothing is left."""
+    """Pure ramps, each with its own slope: after the correction all sums are zero."""
     slopes = np.linspace(-3, 3, KEPT_SEGMENTS + 20)
     lengths = [400] * KEPT_SEGMENTS + [300] * 20
     parts = [r * np.arange(n)[:, None] for r, n in zip(slopes, lengths)]
@@ -120,7 +120,7 @@ def test_document_round_trips_through_json(n, cuts):
 
 
 def spoilers():
-    """Ways in which a document can be wrong, each with a word of the refusal."""
+    """Return changes that make a document invalid, each with a word of the error message."""
     return {
         'schema': (lambda d: d.update(schema='allan_ros/sums/2'), 'schema'),
         'no schema': (lambda d: d.pop('schema'), 'schema'),

@@ -45,7 +45,9 @@ def test_growth_over_the_window_is_the_allan_deviation():
 
 @pytest.mark.parametrize('space', SPACES)
 def test_position_is_the_integral_of_the_velocity_error(space):
-    """The closed form against the states integrated in small steps, together with the position."""
+    """The closed form agrees with an integration of the states, including the position, in small
+    steps.
+    """
     horizon, window, steps = 30.0, 12.0, 400
     dt, n = horizon / steps, space.size
     # states: theta(t) - theta(0), bias parts, then theta(0) - theta(-W), then the position
@@ -67,7 +69,9 @@ def test_position_is_the_integral_of_the_velocity_error(space):
 
 
 def test_position_under_a_ramp_and_flicker():
-    """The ramp by hand; flicker against the sum of its processes, which follow it within 5 %."""
+    """The ramp is computed by hand; flicker agrees within 5 % with the processes that
+    approximate it.
+    """
     ramp = predicted_growth(PROCESSES['R'], 6.0, 4.0, 2)
     assert ramp == pytest.approx(6.0**3 / 6.0 + 6.0**2 * 4.0 / 4.0)
     flicker = predicted_growth(PROCESSES['B'], 60.0, 100.0, 2)
@@ -92,7 +96,7 @@ def test_growth_of_simulated_flicker():
 
 
 def test_long_correlation_times_keep_their_digits():
-    """Far below its correlation time a Gauss-Markov process is a random walk of 2 sigma^2/tau."""
+    """At times far below tau a Gauss-Markov process is a random walk of density 2 sigma^2/tau."""
     for tau in (1e4, 1e7):
         process = ProcessModel(gauss_markov=((1.0, tau),))
         walk = ProcessModel(NoiseTerms(K=math.sqrt(2.0 / tau)))

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Formulas of configuration files: arithmetic, and nothing else."""
+"""Formulas of configuration files: only arithmetic is accepted."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What running motors add: the larger level of each term, and its factor over the one at rest."""
+"""Inflation by running motors: the larger level of each term, and its factor over the level at
+rest.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From coefficients to filter numbers: each convention adds up to the variance the noise has."""
+"""From coefficients to filter parameters: each convention gives the variance of the noise."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reductions bound the growth of the model they replace; the discrete matrices are exact."""
+"""A reduction bounds the error growth of the model that it replaces; the discrete matrices are
+exact.
+"""
 
 from __future__ import annotations
 

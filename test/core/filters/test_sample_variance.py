@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The variance of a sample: the measured one, and the one with which a filter is consistent."""
+"""The variance of a sample: the measured one, and the one that makes a filter consistent."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WINDOW = 128  # samples in a second
 
 
 def windowed_variance(y: np.ndarray) -> float:
-    """Return the mean of the variances within windows of a second, in the direct way."""
+    """Return the mean of the variances within windows of 1 s, from the definition."""
     return float(y.reshape(-1, WINDOW).var(axis=1, ddof=1).mean())
 
 

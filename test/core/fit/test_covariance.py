@@ -12,7 +12,7 @@ from allan_ros.core.fit.model import DIFFERENCE, avar_terms, phase_covariance
 
 
 def by_enumeration(samples):
-    """squares and singles of `pair_sums`, by going through every pair of differences."""
+    """Return the results of `pair_sums`, computed by enumerating every pair of differences."""
     m, stride = grid_for(samples)
     count = counts(samples, m, stride)
     i, j = np.triu_indices(len(m))
@@ -90,7 +90,9 @@ def test_the_sums_of_a_record_do_not_depend_on_longer_ones_before():
 
 
 def test_the_longest_record_does_not_change_shorter_ones_and_a_longer_one_is_an_error():
-    """The table of an impossible record was wrong, and then used for all others."""
+    """Regression: the table of a record of impossible length was wrong, and then reused for
+    others.
+    """
     clear_cache()
     before = pair_sums(1000)
     clear_cache()

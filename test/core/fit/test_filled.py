@@ -59,9 +59,10 @@ def test_samples_between_two_gaps_have_a_part_of_both():
 
 @pytest.mark.parametrize('share', [0.01, 0.05, 0.2])
 def test_lost_samples_do_not_bias_the_noise(share):
-    """Six axes: the mean of N scatters by 0.13 %, and 4 sigma of that; 0.7 and 3.6 % uncorrected.
+    """The mean N of six axes scatters by 0.13 %; the bound is 4 sigma (false alarm probability
+    6e-5).
 
-    False alarm probability 6e-5.
+    Without the correction N is 0.7 and 3.6 % too large.
     """
     n, sigma = 60_000, np.array([1e-3] * 3 + [2e-2] * 3)
     rng = np.random.default_rng(7)

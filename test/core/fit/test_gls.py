@@ -32,7 +32,9 @@ def numbers(coefficient):
 
 
 def same(noise, other, factor=1.0):
-    """Whether the second noise is ``factor`` times the first, verdicts and all, to rounding."""
+    """Return whether the second noise is ``factor`` times the first, to rounding, with equal
+    verdicts.
+    """
     return all(
         a.status == b.status
         and [x is None for x in numbers(a)] == [x is None for x in numbers(b)]
@@ -108,7 +110,9 @@ def test_opposite_ramps_of_two_spans_are_no_walk():
 
 
 def test_no_value_stands_at_the_end_of_its_interval():
-    """A record, one of a hundred, whose q is far below zero by chance: N without it is low."""
+    """In this record (one of a hundred) q is far below zero by chance, so N is low if q is left
+    out.
+    """
     rng = np.random.default_rng(12)
     y = [simulate_axis(8000, TAU0, NoiseTerms(N=1e-3), rng) for _ in range(6)][5]
     noise = noise_of(sums_of(y))
@@ -118,7 +122,7 @@ def test_no_value_stands_at_the_end_of_its_interval():
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    """20 records of 10 min: of 95 % intervals, 7 or more misses happen once in 30,000 times."""
+    """20 records of 10 min: 7 or more misses of 95 % intervals have a probability of 1/30,000."""
     truth = NoiseTerms(N=1e-3, B=4e-4, K=1.5e-4)
     rng = np.random.default_rng(7)
     missed = dict.fromkeys(TERMS, 0)
@@ -131,7 +135,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 def test_white_noise_shows_nothing_else():
-    """60 terms that are absent, 1 % false alarms each: 5 or more happen once in 2,500 times."""
+    """60 absent terms with 1 % false alarms each: 5 or more have a probability of 1/2,500."""
     rng = np.random.default_rng(8)
     seen = 0
     for _ in range(15):

@@ -60,7 +60,7 @@ def test_misfit_is_the_error_that_was_made(error):
 
 @pytest.mark.parametrize('terms', [NoiseTerms(N=1e-3, B=3e-4), NoiseTerms(N=1e-3, K=2e-3)])
 def test_long_averages_of_the_models_own_noise_do_not_sag(terms):
-    """40 records each; the fit follows them, so none comes near the limit."""
+    """40 records each. The fit follows their long averages, so none comes near the limit."""
     fits = [fit_of(seed, terms=terms) for seed in range(40)]
     assert min(long_tau_deficit(f.table, f.variances) for f in fits) > DEFICIT_LIMIT
 

@@ -113,7 +113,7 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
 
 @pytest.mark.parametrize('factor', [30.0, 1e4])
 def test_a_walk_held_far_off_still_has_a_covariance(fit, factor):
-    """Also where the weights of the ramps were made for another walk."""
+    """The weights of the ramps were computed for another random walk."""
     variances = fit.variances * np.array([1.0, 1.0, 1.0, factor])
     covariance = weights_at(fit.table, variances, NO_MISFIT)
     deviation = np.sqrt(np.diag(covariance))

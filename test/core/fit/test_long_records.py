@@ -25,7 +25,9 @@ def sums_of_noise(samples, tau0, terms, seed):
 
 
 def test_the_ramp_counts_at_every_factor_of_a_long_record():
-    """A walk visible far below a thousandth of the record; chi^2 rejects one axis in 700."""
+    """The random walk dominates far below a thousandth of the record; chi^2 rejects one axis in
+    700.
+    """
     truth = NoiseTerms(N=5e-5, B=6e-6, K=5e-7)
     axes = fit_gls(sums_of_noise(600_000, 1.0, truth, 42)).axes
     assert max(fit.gof_z for fit in axes.values()) < 3.0
@@ -37,7 +39,7 @@ def test_the_ramp_counts_at_every_factor_of_a_long_record():
 
 @pytest.mark.parametrize('terms', [NoiseTerms(N=1e-3), NoiseTerms(N=1e-3, B=3e-4)])
 def test_long_averages_are_seldom_low_without_a_walk(terms):
-    """120 records, false alarm 0.1 % each: more than two once in 450."""
+    """120 records with 0.1 % false alarms each: more than two have a probability of 1/450."""
     low = 0
     for seed in range(20):
         sums = sums_of_noise(7200, 1.0, terms, seed)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records that are not five terms, each drawn at a fixed seed."""
+"""Selection of a model for noise that the five terms do not describe; fixed seeds."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_boxcar_filter_costs_q_but_not_n(noise, width):
 
 
 def test_process_of_less_than_a_sample_is_a_filter():
-    """N was 4 times too small: such a process took the place of the white noise."""
+    """Regression: such a process replaced the white noise, and N was 4 times too small."""
     rng = np.random.default_rng(2)
     keep = np.exp(-2.0 * np.pi * 41.0 / RATE)
     for _ in range(2):
@@ -67,7 +67,7 @@ def test_process_of_less_than_a_sample_is_a_filter():
 
 
 def test_processes_that_imitate_a_filter_are_not_preferred():
-    """With three sinusoids N was 2 % too large on two of three such records."""
+    """Regression: with three sinusoids, N was 2 % too large in two of three such records."""
     rng = np.random.default_rng(3)
     for _ in range(3):
         y = simulate_axis(720_000, 1.0 / RATE, TRUTH, rng)
@@ -107,7 +107,7 @@ def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz, name):
 
 
 def test_a_line_far_above_the_noise_ends_in_a_fit():
-    """The line describes the complete curve: the noise of the fit is 0."""
+    """The sinusoid describes the complete curve, so the noise of the fit is 0."""
     short = 360 * 50
     rng = np.random.default_rng(4)
     y = simulate_axis(short, 1.0 / 50, TRUTH, rng)
@@ -130,7 +130,7 @@ def test_a_line_far_above_the_noise_ends_in_a_fit():
     ],
 )
 def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz, phase):
-    """Three to thirty times the noise: its frequency must be exact for the residual to be noise."""
+    """At 3 to 30 times the noise, the residual is noise only if the frequency is exact."""
     rate, n = 50.0, 18_000
     truth = NoiseTerms(N=5e-5, B=2e-5, K=2e-6)
     y = simulate_axis(n, 1.0 / rate, truth, np.random.default_rng(1))
@@ -187,7 +187,7 @@ def test_three_lines_are_found(noise):
 
 
 def test_what_cannot_be_named_is_a_misfit(noise):
-    """A sinusoid of changing frequency: a broad hump, which no process describes."""
+    """A sinusoid of changing frequency makes a broad hump, which no process describes."""
     t = np.arange(SAMPLES) / RATE
     phase = 2.0 * np.pi * np.cumsum(0.5 + 0.4 * np.sin(2.0 * np.pi * t / 50.0)) / RATE
     axis, findings = fit_of(noise + 0.3 * WHITE * np.sin(phase))
@@ -199,7 +199,7 @@ def test_what_cannot_be_named_is_a_misfit(noise):
 
 @pytest.mark.parametrize('time', [0.1, 10.0])
 def test_a_gauss_markov_process_leaves_n_alone(noise, time):
-    """It dominates the curve where it is largest."""
+    """The process dominates the curve near its hump."""
     rng = np.random.default_rng(8)
     keep = np.exp(-1.0 / (time * RATE))
     drift = lfilter([1.0], [1.0, -keep], rng.standard_normal(SAMPLES)) * np.sqrt(1.0 - keep**2)
@@ -249,7 +249,9 @@ def test_a_process_is_kept_or_dropped_where_no_other_correlation_time_can_be_tri
 
 @pytest.mark.parametrize('size', [10.0, 30.0])
 def test_a_slow_cycle_does_not_widen_n(size):
-    """The interval of N was 30 % wide; it misses N one time in 20 by design; seed fixed."""
+    """Regression: the interval of N was 30 % wide. It misses N one time in 20 by design; seed
+    fixed.
+    """
     y = simulate_axis(SAMPLES, 1.0 / RATE, TRUTH, np.random.default_rng(21))
     cycle = size * TRUTH.B * np.sin(2.0 * np.pi * np.arange(SAMPLES) / SAMPLES)
     axis, _ = fit_of(y + cycle)
@@ -260,7 +262,9 @@ def test_a_slow_cycle_does_not_widen_n(size):
 
 @pytest.mark.parametrize('size', [28.0, 100.0, 300.0])
 def test_n_beside_a_strong_sinusoid_is_right_or_a_limit(size):
-    """N was stated 10 to 45 % too small; a limit is missed one time in 40 by design; seed fixed."""
+    """Regression: N was 10 to 45 % too small. A limit is missed one time in 40 by design; seed
+    fixed.
+    """
     n = 360_000
     y = simulate_axis(n, 1.0 / RATE, TRUTH, np.random.default_rng([200, 3, round(size)]))
     y += size * WHITE * np.sin(2.0 * np.pi * 3.0 * np.arange(n) / RATE + 0.3)
@@ -273,7 +277,7 @@ def test_n_beside_a_strong_sinusoid_is_right_or_a_limit(size):
 
 
 def test_a_drift_that_levels_off_is_bounded_though_short_averages_need_a_model_error(shared_data):
-    """The random walk that was fitted to this accelerometer was 7 times the long averages."""
+    """Regression: the random walk fitted to this accelerometer was 7 times the long averages."""
     counts = np.load(shared_data / 'adis16405' / 'imu4_counts.npz')
     y = np.asarray(counts['accel'])[12_000:, 1] * 0.00333 * 9.80665  # m/s^2
     engine = RunningAllan(axes=('accel_y',))

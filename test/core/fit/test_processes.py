@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance with Gauss-Markov processes, held against sums over all lags one by one."""
+"""The covariance with Gauss-Markov processes, compared with sums over all lags one by one."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SAMPLES = 2048
 
 
 def direct(samples, variances, times):
-    """Return m and the covariance of the table, lag by lag."""
+    """Return m and the covariance of the table, summed lag by lag."""
     m, stride = grid_for(samples)
     count = counts(samples, m, stride)
 
@@ -90,7 +90,7 @@ def test_segments_of_several_lengths_add_up(times):
 
 @pytest.mark.parametrize('samples', [260, 450, 1000])
 def test_last_differences_of_a_segment_are_counted(samples):
-    """The number of differences is whole: the longest averages have one to four."""
+    """The number of differences is an integer: one to four at the longest averaging times."""
     m, expected = direct(samples, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), (20.0,))
     stride = grid_for(samples)[1]
     count = counts(samples, m, stride)

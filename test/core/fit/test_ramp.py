@@ -54,7 +54,7 @@ def test_no_other_weights_are_better(variances):
 
 @pytest.mark.parametrize('variances', POWERS)
 def test_expectation_less_the_ramp_is_exact(variances):
-    """sum over starts of E (d - r m^2)^2, every d and r as weights on the phase."""
+    """The reference sums E (d - r m^2)^2 over all starts, with d and r as weights on the phase."""
     sums = one_segment(np.random.default_rng(0).normal(size=SAMPLES))
     table = PooledTable(sums).table(0, Noise(variances))
     geometry = ramp_geometry(SAMPLES)
@@ -83,7 +83,7 @@ def process_covariance(t, time):
 
 
 def mean_functional(samples, lag, stride, count):
-    """Return the positions on the phase and the weights of S_i."""
+    """Return the positions on the phase and the weights of S_i, the mean of d_i / (sqrt 2 m_i)."""
     u = np.arange(count) * stride
     share = np.full(count, 1.0 / (np.sqrt(2.0) * lag * count))
     at = np.concatenate([u, u + lag, u + 2 * lag])
@@ -115,7 +115,9 @@ def test_effect_on_a_process_is_exact(samples, time):
 
 @pytest.mark.parametrize('time', [2.0**1.5, 2.0**4.25, 2.0**5.625, 2.0**6.625])
 def test_moments_less_the_ramp_with_a_process(time):
-    """Expectation and covariance of the table against every difference as weights on the phase."""
+    """The reference computes expectation and covariance from all differences as weights on the
+    phase.
+    """
     noise = Noise(np.array([0.0, 1.0, 0.0, 0.0, 0.3]), (time,))
     sums = one_segment(np.random.default_rng(0).normal(size=SAMPLES))
     table = PooledTable(sums).table(0, noise, extras=(GaussMarkovTerm(time),))
@@ -144,7 +146,9 @@ def test_moments_less_the_ramp_with_a_process(time):
 
 
 def test_column_of_the_search_is_that_of_the_fit():
-    """The one is interpolated between correlation times, the other is not."""
+    """The column of the search is interpolated between correlation times, that of the fit is
+    exact.
+    """
     rng = np.random.default_rng(3)
     sums = one_segment(rng.normal(size=3000))
     extras = tuple(GaussMarkovTerm(t) for t in (0.4, 7.0, 90.0, 400.0, 900.0))

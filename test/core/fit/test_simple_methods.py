@@ -90,7 +90,9 @@ def test_paper_says_what_overlapping_gains(white):
 
 
 def test_stated_errors_of_the_paper_are_those_of_draws():
-    """Without the correlations the error of A_-1 is right within a factor two; 60 draws, 10 %."""
+    """The stated error of A_-1 ignores correlations, so it is right only within a factor of two
+    (60 draws).
+    """
     rng = np.random.default_rng(5)
     fits = [
         fit_polynomials(sums_of(rng.standard_normal((4000, 2)), rate=1.0))[0] for _ in range(60)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The expected table of pooled segments against that of each segment by itself."""
+"""The expected table of pooled segments, compared with the tables of the single segments."""
 
 import gc
 from collections import Counter
@@ -73,7 +73,9 @@ def test_pooled_segments_expect_what_each_of_them_does(kind, allowed):
 
 
 def test_the_tables_of_a_fit_are_not_in_a_reference_cycle(small_run) -> None:
-    """Else some MB stay until Python looks for cycles: the memory of a node would grow."""
+    """A cycle would keep some MB until the garbage collector runs, so the memory of a node would
+    grow.
+    """
     sums, _ = small_run
     gc.collect()
     gc.disable()

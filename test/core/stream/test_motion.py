@@ -41,7 +41,9 @@ def gate(rows, cut_at=()):
 
 
 def test_honest_noise_is_not_trimmed_so_its_level_has_no_bias():
-    """Half an hour of white noise, six axes: no window is hot (chance below 1e-6 in all)."""
+    """Half an hour of white noise, six axes: no window counts as moving (false alarm below
+    1e-6).
+    """
     _, counts, passed = gate(white(1800))
     assert passed.all() and counts.moving == 0
 
@@ -69,7 +71,7 @@ def test_rounded_noise_is_not_trimmed():
 
 
 def test_isolated_spikes_are_replaced_by_the_mean_of_their_neighbors():
-    """As on a real accelerometer at rest: a sample at 10 deviations every 20 s, and one at 100."""
+    """Spikes of a real accelerometer at rest: 10 deviations every 20 s, and one of 100."""
     rows = white(600)
     rows[4, 1000::4000] += 10 * SIGMA[4, 0]
     rows[2, 99] += 100 * SIGMA[2, 0]  # the last sample of a window
@@ -83,7 +85,9 @@ def test_isolated_spikes_are_replaced_by_the_mean_of_their_neighbors():
 
 
 def test_spikes_do_not_bias_the_noise_and_none_are_found_in_white_noise():
-    """0.1 % of 10 deviations; the deviation of 2e5 samples scatters by 0.16 % (5 sigma: 0.8 %)."""
+    """0.1 % spikes of 10 deviations; the deviation of 2e5 samples scatters by 0.16 % (5 sigma:
+    0.8 %).
+    """
     rows = white(1000)
     clean = gate(rows)
     assert clean[1].spikes <= 3  # expected 0.07 of 1.2 million samples: chance 1e-6
@@ -97,7 +101,7 @@ def test_spikes_do_not_bias_the_noise_and_none_are_found_in_white_noise():
 
 
 def test_spikes_are_excluded_without_bias():
-    """Compared with the same samples without the gate, so nothing scatters."""
+    """The reference is the same samples without the motion gate, so there is no scatter."""
     rows = white(1000)
     spikes = np.random.default_rng(1).random(rows.shape) < 1e-3
     for added in (0.0, 10 * SIGMA * spikes):

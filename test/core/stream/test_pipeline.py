@@ -24,7 +24,9 @@ def still(n, seed=0):
 
 
 def accumulate(times, samples, chunks=(4096,), record=None, frames=None, **settings_):
-    """Return the result of an accumulator after the samples, fed in chunks (cycled)."""
+    """Return the result of a stream after the samples, passed in chunks of the given lengths
+    (repeated).
+    """
     accumulator = ImuStream(SegmenterSettings(**settings_))
     at = i = 0
     while at < len(times):
@@ -189,7 +191,7 @@ def test_what_was_done_is_named(fault, expected):
 
 
 def test_sensors_that_tick_apart_have_sums_apart_at_their_own_rates():
-    """An accelerometer of 125 Hz held on 200 Hz: white noise comes out at its own level."""
+    """A 125 Hz accelerometer is repeated at 200 Hz; its white noise is measured at its own rate."""
     n = 120_000
     t, x = still(n)
     fresh = np.random.default_rng(9).normal(size=(n, 3)) * 0.02
@@ -336,7 +338,7 @@ def test_real_bursty_stamps_are_one_segment_at_the_true_rate(shared_data):
 
 
 def test_a_real_static_recording_is_taken_whole_and_equals_a_reference(shared_data):
-    """ADIS16405, 1,000,000 samples at 100 Hz, against allantools' overlapping table."""
+    """ADIS16405, 1,000,000 samples at 100 Hz, compared with allantools' overlapping deviations."""
     counts = np.load(shared_data / 'adis16405' / 'imu2_counts.npz')
     gyro = counts['gyro'] * np.radians(0.05)
     samples = np.hstack([gyro, counts['accel'] * (0.00333 * 9.80665)])

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stream is split where it begins again, and nowhere else."""
+"""A stream is split where the recording starts again, and nowhere else."""
 
 from __future__ import annotations
 

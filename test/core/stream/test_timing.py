@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From stamps to a count: what is a gap, what is a burst, and what is another rate."""
+"""From stamps to sample numbers: gaps, bursts, and changes of the rate."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ def even(n, period_ns=10 * MS, start=10**18):
 
 
 def bursts(n, period_ns=10 * MS, size=5, within_ns=200_000):
-    """Return stamps of samples that are handed over in bursts, as a busy host stamps them."""
+    """Return stamps of samples that arrive in bursts, as a busy computer stamps them."""
     i = np.arange(n)
     return 10**18 + (i // size + 1) * size * period_ns + (i % size) * within_ns
 
 
 def run(stamps, rows=None, max_bridge=3, clock=None):
-    """Return the runs between cuts, the counts and the stage after all stamps."""
+    """Return the blocks between gaps, the counts, and the stage after all stamps."""
     counts = Counts()
     rows = np.arange(float(len(stamps)))[None, :] if rows is None else rows
     stage = SampleClock(clock or learn_clock(stamps[:1024]), len(rows), max_bridge, counts)
@@ -80,7 +80,7 @@ def test_isolated_losses_are_bridged_on_the_line_between_their_neighbours():
 def test_losses_beside_jitter_are_no_change_of_the_rate(day):
     """Normal jitter of 30 % of the period and 3 % random losses, also with a gap of a day.
 
-    Not all single losses are found with such jitter, but nearly as many are found by mistake.
+    With such jitter some losses are missed, and nearly as many are detected where there is none.
     """
     n, rng = 40_000, np.random.default_rng(1)
     stamps = np.maximum.accumulate(even(n) + (rng.standard_normal(n) * 3 * MS).astype(int))
@@ -113,7 +113,7 @@ def test_without_bridging_every_loss_cuts():
 
 
 def test_a_late_sample_is_not_a_lost_one():
-    """A step of 1.9 periods that the next one makes up for."""
+    """One interval is 1.9 periods long and the next one 0.1 periods."""
     stamps = even(3000)
     stamps[1500] += 9 * MS
     (one,), counts, _ = run(stamps)
@@ -139,7 +139,7 @@ def test_a_silence_in_bursty_stamps_that_stays_is_a_gap():
 
 
 def test_slow_wander_of_the_period_is_followed():
-    """The period grows by 1 % over 20,000 samples: no loss, no cut, no other rate."""
+    """The period grows by 1 % over 20,000 samples: no loss, no gap, no change of the rate."""
     step = 10 * MS * (1 + 0.01 * np.arange(20_000) / 20_000)
     stamps = 10**18 + np.cumsum(step).astype(np.int64)
     runs, counts, stage = run(stamps)
@@ -158,7 +158,7 @@ def test_another_rate_is_told(factor):
 
 
 def test_a_clock_gets_on_whatever_it_learned():
-    """The samples it was learned from never count as another rate, so learning cannot loop."""
+    """Samples from which the rate was learned never count as a new rate, so learning ends."""
     stamps = np.concatenate([even(512), even(512)[-1] + even(3000, 13 * MS, 0)[1:]])
     _, _, stage = run(stamps, clock=Clock(10.0 * MS, 10.0 * MS, bursty=False))
     assert len(stage.waiting[0]) <= len(stamps) - 1024

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files in the hands of those who read them: OpenCV's FileStorage, GTSAM and libsdformat.
+"""Exported files are read by OpenCV (FileStorage), GTSAM and libsdformat.
 
-The first two come with the extra ``consumers``, which `make venv` installs; libsdformat-dev and a
-C++ compiler are packages of the system.
+The first two come with the extra ``consumers``, which `make venv` installs; libsdformat-dev and
+a C++ compiler are system packages.
 """
 
 from __future__ import annotations

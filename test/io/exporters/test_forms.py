@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Merging into a user's YAML or JSON: new numbers in, all else as it was, or nothing at all."""
+"""Merging into a user's YAML or JSON: only the numbers change, or an error leaves the file as it
+was.
+"""
 
 from __future__ import annotations
 

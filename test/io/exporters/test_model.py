@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files for filters: the right axis, the right unit, never a value that a reader refuses."""
+"""Files for filters: the right axis, the right unit, and no value that a reader rejects."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from allan_ros.io.results import Results
 
 
 def with_one_process(results: Results) -> Results:
-    """Return results whose only drift is one Gauss-Markov process per axis, of 180 s."""
+    """Return results whose only drift is a Gauss-Markov process of 180 s on each axis."""
     for axis, result in results.axes.items():
         noise = {**result.fit.noise, 'B': Coefficient(None, None, 1e-5, 'not_observable')}
         noise['K'] = noise['B']

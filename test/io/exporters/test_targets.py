@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every target: its numbers computed by hand, its file word for word, its options.
+"""Every target: its numbers computed by hand, its complete file, its options.
 
-The golden files under ``golden`` are what the command writes for the fixed results by default;
-VERSION replaces the version of the package.
+The files in ``golden`` are what the command writes by default for the fixed results; VERSION
+replaces the version of the package.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""numpy files in every layout numpy writes, read in blocks; and what is wrong with some."""
+"""numpy files in every layout that numpy writes, read in blocks, and faulty files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STAMPS = 1_700_000_000_000_000_001 + np.arange(N) * 5_000_000
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make every file take several blocks, the last one short."""
+    """Read every file in several blocks, of which the last is shorter."""
     monkeypatch.setattr(arrays, 'BATCH', 300)
 
 
@@ -81,7 +81,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
 
 
 def with_time(value: float) -> np.ndarray:
-    """Return the samples with one time that is no time."""
+    """Return the samples with one invalid time."""
     spoiled = IMU.copy()
     spoiled[700, 0] = value
     return spoiled

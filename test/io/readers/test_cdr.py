@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whole batches on the wire: equal to rosbags' own (de)serializer, message by message."""
+"""Batches of CDR messages: equal to rosbags' own (de)serializer, message by message."""
 
 from __future__ import annotations
 

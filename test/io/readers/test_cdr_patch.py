@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Patched messages: the two covariances and not one bit more."""
+"""Patched messages: only the two covariances change."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real recordings, good and bad: equal to rosbags' own reading, or one line with the reason."""
+"""Real recordings, good and damaged: equal to what rosbags reads, or one line with the reason."""
 
 from __future__ import annotations
 

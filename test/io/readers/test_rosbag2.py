@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as they are met: split, without metadata, cut off, with several topics, damaged."""
+"""Bags found in practice: split, without metadata, truncated, with several topics, damaged."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SUFFIX = {'mcap': '.mcap', 'sqlite3': '.db3'}
 
 
 def write_split(folder: Path, batches: list[Any], storage: str) -> None:
-    """Write one bag of as many splits as there are batches, as ros2 bag lays it out."""
+    """Write a bag with one split per batch, in the folder layout of ros2 bag."""
     described: dict[str, Any] = {}
     for number, batch in enumerate(batches):
         one = folder.parent / f'{folder.name}_{number}'
@@ -177,7 +177,7 @@ def mcap_records(data: bytes) -> list[tuple[int, bytes]]:
 def test_an_mcap_without_summary_is_whole(
     chunked: bool, ended: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
 ) -> None:
-    """The summary and the chunks are optional in the format; the end is not."""
+    """The summary and the chunks are optional in the format; the end record is not."""
     batches = imu_batches(9000)
     write_recording(tmp_path / 'run', batches)
     magic, data = b'\x89MCAP0\r\n', (tmp_path / 'run/run.mcap').read_bytes()
@@ -201,7 +201,7 @@ def test_an_mcap_without_summary_is_whole(
 def test_an_unclosed_database_gives_its_log_too(
     tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
-    """A recorder that was killed leaves its last messages in a write-ahead log."""
+    """A killed recorder leaves its last messages in a write-ahead log."""
     write_recording(tmp_path / 'run', imu_batches(40), storage='sqlite3')
     path = tmp_path / 'killed.db3'
     shutil.copy(tmp_path / 'run/run.db3', path)
@@ -299,7 +299,7 @@ CUSTOM_DEFINITION = 'string label\nfloat32[] temperatures\nsensor_msgs/Imu left\
 
 
 def write_custom(path: Path, definition: str, storage: Any, n: int = 30) -> list[Any]:
-    """Write messages that carry Imus inside, and return those of the field left."""
+    """Write messages that contain two Imus, and return the samples of the field ``left``."""
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     store.register(typesys.get_types_from_msg(definition, CUSTOM))
     types = store.types

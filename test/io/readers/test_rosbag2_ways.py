@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fast ways through a bag give what its messages give one by one, whatever the bag is like."""
+"""The fast paths of the bag reader give the same samples as reading message by message."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WAYS = [
 
 
 class Stretch(NamedTuple):
-    """Consecutive messages of one topic that are alike."""
+    """Consecutive messages of one topic with the same properties."""
 
     topic: str
     count: int
@@ -67,7 +67,7 @@ STRETCHES = st.lists(
 def write_bag(
     path: Path, stretches: list[Stretch], storage: str, compression: str, seed: int
 ) -> None:
-    """Write the stretches one after the other, or all topics by turns."""
+    """Write the stretches one after the other, or with the topics alternating."""
     rng = np.random.default_rng(seed)
     modes = rosbag2.CompressionMode
     mode = {'none': modes.NONE, 'chunk': modes.STORAGE, 'message': modes.MESSAGE}[compression]
@@ -101,7 +101,7 @@ def write_bag(
 
 
 def one_by_one(path: Path) -> list[tuple[int, int, str, bytes]]:
-    """Return record time, stamp, frame and samples of each message, by the library's reader."""
+    """Return record time, stamp, frame and samples of each message, read by rosbags."""
     rows = []
     with highlevel.AnyReader([path]) as reader:
         connections = [c for c in reader.connections if c.topic == '/imu']
@@ -112,7 +112,7 @@ def one_by_one(path: Path) -> list[tuple[int, int, str, bytes]]:
 
 
 def our_way(path: Path) -> list[tuple[int, int, str, bytes]]:
-    """Return the same by our reader."""
+    """Return the same, read by this package."""
     [recording] = open_recordings([path], ReadOptions(topic='/imu'))
     rows = []
     for batch in recording.batches():
@@ -139,7 +139,7 @@ def test_the_fast_ways_give_the_messages_of_the_plain_one(
 
 
 def taken_ways(path: Path) -> set[str]:
-    """Return how the messages of a bag are handed on: as arrays, or one by one."""
+    """Return how the reader passes on the messages of a bag: as arrays, or one by one."""
     seen: set[str] = set()
 
     def spy(data: bytes, ids: set[int], index: Any = bytes) -> Any:
@@ -160,7 +160,7 @@ def taken_ways(path: Path) -> set[str]:
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_usual_bags_go_the_fast_way(storage: str, tmp_path: Path) -> None:
-    """Topics by turns, an Imu of one frame: no message is touched alone."""
+    """With alternating topics and one frame_id, no message is decoded separately."""
     stretches = [Stretch('/imu', 500, 'imu', '<', 0, 0), Stretch('/text', 40, '', '<', 0, 0)]
     write_bag(tmp_path / 'bag', stretches, storage, 'none', seed=1)
     assert 'list' not in taken_ways(tmp_path / 'bag')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pages of a database hold what SQLite hands out row by row, however they came about."""
+"""Rows read directly from the pages of a database equal the rows that SQLite returns."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 
 
 class Stretch(NamedTuple):
-    """Rows that follow on each other."""
+    """Consecutive rows with the same properties."""
 
     count: int
     first_id: int
@@ -62,7 +62,7 @@ STRETCHES = st.lists(
 
 
 def write_database(path: Path, stretches: list[Stretch], page: int, seed: int) -> None:
-    """Write rows, and delete some again, as neither recorders nor time would have them."""
+    """Write rows in an unusual order, and delete some of them."""
     rng = np.random.default_rng(seed)
     database = sqlite3.connect(path)
     database.execute(f'PRAGMA page_size = {page}')
@@ -91,7 +91,7 @@ def messages(path: Path, ids: set[int]) -> list[tuple[int, bytes]]:
 
 
 def row_by_row(path: Path, ids: set[int]) -> list[tuple[int, bytes]]:
-    """Return the same as SQLite alone has it."""
+    """Return the same, read by SQLite."""
     with mock.patch.object(Sqlite3Storage, '_is_usual', return_value=False):
         return messages(path, ids)
 

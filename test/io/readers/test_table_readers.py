@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables as people have them: many headers, units, time columns; and what is wrong with some."""
+"""Tables with many kinds of headers, units and time columns, and faulty tables."""
 
 from __future__ import annotations
 

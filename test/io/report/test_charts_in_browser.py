@@ -26,7 +26,7 @@ LABELS = 'Chart.all.map(u => u.axes.map(a => (a._values || []).filter(text => te
 
 
 def recordings(shared: Path, folder: Path) -> dict[str, Path]:
-    """Return half an hour of an ADIS16405, eleven minutes of an MPU-6050, and one minute."""
+    """Return recordings of half an hour (ADIS16405), 11 minutes (MPU-6050) and one minute."""
     counts = np.load(shared / 'adis16405' / 'imu2_counts.npz')
     samples = np.column_stack([counts['gyro'], counts['accel']])[:180_000] * ADIS_LSB
     time = np.arange(len(samples)) / 100.0

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The largest deviation that is stated can be read off the chart, and is the largest one there."""
+"""The stated largest deviation is the largest one of the chart, and can be read from it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GYRO = {'N': 0.2, 'B': 5.0, 'K': 20.0}
 
 
 def read_off(chart: dict[str, Any], axis: dict[str, Any]) -> tuple[float, float] | None:
-    """Return the largest deviation and its tau, from the numbers of the chart alone."""
+    """Return the largest deviation and its tau, computed from the numbers of the chart alone."""
     largest = (0.0, 0.0)
     columns = (axis[name] for name in ('adev', 'low', 'high', 'fit', 'most'))
     for tau, adev, low, high, line, most in zip(chart['tau'], *columns):
@@ -37,7 +37,7 @@ def read_off(chart: dict[str, Any], axis: dict[str, Any]) -> tuple[float, float]
 
 
 def check(results: ar.Results) -> list[tuple[float, float] | None]:
-    """Compare every statement with the chart; return what was stated."""
+    """Compare each stated deviation with the chart; return the stated deviations."""
     stated = []
     for sensor in sorted({name.split('_')[0] for name in results}):
         chart = sensor_charts(results, sensor, [], None)
@@ -61,8 +61,11 @@ def check(results: ar.Results) -> list[tuple[float, float] | None]:
     ids=['20min', '2h', 'ramp'],
 )
 def test_five_terms_do_not_deviate(hours: float, gyro: dict[str, float]) -> None:
-    """Terms that are not resolved are no deviation. Fixed seeds; three error bars of some twenty
-    independent points are exceeded by chance in up to a tenth of the axes, mostly by a per cent."""
+    """Terms that are not resolved cause no stated deviation; fixed seeds.
+
+    Some of about twenty independent points exceed three error bars by chance in up to a tenth of
+    the axes, mostly by one percent.
+    """
     samples = ar.simulate(hours=hours, rate=20, gyro=gyro, seed=3)
     stated = [d for d in check(ar.analyze(samples)) if d is not None]
     assert len(stated) <= 1
@@ -70,7 +73,7 @@ def test_five_terms_do_not_deviate(hours: float, gyro: dict[str, float]) -> None
 
 
 def test_a_filter_is_no_deviation() -> None:
-    """The line begins where the filter ends: below, Q would be negative."""
+    """The line begins where the effect of the filter ends: at shorter times Q would be negative."""
     white = np.random.default_rng(1).normal(size=100_000)
     results = ar.analyze(np.convolve(white, np.ones(4) / 4.0, 'valid'), rate=100.0, axes='gyro_z')
     axis = results['gyro_z']

@@ -77,7 +77,7 @@ def a_signal(n: int = 5000, start_ns: int = 10**18) -> SignalEnvelope:
 
 
 def everything(results: Results) -> ReportContext:
-    """Return everything that a page can show in addition to results."""
+    """Return all optional parts of a page."""
     running = RunningSpectrum(tuple(results.axes))
     running.update(np.random.default_rng(2).normal(size=(len(results.axes), 5000)))
     spectrum = spectrum_of(running.sums, results.tau0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser: it draws, responds, switches, copies, and makes no requests."""
+"""The page in a real browser: it draws, responds, switches units, copies, and sends no requests."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ INK = """(() => {
 
 @pytest.fixture(scope='module')
 def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a page with all that a page can hold, of an IMU that is called something nasty."""
+    """Return a page with all optional parts, of an IMU whose name contains HTML."""
     n, period = 20_000, 20_000_000
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
     envelope = SignalEnvelope()
