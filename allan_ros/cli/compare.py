@@ -24,7 +24,14 @@ from ..core.errors import AllanError
 from ..core.fit import AxisFit
 from ..core.fit.simple_methods import fit_curve
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
-from ..io.comparison import comparison_document, inflation_document, inflation_facts
+from ..io.comparison import (
+    comparison_document,
+    inflation_document,
+    inflation_facts,
+    write_comparison,
+    write_overlay,
+)
+from ..io.files import to_json, write_atomic
 from ..io.format import deviation_text, text_in_units
 from ..io.plot_style import PictureSettings, check_pictures
 from .console import Console, width
@@ -59,8 +66,6 @@ def run(args: argparse.Namespace) -> int:
     elif not (console.quiet and args.output):
         print('\n'.join(comparison_lines(comparison, args.units, width())))
     if args.output:
-        from ..io.comparison_files import write_comparison, write_overlay
-
         written = write_comparison(args.output, comparison, args.units, pictures)
         if args.report:
             written.append(write_overlay(args.output, comparison.runs, args.margin, args.units))
@@ -81,9 +86,6 @@ def inflate(args: argparse.Namespace) -> int:
     elif not (console.quiet and args.output):
         print(inflation)
     if args.output:
-        from ..io.comparison_files import write_comparison, write_overlay
-        from ..io.files import to_json, write_atomic
-
         comparison = inflation.comparison
         written = write_comparison(args.output, comparison, args.units, pictures)
         facts = dict(inflation_facts(inflation))

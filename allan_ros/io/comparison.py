@@ -1,28 +1,36 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of recordings with the first one, with datasheets, and of motors off and on."""
+"""Comparisons of recordings with each other, with datasheets, and with motors off and on."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from ..core.compare import FAMILY_ERROR, Difference, differences
+from ..core.compare import FAMILY_ERROR, MARGIN, Difference, differences
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
 from ..core.filters.noise_parameters import AxisInflation, measure_inflation
 from ..core.filters.reductions import Horizons
-from ..core.imu import SI_UNITS, sensor_of
+from ..core.fit import TERMS, Coefficient
+from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from .datasheets import (
+    VERDICT_TEXT,
     Datasheet,
     DatasheetComparison,
     check_margin,
     comparison_to_document,
 )
 from .documents import results_to_document
-from .format import significant
+from .files import to_json, write_atomic, write_together
+from .format import interval_text, markdown_rows, shown_unit, significant, value_text
+from .plot_style import PictureSettings, load_style
 from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
@@ -30,7 +38,7 @@ SCHEMA = 'allan_ros/comparison/1'
 
 @dataclass(frozen=True)
 class Subject:
-    """One recording and its label, which is safe to print in a terminal and in tables."""
+    """The results of one recording, and its label on one line without control characters."""
 
     label: str
     results: Results
@@ -41,28 +49,30 @@ class Subject:
 
 @dataclass(frozen=True)
 class Pair:
-    """Differences of a recording from the first one, and their labels."""
+    """The labels of the first and of another recording, and the differences between them."""
 
     first: str
     second: str
     differences: tuple[Difference, ...]
 
     @property
-    def beyond(self) -> tuple[Difference, ...]:
+    def significant(self) -> tuple[Difference, ...]:
         """The significant differences."""
         return tuple(d for d in self.differences if d.significant)
 
     def of(self, axis: str, quantity: str) -> Difference | None:
-        """Return the difference of a term of an axis, if both recordings have it."""
-        of_axis = (d for d in self.differences if d.axis == axis)
-        return next((d for d in of_axis if d.quantity == quantity), None)
+        """Return the difference of a coefficient of an axis; None if a recording lacks it."""
+        known = (d for d in self.differences if (d.axis, d.quantity) == (axis, quantity))
+        return next(known, None)
 
 
 @dataclass(frozen=True)
 class RunComparison:
     """Several recordings, their differences from the first one, and comparisons with datasheets.
 
-    ``family_error`` is the probability of any false detection among all differences.
+    ``pairs`` has one element for each recording after the first, ``datasheets`` the label of a
+    recording and its comparison. ``family_error`` is the probability that any of the differences
+    is called significant although the noise is equal.
     """
 
     runs: tuple[Subject, ...]
@@ -76,7 +86,7 @@ class RunComparison:
     @property
     def differs(self) -> bool:
         """Whether any difference is significant, or a limit of a datasheet is exceeded."""
-        return any(pair.beyond for pair in self.pairs) or any(
+        return any(pair.significant for pair in self.pairs) or any(
             comparison.verdict == 'beyond' for _, comparison in self.datasheets
         )
 
@@ -84,7 +94,11 @@ class RunComparison:
 def compare_runs(
     runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
 ) -> RunComparison:
-    """Compare each recording with the first one, and with each datasheet."""
+    """Compare each recording with the first one, and every recording with each datasheet.
+
+    ``margin`` is the fraction by which a complete interval must exceed a limit of a datasheet.
+    Raises AllanError when there is nothing to compare, or two recordings have no common axis.
+    """
     check_margin(margin)
     if len(runs) + len(datasheets) < 2 or not runs:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
@@ -92,8 +106,8 @@ def compare_runs(
     for other in others:
         if not set(first.results.axes) & set(other.results.axes):
             raise AllanError(
-                f'{other.label} has {", ".join(other.results.axes)} where {first.label} has '
-                f'{", ".join(first.results.axes)}: they share no axis to compare'
+                f'no common axis: {other.label} has {", ".join(other.results.axes)}, '
+                f'{first.label} has {", ".join(first.results.axes)}'
             )
     found = differences((first.results.measured, other.results.measured) for other in others)
     return RunComparison(
@@ -149,16 +163,15 @@ RATIO_DIGITS = 3
 
 
 def comparison_headline(comparison: RunComparison) -> Iterator[str]:
-    """Yield one sentence per pair and datasheet: the largest difference, or that none is
-    significant."""
+    """Yield a sentence for each pair and each datasheet: the largest difference, if any."""
     for pair in comparison.pairs:
-        yield _of_pair(pair, comparison.family_error)
+        yield _pair_sentence(pair, comparison.family_error)
     for label, of_run in comparison.datasheets:
-        yield _of_datasheet(label, of_run)
+        yield _datasheet_sentence(label, of_run)
 
 
 def ratio_text(difference: Difference) -> str:
-    """Return the ratio with its 95 % interval, or its bound; '' if neither is known."""
+    """Return the ratio with its 95 % interval as text, or a bound of it; '' if unknown."""
     if difference.ci95 is None:
         return ''
     low, high = difference.ci95
@@ -171,21 +184,21 @@ def ratio_text(difference: Difference) -> str:
 
 
 def verdict_text(difference: Difference) -> str:
-    """Return the text of the verdict for tables."""
+    """Return 'alike', 'higher', 'lower' or 'not comparable'."""
     return 'not comparable' if difference.verdict == 'open' else difference.verdict
 
 
 def quantity_text(difference: Difference) -> str:
-    """Return the name of the quantity and of its axis."""
+    """Return the axis and the quantity as text: 'gyro x N', 'gyro x deviation at 1.0 s'."""
     axis = difference.axis.replace('_', ' ')
     if difference.tau is None:
         return f'{axis} {difference.quantity}'
     return f'{axis} deviation at {significant(difference.tau, 2)} s'
 
 
-def _of_pair(pair: Pair, family_error: float) -> str:
-    beyond = pair.beyond
-    if not beyond:
+def _pair_sentence(pair: Pair, family_error: float) -> str:
+    found = pair.significant
+    if not found:
         terms = sum(d.tau is None and d.verdict == 'alike' for d in pair.differences)
         deviations = sum(d.tau is not None and d.verdict == 'alike' for d in pair.differences)
         if not terms + deviations:
@@ -195,32 +208,33 @@ def _of_pair(pair: Pair, family_error: float) -> str:
             f'and {deviations} deviations compared at a total level of {family_error:.0%}'
         )
     # Coefficients take precedence; deviations are named if no coefficient differs.
-    named = [d for d in beyond if d.tau is None] or list(beyond)
+    named = [d for d in found if d.tau is None] or found
     # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
-    most = max(named, key=lambda d: (d.ratio is not None, _noisier_over_quieter(d)[1]))
-    ratio, low, high = (r and significant(r, RATIO_DIGITS) for r in _noisier_over_quieter(most))
+    most = max(named, key=lambda d: (d.ratio is not None, _ratio_above_one(d)[1]))
+    ratio, low, high = (r and significant(r, RATIO_DIGITS) for r in _ratio_above_one(most))
     times = f'{ratio}x ' if ratio else ''
     word = 'noisier' if most.verdict == 'higher' else 'quieter'
     interval = f'at least {low}x' if high == 'inf' else f'{low}..{high}'
-    said = f'{pair.second} is {times}{word} than {pair.first} in {quantity_text(most)} ({interval})'
-    others = len(beyond) - 1
-    opposite = sum(d.verdict != most.verdict for d in beyond)
+    text = f'{pair.second} is {times}{word} than {pair.first} in {quantity_text(most)} ({interval})'
+    others = len(found) - 1
+    opposite = sum(d.verdict != most.verdict for d in found)
     if others:
-        said += f', and differs in {others} more of {len(pair.differences)} comparisons'
+        text += f', and differs in {others} more of {len(pair.differences)} comparisons'
     if opposite:
-        said += f' ({opposite} of them in the opposite direction)'
-    return said
+        text += f' ({opposite} of them in the opposite direction)'
+    return text
 
 
-def _noisier_over_quieter(difference: Difference) -> tuple[float | None, float, float]:
-    """Return the ratio of a significant difference, at least 1, and the ends of its interval."""
+def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
+    """Return the ratio of the noisier to the quieter recording (None if unknown), and its 95 %
+    interval."""
     (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
     if difference.verdict == 'higher':
         return ratio, low, high
     return ratio and 1.0 / ratio, 1.0 / high, 1.0 / low if low else math.inf
 
 
-def _of_datasheet(label: str, comparison: DatasheetComparison) -> str:
+def _datasheet_sentence(label: str, comparison: DatasheetComparison) -> str:
     name, checks = comparison.datasheet.name, comparison.comparisons
     if not checks:
         return f'the datasheet of {name} has no limit for the axes of {label}'
@@ -231,25 +245,163 @@ def _of_datasheet(label: str, comparison: DatasheetComparison) -> str:
     unsettled = sum(c.verdict == 'open' for c in checks)
     if unsettled == len(checks):
         return f'{label} cannot be judged by the datasheet of {name} yet: no number is settled'
-    rest = f'; {unsettled} of {len(checks)} are not settled yet' if unsettled else ''
-    return f'{label} is within the datasheet of {name}{rest}'
+    note = f'; {unsettled} of {len(checks)} are not settled yet' if unsettled else ''
+    return f'{label} is within the datasheet of {name}{note}'
+
+
+CSV_COLUMNS = (
+    *('second', 'axis', 'quantity', 'tau_s', 'unit'),
+    *(f'{run}_{part}' for run in ('first', 'second') for part in ('value', 'low', 'high', 'upper')),
+    *('ratio', 'ratio_low', 'ratio_high', 'p', 'verdict'),
+)
+"""Columns of comparison.csv, in SI. ``low`` and ``high`` are 95 % intervals, ``upper`` is the 95 %
+upper limit of a term that is not resolved."""
+
+
+def write_comparison(
+    folder: str | os.PathLike[str],
+    comparison: RunComparison,
+    units: str = 'datasheet',
+    pictures: PictureSettings = PictureSettings(),
+) -> list[Path]:
+    """Write comparison.json, .md and .csv, and a picture of each sensor; return the paths.
+
+    ``units`` is 'datasheet' or 'si', for the Markdown and the pictures.
+    """
+    from .plot_layout import to_form  # imports matplotlib
+    from .plots import comparison_figure
+    from .result_files import made_folder
+
+    style = load_style(pictures.plot_style)
+    place = made_folder(Path(folder))
+    contents: dict[str, str | bytes] = {
+        'comparison.json': to_json(comparison_document(comparison)),
+        'comparison.md': markdown(comparison, units),
+        'comparison.csv': csv_table(comparison),
+    }
+    for sensor in SENSORS:
+        figure = comparison_figure(comparison, sensor, units, style)
+        if figure is None:
+            continue
+        for form in pictures.plot_format:
+            contents[f'compare_{sensor}.{form}'] = to_form(figure, form, style)
+    write_together(place, contents)
+    return [place / name for name in contents]
+
+
+def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
+    """Return the comparison as Markdown: sentences, then a table for each pair and datasheet."""
+    parts = [f'{line}\n' for line in comparison_headline(comparison)]
+    for pair in comparison.pairs:
+        first, second = _safe(pair.first), _safe(pair.second)
+        rows = [['axis', 'quantity', 'unit', first, second, 'ratio', '']]
+        for d in pair.differences:
+            what = ['' if d.tau is None else f'deviation at {d.tau:.3g} s', '', '', '']
+            if d.tau is None:
+                unit = shown_unit(d.axis, d.quantity, units)
+                both = _coefficients(comparison, pair, d)
+                values = (f'{value_text(c, unit)} {interval_text(c, unit)}'.strip() for c in both)
+                what = [d.quantity, unit.name, *values]
+            rows.append([d.axis, *what, ratio_text(d), verdict_text(d)])
+        parts += _section(f'{second} against {first}', rows)
+    for label, of_run in comparison.datasheets:
+        rows = [['axis', 'term', 'limit', 'stated', '']]
+        for c in of_run.comparisons:
+            unit = shown_unit(c.axis, c.term, units)
+            limit = f'{c.limit * unit.factor:.3g} {unit.name}'
+            stated = _safe(of_run.limit(c).stated)
+            rows.append([c.axis, c.term, limit, stated, VERDICT_TEXT[c.verdict]])
+        parts += _section(
+            f'{_safe(label)} and the datasheet of {_safe(of_run.datasheet.name)}', rows
+        )
+    return '\n'.join(parts)
+
+
+def _safe(text: str) -> str:
+    """Return the text of a user on one line, escaped so that Markdown shows no HTML of it."""
+    return one_line(text).replace('<', '&lt;')
+
+
+def _section(title: str, rows: list[list[str]]) -> list[str]:
+    heading = title.replace('|', '\\|')
+    return [f'## {heading}\n', markdown_rows(rows)]
+
+
+def csv_table(comparison: RunComparison) -> str:
+    """Return every difference of two recordings as CSV with the columns `CSV_COLUMNS`, in SI."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow(CSV_COLUMNS)
+    for pair in comparison.pairs:
+        for d in pair.differences:
+            term = 'B' if d.tau is not None else d.quantity
+            numbers: list[float | None] = []
+            for c in _coefficients(comparison, pair, d) if d.tau is None else ():
+                known = c.status == 'estimated'
+                low, high = c.ci95 or (None, None)
+                numbers += [c.value if known else None, low, high, None if known else c.upper95]
+            numbers = numbers or [None] * 8
+            low, high = d.ci95 or (None, None)
+            unit = SI_UNITS[sensor_of(d.axis)][term]
+            writer.writerow(
+                [pair.second, d.axis, d.quantity, _cell(d.tau), unit]
+                + [_cell(number) for number in (*numbers, d.ratio, low, high, d.p)]
+                + [d.verdict]
+            )
+    return text.getvalue()
+
+
+def _coefficients(comparison: RunComparison, pair: Pair, d: Difference) -> tuple[Coefficient, ...]:
+    runs = {run.label: run.results for run in comparison.runs}
+    assert d.quantity in TERMS
+    return tuple(
+        runs[label].axes[d.axis].fit.noise[d.quantity] for label in (pair.first, pair.second)
+    )
+
+
+def _cell(number: float | None) -> str:
+    return '' if number is None or not math.isfinite(number) else repr(float(number))
+
+
+def write_overlay(
+    folder: str | os.PathLike[str],
+    runs: Sequence[Subject],
+    margin: float = MARGIN,
+    units: str = 'datasheet',
+    facts: Mapping[str, str] | None = None,
+) -> Path:
+    """Write report.html of the first recording with the curves of the others; return its path.
+
+    The other recordings are earlier runs in this report: they are exceeded by more than ``margin``
+    (a fraction) or not. ``facts`` adds rows (heading -> text) to the table of the method.
+    """
+    from .report import ReportContext, render_report
+
+    first, *others = runs
+    baselines = {run.label: run.results for run in others}
+    results = replace(first.results, baselines=baselines, margin=margin)
+    context = ReportContext(method={'runs': ', '.join(run.label for run in runs), **(facts or {})})
+    path = Path(folder) / 'report.html'
+    write_atomic(path, render_report(results, context, units))
+    return path
 
 
 INFLATION_SCHEMA = 'allan_ros/inflation/1'
 
 REST, RUNNING = 'at rest', 'at rest, motors on'
-"""Labels of the two recordings."""
+"""Labels of the recordings with motors off and on."""
 
 SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
-"""Averaging times of the table in s."""
+"""Averaging times in s of the table of ratios."""
 
 
 @dataclass(frozen=True)
 class Inflation:
     """Ratio of the noise of an IMU at rest with motors on to its noise with motors off.
 
-    For each axis, it contains N and K, which bound the growth of the error over the horizons, and
-    their factors. The comparison contains the ratios of the Allan deviations with intervals.
+    ``axes`` has N and K for a filter with motors off and on, and the factors between them. These N
+    and K bound the growth of the integrated error over ``horizons`` (s). ``comparison`` has the
+    ratios of the Allan deviations with intervals.
     """
 
     axes: dict[str, AxisInflation]
@@ -261,18 +413,20 @@ class Inflation:
 
     @property
     def factor(self) -> float:
-        """The largest factor on N of any axis: a value for ``--inflate``."""
+        """The largest factor on N of all axes, for ``allan export --inflate``."""
         return max(axis.white.factor for axis in self.axes.values())
 
     def ratios(self, axis: str) -> list[Difference]:
-        """Return the ratio of the deviations of an axis at each common averaging time."""
+        """Return the ratios of the Allan deviations of an axis, one for each averaging time."""
         (pair,) = self.comparison.pairs
         return [d for d in pair.differences if d.axis == axis and d.tau is not None]
 
 
 def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation:
-    """Return the increase of the noise of a robot at rest due to running motors (see
-    `api.inflate`)."""
+    """Return the increase of the noise of an IMU at rest when motors run.
+
+    ``horizon`` is the longest time in s that the filter integrates without correction.
+    """
     horizons = Horizons.up_to(horizon)
     fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (rest, running)]
     axes = measure_inflation(fits[0], fits[1], horizons)
@@ -303,7 +457,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
 
 
 def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
-    """Yield the factors on N and K of each axis, and the values to use, as lines of a report."""
+    """Yield (heading, text) for each axis: N and K to use in a filter, and their factors."""
     for name, axis in inflation.axes.items():
         (n, n_unit), (k, k_unit) = _to_use(name, axis)
         factors = axis.white.factor, axis.walk.factor
@@ -312,8 +466,7 @@ def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
-    """Yield a table of the N and K to use, then a table of the ratios of the deviations over
-    tau."""
+    """Yield the lines of two tables: N and K for a filter, and the ratios of the deviations."""
     yield f'N and K for a filter, over {inflation.horizons}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
@@ -330,7 +483,6 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
 
 
 def _to_use(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
-    """Return N and K for a filter, each with its unit."""
     units = SI_UNITS[sensor_of(name)]
     return [(significant(t.use, 4), units[k]) for k, t in (('N', axis.white), ('K', axis.walk))]
 

@@ -15,8 +15,13 @@ import pytest
 from allan_ros.cli.tables import results_lines
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
-from allan_ros.io.comparison import Subject, compare_runs, comparison_document
-from allan_ros.io.comparison_files import csv_table, markdown
+from allan_ros.io.comparison import (
+    Subject,
+    compare_runs,
+    comparison_document,
+    csv_table,
+    markdown,
+)
 from allan_ros.io.documents import (
     results_from_document,
     results_to_document,

@@ -178,7 +178,7 @@ def test_an_earlier_run_and_compare_agree(small_results: Results) -> None:
     comparisons = louder.compared(baseline=small_results, margin=0.2).comparisons
     [pair] = compare_runs([Subject('a', small_results), Subject('b', louder)]).pairs
     beyond = [(c.axis, c.term) for c in comparisons if c.verdict == 'beyond']
-    assert beyond == [(d.axis, d.quantity) for d in pair.beyond] == [('gyro_z', 'N')]
+    assert beyond == [(d.axis, d.quantity) for d in pair.significant] == [('gyro_z', 'N')]
     assert louder.check(baseline=small_results).summary.startswith(
         'Above the earlier run: N of gyro z (at least 1.5 times '
     )

@@ -1,7 +1,296 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The HTML report of an analysis: verdict, interactive charts, tables and method."""
+"""`report.html`: verdict and headline numbers, findings, curves and tables in one file.
 
-from .page import ReportContext, render_report
+The page makes no requests: its Content-Security-Policy forbids them. The policy also lists the
+scripts by their hashes, so that no text of a recording can run as a script.
+"""
 
-__all__ = ['ReportContext', 'render_report']
+from __future__ import annotations
+
+import base64
+import datetime
+import hashlib
+import platform
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy
+import scipy
+
+from ... import __version__
+from ...core.allan.spectrum import Spectrum
+from ...core.findings import Finding, duration_text
+from ...core.imu import AXES, SENSORS
+from ..axis_result import AxisResult
+from ..format import SENSOR_NAMES, grouped, significant, text_in_units
+from ..signal import SignalSummary
+from ..verdict import (
+    WORDS,
+    Verdict,
+    finding_text,
+    findings_and_notes,
+    too_short,
+    used_samples,
+    verdict_of,
+)
+from .chart_data import sensor_charts, temperature_chart, to_script
+from .tables import (
+    baseline_table,
+    coefficient_table,
+    datasheet_table,
+    growth_table,
+    headline_table,
+    in_units,
+)
+
+if TYPE_CHECKING:
+    from ..results import Results
+
+STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
+
+SCRIPTS = (
+    'uplot/uPlot.iife.min.js',
+    'chart.js',
+    'picture.js',
+    'allan_chart.js',
+    'other_charts.js',
+    'page.js',
+)
+"""Script files of this folder, in their order in the page."""
+
+ICONS = {
+    'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
+    'attention': '<path d="M12 6.5v7M12 17v.5"/>',
+    'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
+    'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
+}
+"""Level -> symbol, which has the same meaning as the colour."""
+
+EARLIEST_S = 978_307_200
+"""2001-01-01. An earlier first stamp is not a date, but the time since a machine was started."""
+
+FOLDED, STEPS = 3, 4
+"""Number of notes above which they are folded, and largest number of next steps that are shown."""
+
+
+@dataclass(frozen=True)
+class ReportContext:
+    """Additional content of the page besides the results."""
+
+    signal: SignalSummary | None = None
+    spectra: Sequence[Spectrum] = ()
+    method: Mapping[str, str] = field(default_factory=dict)  # command that repeats the analysis
+    files: Sequence[str] = ()  # names of the files in the same folder
+
+
+def render_report(results: Results, context: ReportContext, units: str) -> str:
+    """Return the HTML of the report, which initially shows the given units."""
+    name = results.identity.label or 'IMU'
+    sensors = {
+        sensor: axes
+        for sensor, where in SENSORS.items()
+        if (axes := {a: results.axes[a] for a in AXES[where] if a in results.axes})
+    }
+    body = [
+        *_header(results, name, sensors, units),
+        '<main>',
+        *_verdict_section(results, verdict_of(results, units=units), sensors),
+        *_findings_section(results),
+    ]
+    for sensor, axes in sensors.items():
+        body += [
+            *_sensor_section(sensor, axes, not too_short(results)),
+            *(datasheet_table(sensor, axes, results.datasheet) if results.datasheet else ()),
+        ]
+        for run, baseline in results.baselines.items():
+            compared = [c for c in results.comparisons if c.reference == run]
+            body += baseline_table(sensor, axes, run, baseline, compared)
+        body += growth_table(sensor, axes)
+        body.append(f'<div class="charts rest" data-sensor="{sensor}" hidden></div></section>')
+    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
+    body += [
+        '<section id="recording"><h2>Recording and method</h2>',
+        f'<p class="files">Files in the same folder: {links}</p>' if links else '',
+        *background(results, {**context.method, 'fit': f'method {results.method}'}),
+        '</section></main>',
+        f'<footer>allan_ros {__version__}</footer>',
+    ]
+    data = {
+        'units': units,
+        'temperature': temperature_chart(context.signal),
+        'sensors': [sensor_charts(results, s, context.spectra, context.signal) for s in sensors],
+    }
+    return _page(f'Noise of {name}', '\n'.join(body), to_script(data))
+
+
+def _page(title: str, body: str, data: str) -> str:
+    here = files(__package__)
+    scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
+    styles = '\n'.join(here.joinpath(name).read_text('utf-8') for name in STYLES)
+    digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
+    hashes = ' '.join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
+    policy = (
+        "default-src 'none'; base-uri 'none'; form-action 'none'; "
+        f"style-src 'unsafe-inline'; script-src {hashes}"
+    )
+    run = ''.join(f'<script>{script}</script>\n' for script in scripts)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f'<title>{escape(title)}</title>\n<style>\n{styles}</style>\n</head>\n<body>\n{body}\n'
+        f'<script type="application/json" id="data">{data}</script>\n{run}</body>\n</html>\n'
+    )
+
+
+def _header(
+    results: Results, name: str, sensors: Mapping[str, object], units: str
+) -> Iterator[str]:
+    start = min((s.start_ns for s in results.provenance.segments), default=0) // 10**9
+    when = datetime.datetime.fromtimestamp(max(start, 0), datetime.timezone.utc)
+    facts = [
+        f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
+        f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
+        f'{when:%Y-%m-%d %H:%M} UTC' if start >= EARLIEST_S else '',
+    ]
+    items = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
+    yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul></header>'
+    links = ''.join(f'<a href="#{s}">{s.capitalize()}</a>' for s in sensors)
+    switch = ''.join(
+        f'<label><input type="radio" name="units" id="units-{system}" value="{system}"'
+        f'{" checked" if system == units else ""}>{label}</label>'
+        for system, label in (('datasheet', 'datasheet'), ('si', 'SI'))
+    )
+    yield (
+        f'<nav aria-label="Sections"><div><a href="#verdict">Verdict</a>{links}'
+        '<a href="#recording">Data</a></div><fieldset class="switch"><legend>Units</legend>'
+        f'{switch}</fieldset></nav>'
+    )
+
+
+def _verdict_section(
+    results: Results, verdict: Verdict, sensors: Mapping[str, Mapping[str, AxisResult]]
+) -> Iterator[str]:
+    """Yield the verdict with N, B and K of every axis."""
+    listed = {finding_text(f, results) for f in grouped(results.findings)}
+    reasons = _items(reason for reason in verdict.reasons if reason not in listed)
+    yield (
+        f'<section id="verdict" class="{verdict.level}">'
+        f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
+        f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
+        f'<strong>{WORDS[verdict.level]}</strong><span>{_text(verdict.summary)}</span></p>'
+    )
+    yield '<div class="headline">'
+    for sensor, axes in sensors.items():
+        yield headline_table(sensor, axes)
+    yield '</div><div class="answers">'
+    if reasons:
+        yield f'<div><h2>What the recording shows</h2><ul>{reasons}</ul></div>'
+    yield f'<div><h2>What to do next</h2><ol>{_items(verdict.next_steps[:STEPS])}</ol></div></div>'
+    yield '</section>'
+
+
+def _items(texts: Iterable[str]) -> str:
+    return ''.join(f'<li>{_text(text)}</li>' for text in texts)
+
+
+def _text(text: str) -> str:
+    """Return the HTML of a sentence in both systems of units."""
+    return in_units(lambda units: escape(text_in_units(text, units, typeset=True)))
+
+
+def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
+    """Yield the tables of inputs, sample counts and the settings needed to repeat the analysis."""
+    known, counts = results.provenance, results.provenance.counts
+    inputs = {
+        s.path: ', '.join(filter(None, (s.topic, s.type, s.storage, _size(Path(s.path)))))
+        for s in known.sources
+    }
+    samples = {
+        'used': f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
+        f'{duration_text(results.duration_s, 3)} in {_segments(results)}',
+        **{
+            name.replace('_', ' '): f'{number:,}'
+            for name, number in vars(counts).items()
+            if isinstance(number, int) and number and name != 'used'
+        },
+        'gaps': ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none',
+    }
+    versions = {
+        'versions': f'allan_ros {__version__}, Python {platform.python_version()}, '
+        f'numpy {numpy.__version__}, scipy {scipy.__version__}',
+        'machine': f'{platform.system()} {platform.machine()}',
+    }
+    yield f'<h3>Inputs</h3>{_table(inputs)}<h3>Samples</h3>{_table(samples)}'
+    yield f'<h3>To repeat it</h3>{_table({**method, **versions})}'
+    if known.settings:
+        rows = {key: _value(value) for key, value in known.settings.items()}
+        yield f'<details><summary>Every setting ({len(rows)})</summary>{_table(rows)}</details>'
+
+
+def _size(path: Path) -> str:
+    """Return the size of an input, or '' if it no longer exists."""
+    try:
+        files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+        return f'{sum(file.stat().st_size for file in files):,} bytes' if files else ''
+    except OSError:
+        return ''
+
+
+def _segments(results: Results) -> str:
+    return f'{results.segments} segment{"" if results.segments == 1 else "s"}'
+
+
+def _value(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        value = ', '.join(map(str, value))
+    return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    cells = ''.join(
+        f'<tr><th scope="row">{escape(key)}</th><td>{escape(value)}</td></tr>'
+        for key, value in rows.items()
+    )
+    return f'<table class="facts"><tbody>{cells}</tbody></table>'
+
+
+def _findings_section(results: Results) -> Iterator[str]:
+    """Yield one block for each cause; many notes are folded."""
+    shown, notes = findings_and_notes(results)
+    if not shown and not notes:
+        return
+    yield '<section id="findings"><h2>Findings</h2>'
+    yield from (_block(finding, results) for finding in shown)
+    if len(notes) > FOLDED:
+        yield f'<details><summary>{len(notes)} notes</summary>'
+    yield from (_block(note, results) for note in notes)
+    yield ('</details>' if len(notes) > FOLDED else '') + '</section>'
+
+
+def _block(finding: Finding, results: Results) -> str:
+    where = finding_text(finding, results)[: -len(finding.message)]
+    return (
+        f'<div class="finding {finding.severity}">'
+        f'<span class="severity">{finding.severity}</span>'
+        f'<div><p><b>{escape(where)}</b>{_text(finding.message)}</p>'
+        f'<p class="remedy">{_text(finding.remedy)}</p></div></div>'
+    )
+
+
+def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], deviations: bool) -> Iterator[str]:
+    name = SENSOR_NAMES[sensor]
+    yield f'<section id="{sensor}" class="sensor"><h2>{name}</h2>'
+    yield f'<div class="charts curve" data-sensor="{sensor}" hidden></div>'
+    yield f'<h3>Coefficients</h3><div class="copy" data-sensor="{sensor}" hidden></div>'
+    yield from coefficient_table(sensor, axes, deviations)
+    yield (
+        '<noscript><p class="note">The charts of this page need JavaScript; '
+        f'<a href="allan_{sensor}.png">allan_{sensor}.png</a> shows the same.</p></noscript>'
+    )
