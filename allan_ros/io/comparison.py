@@ -268,7 +268,7 @@ def write_comparison(
 
     ``units`` is 'datasheet' or 'si', for the Markdown and the pictures.
     """
-    from .plot_layout import to_form  # imports matplotlib
+    from .plot_layout import render_figure  # imports matplotlib
     from .plots import comparison_figure
     from .result_files import made_folder
 
@@ -284,7 +284,7 @@ def write_comparison(
         if figure is None:
             continue
         for form in pictures.plot_format:
-            contents[f'compare_{sensor}.{form}'] = to_form(figure, form, style)
+            contents[f'compare_{sensor}.{form}'] = render_figure(figure, form, style)
     write_together(place, contents)
     return [place / name for name in contents]
 

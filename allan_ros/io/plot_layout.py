@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of a figure: rows of panels, heading, logarithmic axes and keys; and its file."""
+"""Layout of a figure (panels, heading, logarithmic axes, legends), and its conversion to a file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .plot_style import STYLES
 Floats = NDArray[np.float64]
 
 Entry = tuple[str, Mapping[str, Any]]
-"""Text of an entry of a key, and the style of its line (no line if empty)."""
+"""Text of an entry of a legend, and the style of its line (no line if empty)."""
 
 RC: dict[str, Any] = {
     'font.size': 8.0,
@@ -38,15 +38,15 @@ RC: dict[str, Any] = {
     'svg.hashsalt': 'allan_ros',
     'axes.grid': False,
 }
-"""Settings of all plots; fonts are embedded completely in a PDF (type 42), as journals require."""
+"""Settings of all plots. Fonts are embedded in a PDF as TrueType (42), as journals require."""
 
 HEAD_IN, LEGEND_ROW_IN, FOOT_IN, LEFT_IN, MARGIN_IN = 0.4, 0.17, 0.45, 0.62, 0.12
-"""Lengths in inches: space above the rows, each row of the legend in it, below, to the left and at
-the edge."""
+"""Lengths in inches: title and facts, each row of the legend, and the margins below, left and
+right."""
 
-GAP_IN, KEY_ABOVE_IN, KEY_BESIDE_IN = 0.15, 0.5, 1.34
-"""Lengths in inches: space above each panel, the same with the legend of a narrow figure, and the
-legend to the right."""
+GAP_IN, KEY_ABOVE_IN, KEY_RIGHT_IN = 0.15, 0.5, 1.34
+"""Lengths in inches: space above each panel, the same with a legend above the panel, and width of a
+legend to the right of the panel."""
 
 SMALL = 7.0
 """Font size of legends and notes in points: the smallest that journals accept."""
@@ -55,32 +55,26 @@ LINE_IN = SMALL * 1.2 / 72.0
 """Line spacing of the small font in inches."""
 
 KEY_GAP_IN = 0.03
-"""Space between two entries of a key to the right, in inches."""
+"""Space in inches between two entries of a legend to the right of a panel."""
 
 TAU_LABEL = 'averaging time τ [s]'
 
 PNG_DPI = 200
-"""Dots per inch of the PNG, sharp in print and on a screen."""
+"""Dots per inch of a PNG."""
 
 PNG_LEVEL = 1
-"""Level of zlib: takes a quarter of the time of the default level for a file that is 10 %
-larger."""
+"""Compression level of a PNG: 4 times as fast as the default, for a file that is 10 % larger."""
 
 
 class _ShownFigure(Figure):
-    """A figure that a notebook shows without pyplot."""
+    """A figure that Jupyter displays although it was made without pyplot."""
 
     def _repr_png_(self) -> bytes:
-        return to_form(self, 'png')
+        return render_figure(self, 'png')
 
 
-def to_png(figure: Figure) -> bytes:
-    """Return the figure as a PNG file."""
-    return to_form(figure, 'png')
-
-
-def to_form(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']) -> bytes:
-    """Return the figure as a file in one of the formats `plot_style.FORMATS`."""
+def render_figure(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']) -> bytes:
+    """Return the figure as a file: 'png', 'svg' or 'pdf', drawn with a style of matplotlib."""
     options: dict[str, dict[str, Any]] = {
         'png': {
             'metadata': {'Software': 'allan_ros'},
@@ -104,10 +98,12 @@ def new_figure(
     between: float = 0.0,
     ratios: Sequence[float] = (1.0,),
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure and its panels by row; the size in the style is for three rows.
+    """Return a figure and its panels, by row.
 
-    Lengths are in inches: ``head`` above the rows, ``gap`` above each panel, ``between`` the two
-    panels of a row. ``ratios`` are the ratios of the panel widths.
+    The current ``figure.figsize`` is for three rows; fewer rows make a lower figure. Lengths are in
+    inches: ``head`` is the space above all rows, ``gap`` above each panel, ``right`` the margin to
+    the right, and ``between`` the space between two panels of a row. ``ratios`` are the relative
+    widths of the panels of a row.
     """
     width, height = rcParams['figure.figsize']
     row = (height - head - FOOT_IN) / 3.0
@@ -130,7 +126,7 @@ def new_figure(
 
 
 def heading(figure: Figure, title: str, facts: str, entries: Sequence[Entry], columns: int) -> None:
-    """Draw title, facts, and below them the legend of all panels in evenly spaced columns."""
+    """Draw the title, a line of facts, and the legend in evenly spaced columns."""
     width, height = figure.get_size_inches()
     inches, top = figure.dpi_scale_trans, height - 0.09
     figure.text(LEFT_IN, top, title, transform=inches, va='top', weight='bold', size='large')
@@ -147,7 +143,7 @@ def heading(figure: Figure, title: str, facts: str, entries: Sequence[Entry], co
 def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
     """Make both axes logarithmic with the given limits, and draw a grid.
 
-    The fine grid is one artist, because its ticks would take more time than all other elements.
+    The grid is a single artist: separate lines would take longer than the rest of the figure.
     """
     panel.set(xscale='log', yscale='log', xlim=across, ylim=up)
     for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
@@ -169,9 +165,7 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
 
 
 def ticks(low: float, high: float) -> tuple[Floats, Floats]:
-    """Return at least three values to label on a logarithmic axis, and the positions of all grid
-    lines.
-    """
+    """Return the labelled values (at least three) and all grid lines of a logarithmic axis."""
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
     digits = ([1], [1, 2, 5], [1, 1.2, 1.5, 2, 3, 5, 7], range(1, 10))
     choices = [np.outer(decades, some).ravel() for some in digits]
@@ -182,7 +176,7 @@ def ticks(low: float, high: float) -> tuple[Floats, Floats]:
 
 
 SUPERSCRIPT = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
-"""Digits of an exponent, which need no mathematical typesetting."""
+"""Digits -> superscript digits."""
 
 
 def tick_text(value: float) -> str:
@@ -196,7 +190,7 @@ def tick_text(value: float) -> str:
 
 
 def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
-    """Draw the key to the right of a panel, or in two columns above it."""
+    """Draw the legend to the right of a panel (``wide``), or in two columns above it."""
     axes: Any = panel.transAxes
     rows = len(entries) if wide else math.ceil(len(entries) / 2)
     for first in range(0, len(entries), rows or 1):
@@ -208,7 +202,7 @@ def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
 
 
 def _draw_entry(owner: Figure | Axes, inches: Any, left: float, top: float, entry: Entry) -> None:
-    """Draw an entry at a fixed position, which takes a third of the time of a legend."""
+    """Draw one entry at a fixed position; a legend of matplotlib would take three times as long."""
     text, style = entry
     if style:
         at = [left, left + 0.11, left + 0.22], [top - 0.5 * LINE_IN] * 3

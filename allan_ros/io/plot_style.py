@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Curves for plots and page, and the style of the plots; without matplotlib."""
+"""The curves of plots and report as numbers, and the settings of plots, without matplotlib."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STYLES: dict[str, dict[str, Any]] = {
     'page': {'figure.figsize': (PAGE_IN, 6.3)},
     'column': {'figure.figsize': (COLUMN_IN, 7.6)},
 }
-"""Built-in styles: a page with the signal next to the curves, or a column."""
+"""Built-in styles: across a page, with the signal next to the curves, or in a column."""
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
@@ -40,13 +40,13 @@ TERM_STYLES: dict[str, tuple[str, Any]] = {
     'K': ('#D55E00', (0, (9, 2))),
     'R': ('#E69F00', (0, (3, 1.2, 1, 1.2, 1, 1.2))),
 }
-"""Term -> colour and dashes of its part.
+"""Term -> colour and dashes of its line.
 
 The colours of Okabe and Ito ("Color universal design", 2008) can be distinguished by colour-blind
-readers; dashes keep a picture legible in grey."""
+readers, the dashes without colours."""
 
 BELOW_CURVE = 0.2
-"""A part is drawn if it is above this fraction of the lowest point of the curve."""
+"""A part of the model is drawn above this fraction of the lowest point of the curve."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,12 @@ class PictureSettings:
 
 
 class DrawnCurve(NamedTuple):
-    """The curve of one axis as it is drawn, (factors,) each; NaN where nothing is drawn."""
+    """The curve and the model of one axis as they are drawn.
 
-    tau: Floats
+    Each array has a value for each averaging time, NaN where nothing is drawn.
+    """
+
+    tau: Floats  # averaging times in s
     adev: Floats
     low: Floats  # 68.3 % limits
     high: Floats
@@ -89,7 +92,7 @@ class DrawnCurve(NamedTuple):
 
 
 def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
-    """Return the drawn curve of an axis, in SI times the factor; None if there is no curve."""
+    """Return the curve and the model of an axis, multiplied by ``factor``; None without a curve."""
     curve = axis.curve
     if curve is None:
         return None
@@ -112,7 +115,7 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
 
 
 def check_pictures(settings: PictureSettings, drawn: bool) -> None:
-    """Raise AllanError if the style is unknown, or if plots are drawn without matplotlib."""
+    """Raise AllanError if the style is unknown, or plots are requested without matplotlib."""
     if drawn and find_spec('matplotlib') is None:
         raise AllanError(
             '-o draws plots with matplotlib, which is not installed: install it with pip or apt, '
@@ -122,8 +125,7 @@ def check_pictures(settings: PictureSettings, drawn: bool) -> None:
 
 
 def load_style(name: str) -> Mapping[str, Any]:
-    """Return the matplotlib settings of a style, given by its name or by the path of a style
-    sheet."""
+    """Return the settings of a style: of `STYLES`, of matplotlib, or the path of a style sheet."""
     if name in STYLES:
         return STYLES[name]
     path = Path(name)
@@ -142,7 +144,7 @@ def load_style(name: str) -> Mapping[str, Any]:
 def _sheet(path: Path) -> Mapping[str, Any]:
     from matplotlib import rc_params_from_file
 
-    # matplotlib only logs errors in a line
+    # matplotlib logs a wrong line instead of raising an exception
     log, handler, warnings = logging.getLogger('matplotlib'), logging.Handler(), []
     handler.emit = lambda record: warnings.append(record.getMessage())  # type: ignore[method-assign]
     passes_on, log.propagate = log.propagate, False

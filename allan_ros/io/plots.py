@@ -28,7 +28,7 @@ from .format import (
 from .plot_layout import (
     HEAD_IN,
     KEY_ABOVE_IN,
-    KEY_BESIDE_IN,
+    KEY_RIGHT_IN,
     LEFT_IN,
     LEGEND_ROW_IN,
     MARGIN_IN,
@@ -55,28 +55,28 @@ NARROW_ENTRIES = 6
 """Largest number of entries in the legend of a narrow figure."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
-"""Opacity of the 68 % limits, and of the range that unresolved terms may add to the model."""
+"""Opacity of the 68 % limits, and of the possible contribution of unresolved terms."""
 
 BAND_STYLE: dict[str, Any] = {'lw': 6.0, 'solid_capstyle': 'butt'}
-"""Line that represents a band in the legend."""
+"""Style of the line that stands for a band in the legend."""
 
 LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
-"""Line of the 95 % upper limit of a term that is not resolved."""
+"""Style of the 95 % upper limit of a term that is not resolved."""
 
 PROCESS_STYLE = ('0.5', (0, (2, 1)))
 """Colour and dashes of a Gauss-Markov process or a sinusoid."""
 
 HATCHES = {True: '///', False: 3 * '\\'}
-"""Hatching of excluded data, by whether the IMU moved."""
+"""Whether the IMU moved -> hatching of the excluded samples."""
 
-VEIL = 0.75
-"""Opacity of the background over the part of the signal that is left out."""
+FADE = 0.75
+"""Opacity of the background colour over samples that are not used."""
 
 CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
-"""Smallest length in s, seconds per unit, name of the unit."""
+"""Units of the time axis: smallest length of a recording in s, seconds per unit, name."""
 
-ABOVE_SIGNAL = 1.15
-"""Margin around the used samples, relative to the largest; excluded knocks may exceed it."""
+SIGNAL_RANGE = 1.15
+"""Upper end of the axis of the signal, relative to the largest used sample."""
 
 STEPS = (1, 2, 5, 10)
 """Steps between ticks that are easy to read."""
@@ -92,17 +92,16 @@ RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
 """Colour of Okabe and Ito ('' for the text colour), marker and dashes of each recording."""
 
 MARK_EVERY = 6
-"""Number of points between two markers of a curve; the markers of the next recording are shifted by
-one."""
+"""Points of a curve per marker; markers of different recordings are at different points."""
 
 RATIO_MARGIN = 1.1
-"""Factor between the largest end of an interval of a ratio and the edge of the panel."""
+"""Upper end of the axis of ratios, relative to the largest end of an interval."""
 
 RATIO_STYLE: dict[str, Any] = {'ls': '', 'ms': 4.0, 'capsize': 1.5, 'lw': 0.9}
-"""Points of a ratio with their intervals."""
+"""Style of ratios with their intervals."""
 
 OFFSET = 1.05
-"""Factor by which recordings are shifted in averaging time if their ratios would overlap."""
+"""Factor in averaging time between the ratios of two recordings, which would overlap otherwise."""
 
 
 def sensor_figure(
@@ -114,8 +113,9 @@ def sensor_figure(
 ) -> Figure | None:
     """Return the figure of one sensor with a row for each axis, or None if it is absent.
 
-    Without a ``summary`` of the raw signal, or in a narrow figure, only the curves are drawn. The
-    ``figure.figsize`` of the style applies to a figure of three axes.
+    The raw signal is drawn next to the curves if ``summary`` is given and the figure is wide.
+    ``units`` is 'datasheet' or 'si'. ``style`` has settings of matplotlib, in which
+    ``figure.figsize`` is the size for three axes.
     """
     known = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
     axes = {name: axis for name, axis in known.items() if axis.curve is not None}
@@ -129,11 +129,11 @@ def sensor_figure(
     with rc_context({**RC, **style}):
         wide = rcParams['figure.figsize'][0] >= NARROW_IN
         if wide and summary is not None:
-            between = KEY_BESIDE_IN + LEFT_IN - 0.2
+            between = KEY_RIGHT_IN + LEFT_IN - 0.2
             figure, panels = new_figure(len(axes), head, between=between, ratios=(2.0, 1.0))
             facts += _hatch_text(summary)
         elif wide:
-            figure, panels = new_figure(len(axes), head, right=MARGIN_IN + KEY_BESIDE_IN)
+            figure, panels = new_figure(len(axes), head, right=MARGIN_IN + KEY_RIGHT_IN)
         else:
             figure, panels = new_figure(len(axes), head, gap=KEY_ABOVE_IN)
         for of_axis, (name, axis) in zip(panels, axes.items()):
@@ -164,7 +164,8 @@ def comparison_figure(
     """Return the figure of one sensor with a row for each axis; None without any curve.
 
     The left panel shows the deviations with their 68.3 % limits. In a wide figure, the right panel
-    shows their ratio to the first recording with 95 % intervals, filled if it is significant.
+    shows the ratios to the first recording with 95 % intervals; significant ones are filled. Units
+    and style are those of `sensor_figure`.
     """
     curves: dict[str, dict[int, DrawnCurve]] = {}
     for name in AXES[SENSORS[sensor]]:
@@ -203,7 +204,7 @@ def comparison_figure(
 
 
 def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
-    """Draw one axis with the parts of its model into a panel, or several axes without them."""
+    """Draw curves and models into a panel; for a single axis, also the parts of the model."""
     for name, axis in axes.items():
         if len(axes) == 1:
             _draw_axis(panel, name, axis, units, wide=False)
@@ -223,7 +224,7 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datashe
 
 
 def _set_up(panel: Axes, name: str, curves: Iterable[DrawnCurve], units: str) -> bool:
-    """Label and scale a panel for the curves of an axis; return whether any can be drawn."""
+    """Set labels and limits of a panel for curves of an axis; return whether any is positive."""
     unit = pretty_unit(shown_unit(name, 'B', units).name)
     panel.set_ylabel(f'{name.replace("_", " ")}  [{unit}]')
     some = [curve for curve in curves if curve.any]
@@ -239,7 +240,7 @@ def _set_up(panel: Axes, name: str, curves: Iterable[DrawnCurve], units: str) ->
 
 
 def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str, wide: bool) -> None:
-    """Draw the deviation with its limits, the model and its parts, and their key."""
+    """Draw the deviation with its limits, the model, its parts, and the legend of the parts."""
     curve = drawn_curve(axis, shown_unit(name, 'B', units).factor)
     if curve is None or not _set_up(panel, name, [curve], units):
         return
@@ -268,7 +269,7 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str, wide: bool)
 
 
 def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
-    """Return the name of a part of the model with its value, and the interval on a second line."""
+    """Return the legend of a part of the model: name, value, and interval on a second line."""
     text = part
     if part in axis.fit.noise:
         unit = shown_unit(name, part, units)
@@ -281,7 +282,7 @@ def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
 
 
 def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> None:
-    """Draw the signal about its middle, and mark the samples that are not used."""
+    """Draw the signal relative to its median, and mark the samples that are not used."""
     unit, column = shown_unit(axis, 'signal', units), AXES.index(axis)
     middle = summary.middle[column]
     low, high = ((a[:, column] - middle) * unit.factor for a in (summary.low, summary.high))
@@ -293,11 +294,11 @@ def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> 
         panel.axvspan(start / scale, end / scale, fc=rcParams['grid.color'], lw=0)
     for start, end, why in summary.left_out:
         span, hatch = (start / scale, end / scale), HATCHES[why == 'motion']
-        panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=VEIL, lw=0)
+        panel.axvspan(*span, fc=rcParams['axes.facecolor'], alpha=FADE, lw=0)
         panel.axvspan(*span, fc='none', ec=rcParams['text.color'], hatch=2 * hatch, lw=0)
     for start in summary.starts[1:]:
         panel.axvline(start / scale, color=rcParams['text.color'], lw=0.6)
-    reach = ABOVE_SIGNAL * unit.factor * float(summary.reach[column])
+    reach = SIGNAL_RANGE * unit.factor * float(summary.reach[column])
     panel.set_ylim(-reach, reach)
     about = f'about {middle * unit.factor:.4g} {pretty_unit(unit.name)}'
     panel.text(0.0, 1.02, about, size=SMALL, transform=panel.transAxes)
@@ -309,21 +310,21 @@ def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> 
 
 
 def _clock(summary: SignalSummary) -> tuple[float, str]:
-    """Return the seconds in a suitable unit of time for a recording, and the name of the unit."""
+    """Return the seconds per unit of the time axis, and the name of the unit."""
     length = float(summary.time_s[-1])
     return next((scale, name) for least, scale, name in CLOCKS if length >= least)
 
 
 def _hatch_text(summary: SignalSummary) -> str:
-    """Return the meaning of the hatching of the signal, if there is any."""
+    """Return the legend of the hatching of the signal, or '' if nothing is hatched."""
     moved = {out.why == 'motion' for out in summary.left_out}
-    meanings = {True: 'it moved', False: 'left out otherwise'}
+    meanings = {True: 'the IMU moved', False: 'not used for another reason'}
     texts = [f'{HATCHES[why]} {text}' for why, text in meanings.items() if why in moved]
     return f'; hatched: {", ".join(texts)}' if texts else ''
 
 
 def _run_style(run: int) -> tuple[str, str, Any]:
-    """Return colour, marker and dashes of a recording; they repeat from the seventh on."""
+    """Return colour, marker and dashes of the recording with this index."""
     colour, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
     return colour or rcParams['text.color'], marker, dashes
 

@@ -53,7 +53,7 @@ def write_result_files(
     the paths.
     """
     # takes 0.3 s to import, and merging sums needs no pictures before
-    from .plot_layout import to_form
+    from .plot_layout import render_figure
     from .plots import sensor_figure
 
     recorded = results.recorded
@@ -71,7 +71,7 @@ def write_result_files(
         if figure is None:
             continue
         for form in pictures.plot_format:
-            contents[f'allan_{sensor}.{form}'] = to_form(figure, form, style)
+            contents[f'allan_{sensor}.{form}'] = render_figure(figure, form, style)
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
     densities = (
         spectrum_of(of, s.tau0)

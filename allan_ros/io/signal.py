@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Summary of the raw signal for plots, in memory that does not depend on the recording length.
 
-`SignalEnvelope` keeps the lowest and highest value in each of up to 2048 bins, so that a plot of a
-day at 1 kHz shows every knock. `SignalSummary` places all recordings on one time axis, with the
-samples that are not used and the reasons.
+`SignalEnvelope` keeps the lowest and highest value in each of up to 2048 bins, because a plot must
+show every knock. `SignalSummary` places all recordings on one time axis, with the samples that are
+not used and the reasons.
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ from ..core.stream.health import Segment
 Floats = NDArray[np.float64]
 
 MAX_BINS = 2048
-"""Largest number of bins, more than a plot has pixels across; when all are full, neighbours are
-joined."""
+"""Largest number of bins, more than the pixels of a plot; when all are full, pairs are joined."""
 
 
 class SignalEnvelope:
     """Lowest and highest sample of every axis in bins of equal sample count, in constant memory.
 
-    The result does not depend on the size of the batches. NaN is ignored; a bin without other
-    values is NaN.
+    The result does not depend on the size of the batches. NaN is ignored; a bin with only NaN is
+    NaN.
     """
 
     def __init__(self) -> None:
@@ -77,12 +76,12 @@ class SignalEnvelope:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Start of each bin since the first sample in s, (bins,), never decreasing."""
+        """Start of each bin in s since the first sample, (bins,), never decreasing."""
         stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
     def _put(self, batch: ImuBatch) -> None:
-        """Add samples for which there is room in the bins."""
+        """Add samples; there must be room for them in the bins."""
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -117,16 +116,19 @@ ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 
 @dataclass(frozen=True)
 class TemperatureTrace:
-    """Readings of one thermometer."""
+    """Temperature readings of one sensor in a recording."""
 
     source: str  # topic or column
     header_ns: NDArray[np.int64]  # times of measurement, (n,)
-    record_ns: NDArray[np.int64]  # times of recording; the same if only one is known
-    celsius: Floats
+    record_ns: NDArray[np.int64]  # times of recording, equal to header_ns if there is one clock
+    celsius: Floats  # degC, (n,)
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
-    """Return readings (header ns, record ns, degC) as a trace, or None if none is plausible."""
+    """Return the plausible ones of readings (header ns, record ns, degC); None if there are none.
+
+    ``source`` is the topic or column of the readings.
+    """
     valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
     if not valid:
         return None
@@ -169,20 +171,22 @@ class Decimated(Generic[Item]):
 
 
 GAP = 3.0
-"""A bin that lasts this many times the usual duration contains a gap."""
+"""Duration of a bin, relative to the median, above which it contains a gap."""
 
 LEAST_SHARE = 1e-3
-"""Shorter gaps, and parts left out for several reasons, are not marked, because they are narrower
-than a line."""
+"""Smallest length of a marked gap, relative to the recording: shorter ones are narrower than a
+line."""
 
 REASONS = ('motion', 'stuck')
-"""Reasons for which samples are left out; other reasons only separate two segments."""
+"""Reasons for which samples are left out: motion, or an axis that repeats one value. Other reasons
+only separate two segments."""
 
 
 class LeftOut(NamedTuple):
-    """Samples that are not used, from ``start`` to ``end`` in s.
+    """A period from ``start`` to ``end`` in s without used samples.
 
-    ``why`` is 'motion', 'stuck', or '' for warm-up, another rate or several reasons.
+    ``why`` is 'motion', 'stuck' (an axis repeats one value), or '' for any other reason, such as
+    warm-up, and for several reasons.
     """
 
     start: float
@@ -192,23 +196,23 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalTemperature:
-    """Temperature over time; NaN separates recordings."""
+    """Temperature over the time axis of a `SignalSummary`; NaN separates recordings."""
 
     source: str  # topic or column; several if recordings differ
-    time_s: Floats  # times as in the summary, (n,)
-    celsius: Floats
+    time_s: Floats  # s, (n,)
+    celsius: Floats  # degC, (n,)
 
 
 @dataclass(frozen=True)
 class SignalSummary:
-    """Signals of all recordings, one after the other."""
+    """Signals of all recordings on one time axis, on which they directly follow one another."""
 
-    time_s: Floats  # start of each bin since the first sample of all recordings, (bins,)
+    time_s: Floats  # start of each bin in s since the first sample of the first recording, (bins,)
     # lowest sample, SI, (bins, 6); NaN at the start of a recording or without the sensor
     low: Floats
     high: Floats
     used: NDArray[np.bool_]  # whether all samples of the bin are used, (bins,)
-    middle: Floats  # median of the signal, (6,)
+    middle: Floats  # median of the signal, SI, (6,)
     left_out: tuple[LeftOut, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
     starts: tuple[float, ...]  # of each recording in s
@@ -217,9 +221,9 @@ class SignalSummary:
 
     @property
     def reach(self) -> Floats:
-        """Largest distance of used samples from their middle, (6,), SI; 1 without samples.
+        """Largest distance of a used sample from ``middle``, (6,), SI; 1 for an absent axis.
 
-        Excluded knocks are ignored; they may exceed the plot.
+        If no bin is used, all samples count.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):
@@ -236,10 +240,11 @@ def summarize_signal(
     cuts: Mapping[str, int] | None = None,
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of the signals in about ``bins`` bins, or None if none has two bins.
+    """Return the summary of all recordings in about ``bins`` bins, or None if none has two bins.
 
-    There is one signal, and one temperature or None, per recording. ``cuts`` counts the reasons for
-    which segments ended; it determines why the last one ended.
+    ``signals`` has the signal, and ``temperatures`` the temperature or None, of each recording.
+    ``segments`` are the used parts of all recordings. ``cuts`` maps the reason for the end of a
+    segment to the number of these segments; it tells why samples after the last one are not used.
     """
     temperatures = temperatures or [None] * len(signals)
     known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -286,7 +291,7 @@ def _recording(
     at = np.flatnonzero(steps > GAP * usual)
     holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
     first_ns = int(signal.start_ns[0])
-    outside = list(_left_out(_counted(segments, first_ns, length), holes, length, cuts))
+    outside = list(_left_out(_segment_times(segments, first_ns, length), holes, length, cuts))
     used = np.ones(len(time), bool)
     for out in outside:
         used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
@@ -312,10 +317,10 @@ def _recording(
     return summary, length
 
 
-def _counted(
+def _segment_times(
     segments: Sequence[Segment], first_ns: int, length: float
 ) -> list[tuple[float, float, str]]:
-    """Return start, end and reason of the end of the segments of one recording, in s since its
+    """Return (start, end, reason of the end) of the segments within one recording, in s since its
     first sample.
     """
     seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
@@ -328,22 +333,22 @@ def _left_out(
     length: float,
     cuts: Mapping[str, int],
 ) -> Iterator[LeftOut]:
-    """Yield the parts between the segments of one recording that are not gaps, with the reasons."""
+    """Yield the periods of one recording that are neither in a segment nor in a gap."""
     if not counted:
         return
     ends = {reason for reason in REASONS if cuts.get(reason)}
     last = ends.pop() if len(ends) == 1 else ''
     before = 0.0
     for start, end, cut in [*sorted(counted), (length, length, last)]:
-        for part in _without((before, start), holes) if start > before else ():
+        for part in _subtracted((before, start), holes) if start > before else ():
             yield LeftOut(*part, cut if cut in REASONS else '')
         before = max(before, end)
 
 
-def _without(
+def _subtracted(
     interval: tuple[float, float], others: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float]]:
-    """Return the parts of an interval that the other intervals do not cover."""
+    """Return an interval minus other intervals, as a list of intervals."""
     left = [interval]
     for low, high in others:
         parts = [
@@ -356,7 +361,11 @@ def _without(
 def _temperature(
     trace: TemperatureTrace, first_ns: int, length: float, offset: float
 ) -> SignalTemperature | None:
-    """Return the readings taken during one recording, by the first of its clocks that matches."""
+    """Return the readings during one recording; None for fewer than two.
+
+    The header times are used, or the record times if fewer than two header times are within the
+    recording.
+    """
     for stamps in (trace.header_ns, trace.record_ns):
         time = np.asarray((stamps - first_ns) * 1e-9, float)
         inside = (time >= 0.0) & (time <= length)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on an IMU, and its summary as text or HTML table, for all outputs."""
+"""The verdict on an IMU, its sentences for all outputs, and the summary of results as text."""
 
 from __future__ import annotations
 
@@ -28,26 +28,28 @@ WORDS: dict[Level, str] = {
     'unknown': 'Not judged',
     'failed': 'Failed',
 }
-"""Level -> its text."""
+"""Level of a verdict -> its text."""
 
 SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
-"""Findings that indicate a broken sensor even if nothing could be measured."""
+"""Ids of findings that indicate a broken sensor."""
 
 TOO_SHORT_S = 20.0
 """Time at rest in s below which no verdict is given."""
 
 ALIKE = 1.15
-"""Largest ratio of the white noise of two axes that agree: the typical scatter between units."""
+"""Ratio of the white noise of two axes above which a sentence names the difference. Smaller ratios
+are common between units of one model."""
 
 ODD_AXIS = 2.0
-"""Ratio above which an axis is suspicious; the third axis of many accelerometers reaches 1.5."""
+"""Ratio of the white noise of two axes above which the noisier axis should be checked; the z axis
+of many accelerometers reaches 1.5."""
 
 CHANGES_NUMBERS = ('settled_part',)
-"""Notes that come first, because they state which part of the data was used."""
+"""Ids of notes that are always shown, first: they state which part of the data was used."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
-"""Findings whose remedy is not a next step: they need no action, or only a longer recording, for
-which there is a separate step."""
+"""Ids of findings whose remedy is not a next step: they need no action, or only a longer recording,
+which is a separate step."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ class Verdict:
     Attributes
     ----------
     level : 'healthy', 'attention', 'unknown' or 'failed'
-        'unknown' if nothing could be measured, or there is nothing to compare with.
+        'attention' for a warning; 'unknown' if nothing could be measured, or there is nothing to
+        compare with.
     summary : str
         One sentence.
     reasons : tuple of str
@@ -79,17 +82,21 @@ class Verdict:
 def verdict_of(
     results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'datasheet'
 ) -> Verdict:
-    """Return the verdict on an IMU and its record; by default from its own comparisons."""
+    """Return the verdict on the IMU of the results.
+
+    ``comparisons`` are those with a datasheet and with earlier runs, by default those in the
+    results. ``units`` of the summary is 'datasheet' or 'si'.
+    """
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
     summary = _summary(level, results, comparisons, units)
-    reasons = (*_axes_alike(results), *_duration(results), *_warnings(results))
+    reasons = (*_axis_differences(results), *_resolved_terms(results), *_warnings(results))
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
     return Verdict(level, summary, reasons, steps)
 
 
 def measured(results: Results) -> bool:
-    """Return whether any coefficient of any axis is resolved."""
+    """Return whether any coefficient of any axis has a value."""
     return any(
         c.value is not None and c.status == 'estimated'
         for axis in results.axes.values()
@@ -105,30 +112,28 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
         return 'unknown'
     if 'beyond' in {c.verdict for c in comparisons}:
         return 'failed'
-    if 'error' in severities or not _judged(comparisons):
+    if 'error' in severities or not _within_limits(comparisons):
         return 'unknown'
     return 'attention' if 'warning' in severities else 'healthy'
 
 
 def too_short(results: Results) -> bool:
-    """Return whether there is too little data at rest to judge the IMU, or the fit."""
+    """Return whether there is too little data at rest for a verdict."""
     return not measured(results) or results.duration_s < TOO_SHORT_S
 
 
-def _judged(comparisons: Sequence[Comparison]) -> bool:
-    """Return whether N, which is resolved first, is within all its limits.
-
-    Without any limit of N, all other stated numbers must be within their limits.
-    """
-    asked = [c for c in comparisons if c.term == 'N'] or list(comparisons)
-    return bool(asked) and all(c.verdict == 'within' for c in asked)
+def _within_limits(comparisons: Sequence[Comparison]) -> bool:
+    """Return whether every N is within its limit; if no N has a limit, every other number."""
+    # the other terms often need a longer recording
+    required = [c for c in comparisons if c.term == 'N'] or comparisons
+    return bool(required) and all(c.verdict == 'within' for c in required)
 
 
 def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     beyond = [c for c in comparisons if c.verdict == 'beyond']
     if beyond and not too_short(results):
-        return f'Above {_references(beyond)}: {_and(list(_excesses(results, beyond, units)))}.'
+        return f'Above {_references(beyond)}: {_joined(list(_excesses(results, beyond, units)))}.'
     if faults:
         return finding_text(faults[0], results)
     if not measured(results):
@@ -148,16 +153,16 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
     named = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
     return (
         f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
-        f'{_references(comparisons)}, none is above; not settled: {_and(named)}.'
+        f'{_references(comparisons)}, none is above; not settled: {_joined(named)}.'
     )
 
 
 def _references(comparisons: Sequence[Comparison]) -> str:
-    return _and(list(dict.fromkeys(c.reference for c in comparisons)))
+    return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
 
 
 def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
-    """Yield the excess of the numbers of each sensor and term over each limit."""
+    """Yield a phrase for each term of each sensor: the axes above the limit, and by what factor."""
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
         groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
@@ -172,8 +177,8 @@ def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Ite
         yield f'{what} of {where} (at least {" to ".join(times)} times {shown})'
 
 
-def _axes_alike(results: Results) -> Iterator[str]:
-    """Yield a sentence on the agreement of the white noise of the axes of each sensor."""
+def _axis_differences(results: Results) -> Iterator[str]:
+    """Yield a sentence for each sensor whose axes differ in white noise."""
     for sensor, where in SENSORS.items():
         known = {
             axis: c.value
@@ -198,8 +203,8 @@ def _axes_alike(results: Results) -> Iterator[str]:
             )
 
 
-def _duration(results: Results) -> Iterator[str]:
-    """Yield a sentence on the terms that the length of the record resolves."""
+def _resolved_terms(results: Results) -> Iterator[str]:
+    """Yield a sentence with the resolved terms and the number of their axes."""
     axes = results.axes
     if not measured(results):
         return
@@ -210,7 +215,7 @@ def _duration(results: Results) -> Iterator[str]:
         term: sum(axis.fit.noise[term].status == 'estimated' for axis in axes.values())
         for term in ADVISED_TERMS
     }
-    resolved = _and([f'{term} on {count} of {len(axes)} axes' for term, count in counts.items()])
+    resolved = _joined([f'{term} on {count} of {len(axes)} axes' for term, count in counts.items()])
     if set(counts.values()) == {len(axes)}:
         resolved = 'N, B and K on every axis'
     yield f'{duration_text(results.duration_s, 3)} at rest resolve {resolved}.'
@@ -224,7 +229,10 @@ def _warnings(results: Results) -> Iterator[str]:
 
 
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
-    """Return the recommended length of a record and the terms it resolves, or None."""
+    """Return the recommended length of a recording in s and the terms it resolves.
+
+    None if no longer recording is needed, or the method gives no intervals.
+    """
     if results.method != 'gls':
         return None
     longest = max((s.duration_s for s in results.provenance.segments), default=0.0)
@@ -252,7 +260,7 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
     if advice is not None:
         seconds, terms = advice
         time = duration_text(seconds)
-        yield f'Record {time} at rest, warmed up, to resolve or bound {_and(terms)}.'
+        yield f'Record {time} at rest, warmed up, to resolve or bound {_joined(terms)}.'
     elif too_short(results) and level == 'unknown' and not remedies:
         yield 'Record at least a minute at rest.'
     if not comparisons and measured(results):
@@ -262,9 +270,9 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
-    """Return one finding for each cause: first the findings that are always shown, then the others.
+    """Return the findings that are always shown, and the other notes, each for all its axes.
 
-    Findings about the data that were used come first, then the most severe.
+    The first list begins with notes on the data that were used, then has the most severe first.
     """
     found = grouped(results.findings)
     notes = [f for f in found if f.severity == 'info' and f.id not in CHANGES_NUMBERS]
@@ -273,8 +281,7 @@ def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
 
 
 def finding_text(finding: Finding, results: Results) -> str:
-    """Return the message of a finding after the names of its axes (or its sensor, for all
-    three)."""
+    """Return the message of a finding after its axes: 'gyro x, accel: Vibration at ...'."""
     where = f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
     return where + finding.message
 
@@ -284,7 +291,7 @@ def _axis(axis: str) -> str:
 
 
 def _axes_text(axes: Sequence[str], results: Results) -> str:
-    """Return the names of the axes, or of the sensor if all its axes are given."""
+    """Return the names of axes: 'gyro x', 'gyro' for all its axes, or 'all axes'."""
     if set(axes) >= set(results.axes):
         return 'all axes'
     words: list[str] = []
@@ -295,15 +302,15 @@ def _axes_text(axes: Sequence[str], results: Results) -> str:
     return ', '.join(words)
 
 
-def _and(words: Sequence[str]) -> str:
+def _joined(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} and {words[-1]}'
 
 
 IN_SUMMARY = ('N', 'B', 'K')
-"""Terms of the text summary, which filters use."""
+"""Terms of the text summary: those that filters use."""
 
 REPORTED_LEFT_OUT = 0.01
-"""Smallest fraction of unused samples that the headline reports."""
+"""Fraction of unused samples above which the number of received samples is shown."""
 
 
 def used_samples(results: Results) -> str:
@@ -314,7 +321,7 @@ def used_samples(results: Results) -> str:
 
 
 def headline(results: Results) -> str:
-    """Return one line: the IMU, the number of samples, and the time at rest."""
+    """Return one line: name of the IMU, number and rate of samples, time at rest, and method."""
     name = results.identity.label or 'IMU'
     return (
         f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '
@@ -324,7 +331,7 @@ def headline(results: Results) -> str:
 
 
 def summary_lines(results: Results) -> Iterator[str]:
-    """Yield a headline, N, B and K of each axis, and the warnings."""
+    """Yield the lines of a text summary: headline, N, B and K of each axis, warnings, errors."""
     yield headline(results)
     for name, axis in results.axes.items():
         cells = []
@@ -332,17 +339,17 @@ def summary_lines(results: Results) -> Iterator[str]:
             unit = shown_unit(name, term, 'datasheet')
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
-    for each in _pressing(results):
+    for each in _warnings_and_errors(results):
         yield f'  {each.severity}: {each}'
 
 
 def html_summary(results: Results) -> str:
-    """Return the coefficients as an HTML table, with the verdict and the warnings."""
+    """Return the verdict, all coefficients and the warnings as HTML, for a notebook."""
     head = ''.join(f'<th>{term}</th>' for term in TERMS)
     rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
     notes = ''.join(
         f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
-        for each in _pressing(results)
+        for each in _warnings_and_errors(results)
     )
     verdict = results.verdict
     return (
@@ -364,5 +371,5 @@ def _html_row(name: str, axis: AxisResult) -> str:
     return f'<tr><th>{escape(name)}</th>{cells}</tr>'
 
 
-def _pressing(results: Results) -> list[Finding]:
+def _warnings_and_errors(results: Results) -> list[Finding]:
     return [each for each in results.findings if each.severity != 'info']

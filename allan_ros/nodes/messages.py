@@ -304,8 +304,12 @@ class AllanPlot:
 
 def _draw(results: Results, sensors: list[str]) -> Pictures:
     """Return sensor -> PNG, for the sensors in the results."""
-    from ..io.plot_layout import to_png
+    from ..io.plot_layout import render_figure
     from ..io.plots import sensor_figure
 
     figures = {sensor: sensor_figure(results, sensor) for sensor in sensors}
-    return {sensor: to_png(figure) for sensor, figure in figures.items() if figure is not None}
+    return {
+        sensor: render_figure(figure, 'png')
+        for sensor, figure in figures.items()
+        if figure is not None
+    }

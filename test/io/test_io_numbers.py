@@ -19,7 +19,7 @@ from allan_ros.io.documents import (
 )
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.files import parse_json, to_json
-from allan_ros.io.plot_layout import to_png
+from allan_ros.io.plot_layout import render_figure
 from allan_ros.io.plots import sensor_figure
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyse_sums
@@ -70,4 +70,4 @@ def test_findings_and_pictures_need_no_excuse(results: Results) -> None:
         warnings.simplefilter('error', RuntimeWarning)
         for sensor in ('gyro', 'accel'):
             figure = sensor_figure(results, sensor)
-            assert figure is not None and to_png(figure)
+            assert figure is not None and render_figure(figure, 'png')

@@ -14,7 +14,7 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.health import Segment
-from allan_ros.io.plot_layout import ticks, to_form, to_png
+from allan_ros.io.plot_layout import render_figure, ticks
 from allan_ros.io.plot_style import PictureSettings, load_style
 from allan_ros.io.plots import sensor_figure
 from allan_ros.io.results import Results
@@ -33,7 +33,7 @@ def a_summary(recordings: int = 1) -> SignalSummary | None:
 def test_a_row_an_axis_and_the_signal_beside_it(small_results: Results) -> None:
     figure = sensor_figure(small_results, 'gyro', a_summary(2))
     assert len(figure.axes) == 6
-    assert to_png(figure).startswith(b'\x89PNG')
+    assert render_figure(figure, 'png').startswith(b'\x89PNG')
     assert len(sensor_figure(small_results, 'accel').axes) == 3
 
 
@@ -68,13 +68,13 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
     zero = np.zeros(len(axis.curve.m))
     flat = replace(axis, curve=replace(axis.curve, adev=zero, ci_low=zero, ci_high=zero))
     figure = sensor_figure(replace(small_results, axes={'gyro_x': flat}), 'gyro', a_summary())
-    assert to_png(figure)
+    assert render_figure(figure, 'png')
 
 
 def test_every_form_is_written_and_a_pdf_has_its_fonts_whole(small_results: Results) -> None:
     figure = sensor_figure(small_results, 'accel', a_summary())
-    assert to_form(figure, 'svg').startswith(b'<?xml')
-    pdf = to_form(figure, 'pdf')
+    assert render_figure(figure, 'svg').startswith(b'<?xml')
+    pdf = render_figure(figure, 'pdf')
     assert pdf.startswith(b'%PDF')
     assert b'/FontFile2' in pdf  # TrueType, type 42
     assert b'/Type3' not in pdf

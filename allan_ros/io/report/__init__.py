@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: verdict and headline numbers, findings, curves and tables in one file.
+"""The HTML report of an analysis in one file: verdict, findings, interactive charts and tables.
 
-The page makes no requests: its Content-Security-Policy forbids them. The policy also lists the
-scripts by their hashes, so that no text of a recording can run as a script.
+The page makes no network requests: its Content-Security-Policy forbids them. The policy permits
+only scripts with the listed hashes, so text of a recording cannot run as a script.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ SCRIPTS = (
     'other_charts.js',
     'page.js',
 )
-"""Script files of this folder, in their order in the page."""
+"""Script files in the order in which they run."""
 
 ICONS = {
     'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
@@ -69,27 +69,33 @@ ICONS = {
     'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
-"""Level -> symbol, which has the same meaning as the colour."""
+"""Level of the verdict -> SVG path of its symbol."""
 
 EARLIEST_S = 978_307_200
-"""2001-01-01. An earlier first stamp is not a date, but the time since a machine was started."""
+"""2001-01-01 in Unix time. Smaller first stamps count from the start of a machine and are not shown
+as a date."""
 
 FOLDED, STEPS = 3, 4
-"""Number of notes above which they are folded, and largest number of next steps that are shown."""
+"""Number of notes above which they are collapsed, and largest number of next steps."""
 
 
 @dataclass(frozen=True)
 class ReportContext:
-    """Additional content of the page besides the results."""
+    """Content of the report in addition to the results."""
 
     signal: SignalSummary | None = None
     spectra: Sequence[Spectrum] = ()
-    method: Mapping[str, str] = field(default_factory=dict)  # command that repeats the analysis
+    # rows of the table of the method, such as the command that repeats the analysis
+    method: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[str] = ()  # names of the files in the same folder
 
 
 def render_report(results: Results, context: ReportContext, units: str) -> str:
-    """Return the HTML of the report, which initially shows the given units."""
+    """Return the HTML of the report.
+
+    ``units`` selects the units that are shown at first, 'datasheet' or 'si'; a switch in the page
+    changes them. Charts without their data in ``context`` are omitted.
+    """
     name = results.identity.label or 'IMU'
     sensors = {
         sensor: axes
@@ -116,7 +122,7 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
     body += [
         '<section id="recording"><h2>Recording and method</h2>',
         f'<p class="files">Files in the same folder: {links}</p>' if links else '',
-        *background(results, {**context.method, 'fit': f'method {results.method}'}),
+        *_method_tables(results, {**context.method, 'fit': f'method {results.method}'}),
         '</section></main>',
         f'<footer>allan_ros {__version__}</footer>',
     ]
@@ -201,12 +207,13 @@ def _items(texts: Iterable[str]) -> str:
 
 
 def _text(text: str) -> str:
-    """Return the HTML of a sentence in both systems of units."""
+    """Return a sentence as HTML in both systems of units; the page shows one of them."""
     return in_units(lambda units: escape(text_in_units(text, units, typeset=True)))
 
 
-def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of inputs, sample counts and the settings needed to repeat the analysis."""
+def _method_tables(results: Results, method: Mapping[str, str]) -> Iterator[str]:
+    """Yield HTML tables of the inputs, of sample counts, and of everything needed to repeat the
+    analysis (``method`` adds rows)."""
     known, counts = results.provenance, results.provenance.counts
     inputs = {
         s.path: ', '.join(filter(None, (s.topic, s.type, s.storage, _size(Path(s.path)))))
@@ -228,14 +235,14 @@ def background(results: Results, method: Mapping[str, str]) -> Iterator[str]:
         'machine': f'{platform.system()} {platform.machine()}',
     }
     yield f'<h3>Inputs</h3>{_table(inputs)}<h3>Samples</h3>{_table(samples)}'
-    yield f'<h3>To repeat it</h3>{_table({**method, **versions})}'
+    yield f'<h3>How to repeat it</h3>{_table({**method, **versions})}'
     if known.settings:
         rows = {key: _value(value) for key, value in known.settings.items()}
-        yield f'<details><summary>Every setting ({len(rows)})</summary>{_table(rows)}</details>'
+        yield f'<details><summary>All settings ({len(rows)})</summary>{_table(rows)}</details>'
 
 
 def _size(path: Path) -> str:
-    """Return the size of an input, or '' if it no longer exists."""
+    """Return the size of a file or folder as text, or '' if it no longer exists."""
     try:
         files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
         return f'{sum(file.stat().st_size for file in files):,} bytes' if files else ''
@@ -262,7 +269,7 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def _findings_section(results: Results) -> Iterator[str]:
-    """Yield one block for each cause; many notes are folded."""
+    """Yield the findings as HTML; more than `FOLDED` notes are collapsed."""
     shown, notes = findings_and_notes(results)
     if not shown and not notes:
         return

@@ -263,7 +263,7 @@ const AllanChart = (() => {
     const heading = element('h3', {}, 'Allan deviation');
     const parts = element('span', {});
     const axisName = () => `Allan deviation σ(τ) [${unit()[0]}]`;
-    const tell = () => { parts.textContent = `Parts drawn: those of ${near.label}`; };
+    const tell = () => { parts.textContent = `Parts of the model are drawn for ${near.label}`; };
     const controls = element('div', { class: 'controls' });
     host.append(heading, controls);
     const u = Chart.create(host, {
@@ -305,7 +305,7 @@ const AllanChart = (() => {
     );
     const said = ['The strips above the chart show which part of the model dominates; crosses mark where coefficients are read. '];
     if (axes.some((a) => a.likely.length)) said.push('"?": likely but not resolved. ');
-    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: possible contribution of unresolved terms, up to their 95\u00a0% upper limits (dotted). ');
+    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: possible contribution of unresolved terms, up to the 95\u00a0% upper limits (dotted). ');
     host.append(element('p', { class: 'note' }, ...said, parts, element('span', { class: 'hint' }, ', the curve nearest to the cursor. Drag to zoom, double-click to go back'), '.'));
     tell();
     return {

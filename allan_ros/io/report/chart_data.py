@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data of the charts as plain values in SI, with the factors of the selectable units."""
+"""Data of the charts of the report as plain values in SI, with factors to the other units."""
 
 from __future__ import annotations
 
@@ -35,19 +35,20 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 CHART_DIGITS = 5
-"""Significant digits of a point of a chart: a tenth of a pixel on any screen."""
+"""Significant digits of a value in a chart, better than a tenth of a pixel on any screen."""
 
 MEANS = 129
-"""Largest number of means of a recording."""
+"""Largest number of points of one recording in the chart of the bias over time."""
 
 LONGEST_NOISE_S = 1.0
-"""Averaging times below this are candidates for the noise over time; the longest is shown."""
+"""Largest averaging time in s of the chart of the noise over time."""
 
 LEAST_COUNT, LEAST_POINTS = 16, 4
-"""Smallest number of differences of a period, and smallest number of points of a chart."""
+"""Smallest number of differences for an Allan deviation, and smallest number of points of a
+chart over time."""
 
 LEAST_RANGE_C = 0.5
-"""The bias is shown against the temperature if its range in degC is larger than this."""
+"""Temperature range in degC above which the bias is shown against the temperature."""
 
 
 def sensor_charts(
@@ -56,7 +57,11 @@ def sensor_charts(
     spectra: Sequence[Spectrum],
     summary: SignalSummary | None,
 ) -> dict[str, Any]:
-    """Return the chart data of one sensor."""
+    """Return the chart data of one sensor as a JSON object.
+
+    Without spectra, a summary of the signal, or sums in the results, the charts that need them are
+    missing.
+    """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
     return {
@@ -68,13 +73,13 @@ def sensor_charts(
         'references': [*_references(axes, results, tau)],
         'spectrum': _spectrum(axes, spectra),
         'signal': None if summary is None else _signal(axes, summary),
-        'courses': courses(results, sensor, summary),
+        'trends': trends(results, sensor, summary),
         'copy': {units: copies(results, list(axes), units) for units in SYSTEMS},
     }
 
 
 def rounded(values: ArrayLike, digits: int = CHART_DIGITS) -> list[float | None]:
-    """Return numbers with a number of significant digits; None for values that are not finite."""
+    """Return the values rounded to ``digits`` significant digits, None for NaN and infinity."""
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
 
@@ -82,8 +87,8 @@ def rounded(values: ArrayLike, digits: int = CHART_DIGITS) -> list[float | None]
 def to_script(data: object) -> str:
     """Return plain values as JSON that is safe inside a ``<script>`` element.
 
-    With ``<``, a frame_id could end the element, and the two line separators end a line in older
-    JavaScript. All of them only occur in JSON strings, where they are escaped.
+    A ``<`` in a frame_id could end the element, and two separators of Unicode end a line in older
+    JavaScript. They occur only in JSON strings, where they are escaped.
     """
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
     for character in '<>&\u2028\u2029':
@@ -92,7 +97,7 @@ def to_script(data: object) -> str:
 
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
-    """Return quantity of a chart -> its unit, and the factor from SI to this unit."""
+    """Return quantity -> [name of its unit, factor from SI to this unit]."""
     of = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_unit(sensor, 'signal', units),
@@ -103,7 +108,7 @@ def _units(sensor: str, units: str) -> dict[str, Any]:
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
-    """Return the curve, the fit and its parts of one axis at the averaging times of its sensor."""
+    """Return the curve, the model and its parts of one axis at the averaging times ``tau``."""
     shown: dict[str, Any] = {'name': name, 'label': name.rsplit('_', 1)[1]}
     curve = drawn_curve(axis)
     if curve is None or axis.curve is None:
@@ -140,7 +145,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 def _references(
     axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the curves of the datasheet and of each earlier run at the given averaging times."""
+    """Yield the curves of the datasheet and of each earlier run at the averaging times ``tau``."""
     stated = results.datasheet.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
         if results.datasheet and stated.get(name) and tau:
@@ -160,7 +165,8 @@ def _references(
 
 
 def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
-    """Return the root of the density of each axis, and that of its fit."""
+    """Return the measured and the modelled noise density (SI/sqrt(Hz)) of each axis; None if there
+    is no spectrum."""
     spectrum = next((s for s in spectra if set(axes) & set(s.axes)), None)
     if spectrum is None:
         return None
@@ -179,7 +185,7 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
-    """Return the raw signal of each axis, relative to its middle."""
+    """Return the raw signal of each axis relative to its median, and what is not used of it."""
     shown = []
     for name in axes:
         i = AXES.index(name)
@@ -226,18 +232,18 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     return 2.0 * density
 
 
-class Course(NamedTuple):
-    """Times in s, values (times, axes), and the averaging time of the values in s."""
+class Trend(NamedTuple):
+    """Values of all axes over time or over temperature."""
 
-    time: Floats
-    values: Floats
-    span: float
+    x: Floats  # time in s, or temperature in degC, (points,)
+    values: Floats  # SI, (points, axes)
+    span: float  # averaging time of the values in s
 
 
-def courses(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
+def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
     """Return the charts of bias and noise over time, and of the bias against temperature.
 
-    The summary defines the time axis of the page; without it, the recordings follow one another.
+    Times are those of ``summary``; without it, recordings directly follow one another.
     """
     where = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     known_sums = () if results.recorded is None else results.recorded.sums
@@ -259,7 +265,7 @@ def courses(results: Results, sensor: str, summary: SignalSummary | None) -> lis
         charts.append({**_document('bias', bias, names), 'white': white})
         against = _against_temperature(bias, summary)
         if against is not None:
-            slopes = rounded(np.polyfit(against.time, against.values, 1)[0])
+            slopes = rounded(np.polyfit(against.x, against.values, 1)[0])
             charts.append({**_document('temperature', against, names), 'slopes': slopes})
     if np.isfinite(noise.values).any(axis=1).sum() >= LEAST_POINTS:
         charts.append(_document('noise', noise, names))
@@ -267,7 +273,7 @@ def courses(results: Results, sensor: str, summary: SignalSummary | None) -> lis
 
 
 def _placed(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
-    """Return each recording with its start on the time axis in s, the earliest first."""
+    """Return the recordings in the order of time, each with its start on the time axis in s."""
     placed, end = [], 0.0
     for recording in sorted(sums.history.recordings, key=lambda r: r.start_ns):
         start = end
@@ -279,56 +285,56 @@ def _placed(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Record
     return placed
 
 
-def _bias(recording: Recording, start: float, tau0: float) -> Course:
-    """Return the means of cells in which more than half of the samples are used."""
+def _bias(recording: Recording, start: float, tau0: float) -> Trend:
+    """Return the means over equal stretches of time, NaN unless more than half of the samples are
+    used."""
     cells = recording.coarser(MEANS, recording.period_begin)
     span = cells.step * tau0
     known = cells.cell_samples[:, None] > cells.step / 2
     values = np.where(known, cells.cell_means + cells.reference, np.nan)
     middles = np.asarray((np.arange(len(values)) + 0.5) * span + start, float)
-    return Course(middles, values, span)
+    return Trend(middles, values, span)
 
 
-def _noise(recording: Recording, start: float, tau0: float) -> Course:
-    """Return the Allan deviation of every period, at the longest averaging time below
-    `LONGEST_NOISE_S`.
-    """
+def _noise(recording: Recording, start: float, tau0: float) -> Trend:
+    """Return the Allan deviation in each period of a recording at the longest averaging time up to
+    `LONGEST_NOISE_S`."""
     level = int(np.searchsorted(recording.level_m * tau0, LONGEST_NOISE_S, side='right')) - 1
     begins = recording.period_begin
     if level < 0 or not len(begins):
-        return Course(np.zeros(0), np.zeros((0, len(recording.reference))), 0.0)
+        return Trend(np.zeros(0), np.zeros((0, len(recording.reference))), 0.0)
     m, count = recording.level_m[level], recording.level_count[:, level]
     square = recording.level_sum_sq[:, level] / (2.0 * np.maximum(count, 1)[:, None])
     adev = np.where(count[:, None] >= LEAST_COUNT, np.sqrt(square) / m, np.nan)
     middles = np.asarray((begins + np.append(begins[1:], recording.length)) / 2.0, float)
-    return Course(middles * tau0 + start, adev, float(m * tau0))
+    return Trend(middles * tau0 + start, adev, float(m * tau0))
 
 
-def _joined(parts: Sequence[Course], columns: Sequence[int]) -> Course:
-    """Return columns of all recordings one after the other, separated by NaN."""
+def _joined(parts: Sequence[Trend], columns: Sequence[int]) -> Trend:
+    """Return some columns of all recordings one after the other, separated by NaN."""
     times, values = [np.zeros(0)], [np.zeros((0, len(columns)))]
     for part in parts:
-        if len(part.time):
-            times += [part.time, part.time[-1:] + 1e-3]
+        if len(part.x):
+            times += [part.x, part.x[-1:] + 1e-3]
             values += [part.values[:, columns], np.full((1, len(columns)), np.nan)]
     span = max((part.span for part in parts), default=0.0)
-    return Course(np.concatenate(times)[:-1], np.concatenate(values)[:-1], span)
+    return Trend(np.concatenate(times)[:-1], np.concatenate(values)[:-1], span)
 
 
-def _against_temperature(bias: Course, summary: SignalSummary | None) -> Course | None:
-    """Return the bias against temperature in degC; None if unknown or nearly constant."""
+def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | None:
+    """Return the bias over the temperature; None if it is unknown or nearly constant."""
     if summary is None or summary.temperature is None:
         return None
     trace = summary.temperature
     some = np.isfinite(trace.celsius)
-    celsius = np.interp(bias.time, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
+    celsius = np.interp(bias.x, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
     known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
     if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= LEAST_RANGE_C:
         return None
     order = np.argsort(celsius[known], kind='stable')
-    return Course(celsius[known][order], bias.values[known][order], bias.span)
+    return Trend(celsius[known][order], bias.values[known][order], bias.span)
 
 
-def _document(kind: str, course: Course, names: Sequence[str]) -> dict[str, Any]:
-    lines = [{'name': n, 'values': rounded(v)} for n, v in zip(names, course.values.T)]
-    return {'kind': kind, 'x': rounded(course.time), 'lines': lines, 'span': course.span}
+def _document(kind: str, trend: Trend, names: Sequence[str]) -> dict[str, Any]:
+    lines = [{'name': n, 'values': rounded(v)} for n, v in zip(names, trend.values.T)]
+    return {'kind': kind, 'x': rounded(trend.x), 'lines': lines, 'span': trend.span}

@@ -1,6 +1,6 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// The spectrum of one sensor and of its fit, and its raw signal with the excluded parts.
+// The noise density, raw signal and temperature of one sensor, and its bias and noise over time.
 'use strict';
 
 const OtherCharts = (() => {
@@ -60,7 +60,7 @@ const OtherCharts = (() => {
   const WHY = { motion: 'left out: the IMU moved', stuck: 'left out: an axis showed one value', '': 'left out' };
   const HATCHES = { motion: 'moved', stuck: 'bad', '': 'left-out' };
 
-  // Slanting lines: to the right where the IMU moved, to the left for any other reason.
+  // Slanting lines: rising to the right where the IMU moved, falling for any other reason.
   function hatch(context, from, to, top, height, why) {
     const ratio = devicePixelRatio;
     context.save();
@@ -151,9 +151,9 @@ const OtherCharts = (() => {
     });
     const said = ['Lowest and highest sample of each short interval.'];
     const reasons = new Set(leftOut.map(([, , why]) => why));
-    if (reasons.has('motion')) said.push('Hatched upwards: left out because the IMU moved.');
-    if (reasons.has('stuck')) said.push('Hatched downwards, red: left out because an axis repeated one value.');
-    if (reasons.has('')) said.push('Hatched downwards, grey: left out (warm-up, or another rate).');
+    if (reasons.has('motion')) said.push('Hatched to the upper right: left out because the IMU moved.');
+    if (reasons.has('stuck')) said.push('Hatched to the lower right, red: left out because an axis repeated one value.');
+    if (reasons.has('')) said.push('Hatched to the lower right, grey: left out (warm-up, or another rate).');
     if (gaps.length) said.push('Grey: no samples.');
     if (starts.length > 1) said.push('Vertical lines: start of the next recording.');
     inner.append(element('p', { class: 'note' }, said.join(' ')));
@@ -189,18 +189,18 @@ const OtherCharts = (() => {
       describe: (chart, i) => [[`${number(shownTime[i])} ${name}`, null], [`${number(temperatures.celsius[i])} °C`, null]],
     }, [shownTime, temperatures.celsius]);
     heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => 'Temperature', 'temperature'));
-    host.append(element('p', { class: 'note' }, `From ${temperatures.source}. It enters no number; a bias often follows it.`));
+    host.append(element('p', { class: 'note' }, `From ${temperatures.source}. It does not affect the results; a bias often follows it.`));
   }
 
-  const COURSES = {
+  const TRENDS = {
     bias: ['Bias over time', 'bias'],
     temperature: ['Bias against temperature', 'bias'],
     noise: ['Noise over time', 'deviation'],
   };
 
   // The bias or the noise of all axes over time, or over temperature as single points.
-  function course(host, sensor, units, data) {
-    const [title, what] = COURSES[data.kind];
+  function trend(host, sensor, units, data) {
+    const [title, what] = TRENDS[data.kind];
     const points = data.kind === 'temperature';
     const [scale, name] = points ? [1, '°C'] : clock(data.x);
     const x = data.x.map((v) => v / scale);
@@ -222,18 +222,18 @@ const OtherCharts = (() => {
       return `${known.map(([axis, v]) => `${axis} ${number(v * factor, 3)}`).join(', ')} ${of}`;
     };
     const notes = () => {
-      if (data.kind === 'noise') return `Allan deviation at ${number(data.span, 2)} s in each period: level if the noise is the same throughout.`;
-      const said = `Means of ${number(data.span, 3)} s at rest, less the mean of all.`;
+      if (data.kind === 'noise') return `Allan deviation at ${number(data.span, 2)} s in each period; it is constant if the noise does not change.`;
+      const said = `Averages over ${number(data.span, 3)} s at rest, minus their mean.`;
       if (data.kind === 'temperature') return `${said} Slope of a straight line, per °C: ${listed(data.slopes)}.`;
       if (data.white.every((v) => v === null)) return said;
-      return `${said} White noise alone keeps 95 % of them within ± ${listed(data.white)}.`;
+      return `${said} With white noise alone, 95 % of them lie within ± ${listed(data.white)}.`;
     };
     const heading = element('h3', {}, title);
     host.append(heading);
     const u = Chart.create(host, {
       label: `${title} of the ${sensor.sensor}; arrow keys move from point to point`,
       height: 230,
-      sync: points ? undefined : `course-${sensor.sensor}`,
+      sync: points ? undefined : `trend-${sensor.sensor}`,
       x: { label: points ? 'temperature [°C]' : `time [${name}]` },
       y: { full: rangeY, label: axisName() },
       series: data.lines.map((line) => ({
@@ -253,5 +253,5 @@ const OtherCharts = (() => {
     return { units(next) { system = next; note.textContent = notes(); u.axes[1].label = axisName(); u.setData(columns()); } };
   }
 
-  return { course, spectrum, signal, temperature };
+  return { trend, spectrum, signal, temperature };
 })();

@@ -20,7 +20,7 @@
         return made;
       };
       charts.push(AllanChart.create(place('allan', 'curve'), sensor, chosen()));
-      for (const course of sensor.courses) charts.push(OtherCharts.course(place('course', 'rest'), sensor, chosen(), course));
+      for (const trend of sensor.trends) charts.push(OtherCharts.trend(place('trend', 'rest'), sensor, chosen(), trend));
       if (sensor.spectrum) charts.push(OtherCharts.spectrum(place('spectrum', 'rest'), sensor, chosen()));
       if (sensor.signal) {
         const { time } = sensor.signal;

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of one sensor: coefficients, and comparisons with datasheets and earlier runs."""
+"""HTML tables of one sensor: coefficients, and comparisons with datasheets and earlier runs."""
 
 from __future__ import annotations
 
@@ -38,40 +38,47 @@ if TYPE_CHECKING:
 Axes = Mapping[str, AxisResult]
 
 Row = tuple[str, Iterable[str]]
-"""Heading of a row as HTML, and its ``<td>`` elements, one for each axis."""
+"""Heading of a row, and a ``<td>`` element for each axis, as HTML."""
 
 SYSTEMS = ('datasheet', 'si')
-"""The systems of units that the page offers."""
+"""Systems of units between which the page can switch."""
 
 WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
-"""Sensor -> quantities whose random walks are N and K in IEEE Std 952 and 1293."""
+"""Sensor -> quantities of which N and K are the random walks (IEEE Std 952 and 1293)."""
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
-"""Verdict -> symbol, which has the same meaning as word and colour."""
+"""Verdict on one limit -> its symbol."""
 
 ERRORS = {
     'gyro': {'datasheet': ShownUnit('°', 180.0 / math.pi), 'si': ShownUnit('rad', 1.0)},
     'accel': dict.fromkeys(SYSTEMS, ShownUnit('m/s', 1.0)),
 }
-"""Sensor -> system of units -> unit of the error that grows without correction."""
+"""Sensor -> system of units -> unit of the integrated error (an angle or a velocity)."""
 
 COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
-"""Columns of the table for spreadsheets."""
+"""Columns of the coefficients as tab-separated values."""
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return the HTML of both systems of units; the page shows the selected one."""
+    """Return HTML with a text in each system of units, of which the page shows one.
+
+    ``html_of`` returns the text for 'datasheet' or 'si'.
+    """
     return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
 
 
 def headline_table(sensor: str, axes: Axes) -> str:
-    """Return the small table of N, B and K for the verdict section."""
+    """Return an HTML table of N, B and K with one column per axis, without names of terms."""
     rows = _coefficient_rows(sensor, axes, ADVISED_TERMS, named=False)
     return _table('coefficients', axes, '', rows, f'<caption>{SENSOR_NAMES[sensor]}</caption>')
 
 
 def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[str]:
-    """Yield the table of the five terms, one column per axis; a note if no term is known."""
+    """Yield an HTML table of the five noise terms with one column per axis, and its notes.
+
+    ``deviations`` adds the largest deviation of each curve from the model. If there is neither a
+    value nor a limit of any term, only a note says so.
+    """
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
         yield _note('Nothing could be measured: neither a value nor a limit.')
@@ -103,7 +110,8 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
 
 
 def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
-    """Yield the predicted growth of the error, and the scatter of the bias between recordings."""
+    """Yield HTML of the predicted error of angle or velocity over time without correction, and of
+    the scatter of the bias between recordings."""
     rows: list[Row] = []
     for of_time in zip(*(axis.growth for axis in axes.values())):
         cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in of_time)
@@ -134,8 +142,10 @@ def _size(
     units: Mapping[str, ShownUnit],
     below: bool = False,
 ) -> str:
-    """Return a standard deviation with its interval, ``below`` it or on the same line before the
-    unit."""
+    """Return a standard deviation (SI) with its 95 % interval as HTML.
+
+    With ``below``, the interval is on a second line, and the unit is omitted.
+    """
     low, high = interval or (size, size)
 
     def shown(system: str) -> str:
@@ -153,7 +163,7 @@ def _size(
 
 
 def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) -> Iterator[str]:
-    """Yield the comparison with a datasheet; nothing if it has no figures of the sensor."""
+    """Yield an HTML table of the limits of a datasheet for this sensor; nothing without limits."""
     stated, notes = {}, []
     for term in TERMS:
         checks = [c for axis in axes if (c := comparison.of(axis, term)) is not None]
@@ -170,10 +180,10 @@ def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) ->
 def baseline_table(
     sensor: str, axes: Axes, name: str, baseline: Results, comparisons: Sequence[Comparison]
 ) -> Iterator[str]:
-    """Yield the comparison with an earlier run; nothing without common terms."""
+    """Yield an HTML table of the comparison with an earlier run; nothing without common terms."""
     notes = [
-        '"Within" is not significantly above the earlier run; "beyond" is significantly above it '
-        'and its margin.'
+        '"Within": not significantly above the earlier run. "Beyond": significantly above it, by '
+        'more than the margin.'
     ]
     heading = f'Compared with {escape(name)}'
     yield from _checks_table(heading, sensor, axes, comparisons, notes, {}, baseline)
@@ -188,7 +198,11 @@ def _checks_table(
     stated: Mapping[str, str],
     baseline: Results | None = None,
 ) -> Iterator[str]:
-    """Yield a table of comparisons with limits, and its notes; nothing without comparisons."""
+    """Yield an HTML table of comparisons with limits, and its notes; nothing without comparisons.
+
+    ``stated`` has an additional text for the heading of some terms. With ``baseline``, cells show
+    its values instead of the fraction of the limit.
+    """
     rows: list[Row] = []
     for term in TERMS:
         checks = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
@@ -206,7 +220,8 @@ def _checks_table(
 
 
 def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
-    """Return the value, its ratio to the limit or to the earlier value, and the verdict."""
+    """Return a cell with the value, the earlier value or the fraction of the limit, and the
+    verdict."""
     axis, term = check.axis, check.term
 
     def shown(c: Coefficient) -> str:
@@ -217,9 +232,9 @@ def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results |
     second = ''
     if baseline is not None:
         former = shown(baseline.axes[axis].fit.noise[term])
-        second = f'<small>then <span class="nowrap">{former}</span></small>'
+        second = f'<small>before: <span class="nowrap">{former}</span></small>'
     elif size:
-        share = f'{100.0 * size / check.limit:.0f}&nbsp;% of it'
+        share = f'{100.0 * size / check.limit:.0f}&nbsp;% of the limit'
         second = f'<small>{"" if resolved else "&lt; "}{share}</small>'
     return (
         f'<td>{shown(coefficient)}{second}<b class="mark {check.verdict}">'
@@ -230,7 +245,7 @@ def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results |
 def _coefficient_rows(
     sensor: str, axes: Axes, terms: Sequence[str], named: bool = True
 ) -> list[Row]:
-    """Return a row for each term with the value and the interval of each axis."""
+    """Return a row for each term with the values and 95 % intervals of all axes."""
 
     def cell(axis: str, term: str, c: Coefficient) -> str:
         def shown(units: str) -> str:
@@ -251,7 +266,7 @@ def _coefficient_rows(
 
 
 def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) -> str:
-    """Return the heading of a term's row; ``html`` replaces its name."""
+    """Return the heading of the row of a term: letter, unit, and name (or ``html`` instead)."""
     angle, rate = WALKS[sensor]
     names = {
         'Q': 'quantization',
@@ -271,7 +286,7 @@ def _comparison(caption: str, axes: Axes, rows: Sequence[Row], corner: str = 'te
 
 
 def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str = '') -> str:
-    """Return a table with one column per axis, with the letters of the axes as its header."""
+    """Return an HTML table with a column for each axis, headed x, y, z."""
     first = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
     head = ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes)
     body = ''.join(f'<tr><th scope="row">{th}</th>{"".join(cells)}</tr>' for th, cells in rows)
@@ -282,7 +297,7 @@ def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str
 
 
 def _ends(interval: str) -> str:
-    """Return an interval below its value; a narrow column breaks it only at its dots."""
+    """Return an interval as a second line, which can only be wrapped at its dots."""
     return f'<small>{interval.replace("..", "<wbr>..")}</small>' if interval else ''
 
 
@@ -295,9 +310,9 @@ def _letter(axis: str) -> str:
 
 
 def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
-    """Return the coefficients of some axes as tab-separated values, Markdown and YAML.
+    """Return the coefficients of some axes as text: name of a format (TSV, Markdown, YAML) -> text.
 
-    Units are in ASCII, so that the text can be pasted anywhere.
+    The units are in ASCII, for any editor.
     """
     lines, table = ['\t'.join(COLUMNS)], []
     tree: dict[str, dict[str, dict[str, object]]] = {}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.io.report.chart_data import courses
+from allan_ros.io.report.chart_data import trends
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalTemperature, summarize_signal
 
@@ -28,7 +28,7 @@ def drifting() -> Results:
 
 
 def test_bias_and_noise_are_shown_as_they_were(drifting: Results) -> None:
-    bias, noise = courses(drifting, 'gyro', None)
+    bias, noise = trends(drifting, 'gyro', None)
     assert [line['name'] for line in bias['lines']] == ['gyro_x', 'gyro_y', 'gyro_z']
     means = np.array(bias['lines'][0]['values'], float)  # NaN where a cell has few samples
     known = np.isfinite(means)
@@ -52,12 +52,12 @@ def test_a_recorded_temperature_gives_the_slope_of_the_bias(drifting: Results) -
     time = np.array([0.0, SECONDS])
     heated = SignalTemperature('/temp', time, 20.0 + time / 60.0)  # a degree a minute
     summary = replace(summary, temperature=heated)
-    kinds = {course['kind']: course for course in courses(drifting, 'gyro', summary)}
+    kinds = {trend['kind']: trend for trend in trends(drifting, 'gyro', summary)}
     assert list(kinds) == ['bias', 'temperature', 'noise']
     assert kinds['temperature']['x'] == sorted(kinds['temperature']['x'])
     assert kinds['temperature']['slopes'][0] == pytest.approx(60.0 * DRIFT, rel=0.02)
 
 
-def test_results_without_sums_have_no_courses(drifting: Results) -> None:
-    assert courses(replace(drifting, recorded=None), 'gyro', None) == []
-    assert courses(drifting, 'accel', None) == []
+def test_results_without_sums_have_no_trends(drifting: Results) -> None:
+    assert trends(replace(drifting, recorded=None), 'gyro', None) == []
+    assert trends(drifting, 'accel', None) == []
