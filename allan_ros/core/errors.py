@@ -1,17 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The base error of the package; its message states the problem, the place and the remedy."""
+"""The error class of the package, and text that is safe to print."""
 
 SHOWN_START, SHOWN_END = 1500, 500
-"""Number of characters that are kept at the start and the end of a longer line: the place and the
-remedy."""
+"""Number of characters that are kept at the start and at the end of a line that is too long."""
 
 
 def one_line(text: str) -> str:
     """Return the text as one line of limited length that is safe to print.
 
-    It may contain names from files and messages that are not trusted. A character that is not
-    printable is written as its escape, such as ``\\x1b``.
+    The text may contain names from files and messages that are not trusted. A character that is
+    not printable is replaced by its escape sequence, such as ``\\x1b``, and the middle of a long
+    text is left out.
     """
     if not text.isprintable():
         text = ''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)
@@ -24,7 +24,7 @@ class AllanError(Exception):
     """An error that a user can fix: the only exception that the package raises on purpose.
 
     The message is one line with the cause, the numbers and the next step. The command line and
-    the nodes catch it in one place and show it without a traceback.
+    the nodes print it without a traceback.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dataclasses to JSON values (`plain`), and JSON objects read strictly (`Fields`).
+"""Convert dataclasses to JSON values (`plain`), and read JSON objects strictly (`Fields`).
 
-Documents are not trusted: every value and every length has a bound.
+Documents are not trusted, so the type and the size of every value are checked.
 """
 
 from __future__ import annotations
@@ -29,22 +29,19 @@ MAX_FLOAT = 1e150
 """Largest magnitude of numbers: the square is a finite float64."""
 
 MAX_TEXT = 100_000
-"""Longest text in characters; the reader of a name sets a smaller bound."""
+"""Longest text in characters, unless a smaller limit is given for a key."""
 
 MAX_ITEMS = 1_000_000
-"""Longest list; the reader of a list of known length sets a smaller bound."""
+"""Longest list, unless a smaller limit is given for a key."""
 
 _REQUIRED = object()
 
-NO_NAMES: Mapping[str, str] = {}
-"""Field of a record -> its key, for documents that use the names of the fields."""
 
+def plain(value: Any, names: Mapping[str, str] = {}) -> Any:
+    """Convert dataclasses, named tuples, mappings, sequences and arrays to JSON values.
 
-def plain(value: Any, names: Mapping[str, str] = NO_NAMES) -> Any:
-    """Return dataclasses, named tuples, mappings, sequences and arrays as JSON values.
-
-    Numbers that are not finite become None. ``names`` maps fields to keys that differ from the
-    field name.
+    NaN and infinity become None. ``names`` maps the name of a field to its key in the document,
+    where these differ.
     """
     if dataclasses.is_dataclass(value):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
@@ -61,7 +58,7 @@ def plain(value: Any, names: Mapping[str, str] = NO_NAMES) -> Any:
 
 @contextmanager
 def located(where: str) -> Iterator[None]:
-    """Prepend the place to the message of an `AllanError`."""
+    """Prepend ``where``, such as a file and key, to the message of an `AllanError` in the block."""
     try:
         yield
     except AllanError as error:
@@ -69,10 +66,21 @@ def located(where: str) -> Iterator[None]:
 
 
 class Fields:
-    """The fields of one JSON object; every getter raises `AllanError` that names the position.
+    """One JSON object, whose values are checked when they are read.
 
-    Numbers of a `record` are 0 or above, except under the keys ``signed``. ``names`` maps its
-    fields to keys that differ from the field name.
+    Every method that reads a value raises AllanError if it is missing, of another type or out of
+    range. The message states its position in the document.
+
+    Parameters
+    ----------
+    document : object
+        The parsed JSON value; AllanError is raised if it is not an object.
+    where : str
+        Name of the document or position in it, for messages.
+    signed : collection of str
+        Keys of numbers that may be negative when they are read by `typed` or `record`.
+    names : mapping of str to str
+        Name of a field of a dataclass -> its key in the document, where these differ.
     """
 
     def __init__(
@@ -80,12 +88,12 @@ class Fields:
         document: object,
         where: str,
         signed: Collection[str] = (),
-        names: Mapping[str, str] = NO_NAMES,
+        names: Mapping[str, str] = {},
     ) -> None:
         if not isinstance(document, dict):
             raise AllanError(f'{where}: a JSON object is expected, not {_shown(document)}')
         self._document: dict[str, Any] = document
-        self._of_records = signed, names
+        self._record_rules = signed, names
         self.where = where
 
     def __iter__(self) -> Iterator[str]:
@@ -95,7 +103,7 @@ class Fields:
         return key in self._document
 
     def schema(self, expected: str) -> None:
-        """Reject a document with another kind or version."""
+        """Raise AllanError unless the key ``schema`` has the expected value."""
         found = self._document.get('schema')
         if found != expected:
             raise AllanError(
@@ -104,7 +112,7 @@ class Fields:
             )
 
     def only(self, *known: str) -> None:
-        """Reject an object with any other key."""
+        """Raise AllanError if the object has a key other than the known ones."""
         for key in self:
             if key not in known:
                 raise AllanError(f'{self.where}: {key!r:.40} is unknown, use {", ".join(known)}')
@@ -134,7 +142,7 @@ class Fields:
         return value
 
     def quantity(self, unit: str) -> float:
-        """Return a ``{value, unit}`` object converted to another unit."""
+        """Return the number of an object ``{value, unit}``, converted to the SI unit ``unit``."""
         value, stated = self.number('value'), self.text('unit')
         with located(self.where):
             return to_si(value, stated, unit)
@@ -161,7 +169,7 @@ class Fields:
     def table(
         self, key: str, rows: int, columns: int, least: float = -MAX_FLOAT
     ) -> NDArray[np.float64]:
-        """Return a (rows, columns) table of finite numbers of at least ``least``."""
+        """Return a list of lists as an array of finite numbers, (rows, columns)."""
         value = self.sequence(key, rows)
         regular = len(value) == rows and all(
             isinstance(row, list)
@@ -188,37 +196,38 @@ class Fields:
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:
-        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', *self._of_records)
+        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', *self._record_rules)
 
     def optional_fields(self, key: str) -> Fields | None:
         return None if self._document.get(key) is None else self.fields(key)
 
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
         for i, item in enumerate(self.sequence(key, most)):
-            yield Fields(item, f'{self.where}.{key}[{i}]', *self._of_records)
+            yield Fields(item, f'{self.where}.{key}[{i}]', *self._record_rules)
 
     def record(self, kind: type[T], **known: Any) -> T:
-        """Return a dataclass or named tuple whose fields are keys of this object.
+        """Return a dataclass or named tuple whose fields are the keys of this object.
 
-        Fields in ``known`` have the given values and are not read; for the other fields see `of`.
+        Each field is read as its annotated type. Fields in ``known`` are not read but get the given
+        values, and fields with a default may be missing.
         """
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for name, hint in _hints(kind).items():  # type: ignore[arg-type]
-            key = name if name in self else self._of_records[1].get(name, name)
+            key = name if name in self else self._record_rules[1].get(name, name)
             if name not in known and (key in self or name not in defaults):
-                known[name] = self.of(key, hint)
+                known[name] = self.typed(key, hint)
         return kind(**known)
 
-    def of(self, key: str, hint: Any) -> Any:
-        """Return the value of a key as the given type.
+    def typed(self, key: str, hint: Any) -> Any:
+        """Return the value of a key as the type of an annotation.
 
-        Possible types are a text, a number, (low, high), a literal, an array, a dataclass or named
-        tuple, a tuple of texts or records, or an optional one of these.
+        Possible types are str, int, float, a pair of floats, Literal, an array, a dataclass or
+        named tuple, a tuple of strings or of dataclasses, and each of these or None.
         """
         origin, args = get_origin(hint), get_args(hint)
-        least = -MAX_FLOAT if key in self._of_records[0] else 0.0
+        least = -MAX_FLOAT if key in self._record_rules[0] else 0.0
         if type(None) in args:
-            return None if self._document.get(key) is None else self.of(key, args[0])
+            return None if self._document.get(key) is None else self.typed(key, args[0])
         if origin is Literal:
             return self.choice(key, args)
         if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, NDArray is a type itself

@@ -18,7 +18,7 @@ AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'ac
 """The axes, in the order of the last dimension of every six-axis array."""
 
 SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
-"""The axes of each sensor among `AXES`."""
+"""Sensor -> slice of its axes in `AXES`."""
 
 LARGEST = 1e30
 """Largest magnitude of a sample: no IMU measures larger values, and their squares, summed over
@@ -101,6 +101,7 @@ def joined(batches: Sequence[ImuBatch]) -> ImuBatch:
 
 
 DEGREE = math.pi / 180.0
+"""One degree in rad."""
 
 HOUR = 3600.0
 """Seconds in an hour."""
@@ -112,10 +113,11 @@ STANDARD_GRAVITY = 9.80665
 """In m/s^2 (BIPM, The International System of Units, 9th ed., 2019)."""
 
 MICRO_G = STANDARD_GRAVITY * 1e-6
+"""One millionth of standard gravity in m/s^2."""
 
 
 class Unit(NamedTuple):
-    """The SI unit to which a unit is converted, and the conversion factor."""
+    """A unit: the SI unit of its quantity, and the factor that converts a value to it."""
 
     si: str
     factor: float
@@ -137,7 +139,7 @@ SI_UNITS = {
         'R': 'm/s^3',
     },
 }
-"""Sensor -> term -> SI unit. The deviation has the unit of B."""
+"""Sensor -> term -> SI unit. The Allan deviation has the unit of B."""
 
 DATASHEET_UNITS = {
     'gyro': {'Q': 'urad', 'N': 'deg/sqrt(h)', 'B': 'deg/h', 'K': 'deg/h^1.5', 'R': 'deg/h^2'},
@@ -184,7 +186,7 @@ UNITS = {
     'm/s^3': Unit('m/s^3', 1.0),
     'ug/h': Unit('m/s^3', MICRO_G / HOUR),
 }
-"""All known units."""
+"""Name of a unit -> its SI unit and factor."""
 
 SAMPLE_SI = {sensor: units['B'] for sensor, units in SI_UNITS.items()}
 """Sensor -> SI unit of its samples."""
@@ -200,7 +202,7 @@ STAMP_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 
 
 def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
-    """Return stamps in ns of ``count`` samples at ``rate`` Hz, from sample ``first`` on."""
+    """Return the stamps in ns of the samples ``first`` to ``first + count - 1`` at ``rate`` Hz."""
     stamps: NDArray[np.int64] = np.rint(np.arange(first, first + count) * (1e9 / rate)).astype(
         np.int64
     )
@@ -213,21 +215,21 @@ def sensor_of(axis: str) -> str:
 
 
 def to_datasheet(term: str, sensor: str, value: float) -> tuple[float, str]:
-    """Return an SI coefficient in the unit of datasheets, and this unit."""
+    """Convert a coefficient from SI to the unit of datasheets; return the value and the unit."""
     unit = DATASHEET_UNITS[sensor][term]
     return value / UNITS[unit].factor, unit
 
 
 def from_datasheet(term: str, sensor: str, value: float) -> float:
-    """Return the SI value of a coefficient in the unit of datasheets."""
+    """Convert a coefficient from the unit of datasheets to SI."""
     return value * UNITS[DATASHEET_UNITS[sensor][term]].factor
 
 
 def to_si(value: float, unit: str, si: str) -> float:
-    """Return a value in the SI unit ``si``.
+    """Convert a value in ``unit`` to the SI unit ``si``.
 
-    Raises AllanError, which lists the possible units, if the unit is unknown or of another
-    quantity.
+    Raises AllanError if the unit is unknown or of another quantity; the message lists the possible
+    units.
     """
     known = UNITS.get(unit)
     if known is None or known.si != si:
@@ -237,7 +239,7 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
-    """Return the factors to SI of the six axes, (6,)."""
+    """Return the factors that convert samples of the six axes from these units to SI, (6,)."""
     return np.repeat([UNITS[gyro_unit].factor, UNITS[accel_unit].factor], 3)
 
 

@@ -19,7 +19,11 @@ T = TypeVar('T')
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """Description of one setting."""
+    """Description of one setting.
+
+    ``doc`` is its help text. ``low`` and ``high`` are the smallest and largest value; None for no
+    limit. A ``read_only`` setting does not change while a node runs.
+    """
 
     doc: str
     unit: str = ''
@@ -28,9 +32,9 @@ class ParameterInfo:
     choices: tuple[str, ...] = ()
     read_only: bool = False
     auto: bool = False
-    """Whether the word 'auto' may be given; it is stored as `AUTO`."""
+    """Whether the text 'auto' may be given instead of a number; it is stored as `AUTO`."""
     off: str = ''
-    """Help text of the switch that turns a setting off."""
+    """Help text of the command-line option that turns the setting off; '' if there is none."""
 
 
 AUTO = -1.0
@@ -38,7 +42,11 @@ AUTO = -1.0
 
 
 def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
-    """Return a dataclass field with its default and `ParameterInfo` (limits: unit, low, high)."""
+    """Return a dataclass field with a default and a `ParameterInfo` as its metadata.
+
+    ``limits`` are unit, lowest and highest value, in this order; ``info`` are further fields of
+    `ParameterInfo`.
+    """
     return field(default=default, metadata={'info': ParameterInfo(doc, *limits, **info)})
 
 
@@ -47,12 +55,15 @@ fixed_parameter = partial(parameter, read_only=True)
 
 
 def describe(settings: Any) -> dict[str, ParameterInfo]:
-    """Return name -> info of every field of a settings class or instance, in order."""
+    """Return the name and the description of every setting of a settings class or instance."""
     return {f.name: f.metadata['info'] for f in fields(settings) if 'info' in f.metadata}
 
 
 def check(settings: Any) -> None:
-    """Check the types and ranges of the settings."""
+    """Raise AllanError unless every setting has the type of its default and lies in its range.
+
+    The text 'auto' is replaced by `AUTO` where it is allowed.
+    """
     defaults = {f.name: f.default for f in fields(settings)}
     for name, info in describe(settings).items():
         value = getattr(settings, name)
@@ -80,11 +91,14 @@ EXPECTED: dict[Any, str] = {
     LIST: 'a list',
     Integral: 'a whole number',
 }
-"""Type -> its name in messages; the first type that matches the default of a setting applies."""
+"""Type -> its name in messages. The type of a setting is the first one that matches its default."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
-    """Raise AllanError for the first value that is not of the given kind."""
+    """Raise AllanError for the first value that is not of the type, or types, ``kind``.
+
+    ``called`` describes the type in the message; it is needed if the type is not in `EXPECTED`.
+    """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             shown = one_line(repr(value))
@@ -101,8 +115,10 @@ def choose(choices: Collection[str], **values: object) -> None:
 
 
 def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Return settings from keyword arguments; for an unknown one, the error names the nearest
-    name."""
+    """Return a settings object of the class ``kind`` with the given values.
+
+    Raises AllanError for an unknown name; the message contains the most similar known one.
+    """
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     for name in given:
         if name not in known:
@@ -150,13 +166,14 @@ class SegmenterSettings(CheckedSettings):
     )
     motion_ratio: float = fixed_parameter(
         3.0,
-        'Standard deviation, in units of the noise floor, above which a window counts as motion.',
+        'Standard deviation of a short window, relative to the noise floor, above which the IMU is '
+        'considered moving.',
         low=1.5,
         high=100.0,
     )
     rate_limit: float = fixed_parameter(
         0.0087,
-        'Change of the mean angular rate that counts as turning (0.5 deg/s).',
+        'Change of the mean angular rate above which the IMU is considered turning (0.5 deg/s).',
         'rad/s',
         1e-5,
         10.0,

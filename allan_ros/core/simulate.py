@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated IMU recordings with known noise and `Faults`, and presets of sensors."""
+"""Simulation of IMU recordings with known noise and with faults."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .settings import CheckedSettings, parameter
 Floats = NDArray[np.float64]
 
 BATCH_SAMPLES = 32768
-"""Number of samples in one batch, so large that the cost per batch is negligible."""
+"""Number of samples in one batch."""
 
 ASYMPTOTIC_LAG = 20
 """Lag from which the series of `_flicker_autocovariance` is more precise than the difference."""
@@ -41,7 +41,7 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         'accel_z': {'N': 0.012, 'B': 5.42},
     },
 }
-"""Name -> axis -> term -> coefficient in the unit of `imu.DATASHEET_UNITS`."""
+"""Name -> axis -> term -> coefficient in datasheet units."""
 
 Periods = tuple[tuple[float, float], ...]
 """Periods as (start, length) in s."""
@@ -56,7 +56,7 @@ _periods = partial(parameter, (), unit='s')
 
 @dataclass(frozen=True)
 class Faults(CheckedSettings):
-    """Faults of a simulated IMU; none by default.
+    """Imperfections of a simulated IMU and of its recording; none by default.
 
     Raises
     ------
@@ -120,9 +120,10 @@ class Faults(CheckedSettings):
 
 
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
-    """Return n samples, ``tau0`` s apart, whose expected Allan variance is `term_avar`, (n,).
+    """Return n simulated samples of one axis with the noise ``terms``, in SI, (n,).
 
-    The samples begin at 0. Raises AllanError when n or tau0 is not positive.
+    The samples are ``tau0`` s apart, and the first one is 0. Their expected Allan variance equals
+    that of the terms at every averaging time. Raises AllanError when n or tau0 is not positive.
     """
     if n < 1 or not tau0 > 0.0:
         raise AllanError(f'cannot simulate {n} samples of {tau0} s: give positive numbers')
@@ -147,10 +148,10 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
 
 
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
-    """Return one draw of the stationary sequence with these circulant eigenvalues, (2 half,).
+    """Return a random stationary sequence by circulant embedding, (2 half,).
 
-    The (half + 1,) eigenvalues belong to an even circulant at its frequencies 0 .. 1/2. The first
-    half + 1 values of the result have the wanted autocovariance.
+    The (half + 1,) eigenvalues are the spectrum at frequencies from 0 to 1/2. Only the first
+    half + 1 values of the result have the autocovariance that the eigenvalues represent.
     """
     from scipy import fft
 
@@ -164,10 +165,8 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
 
 @lru_cache(maxsize=1)
 def _flicker_eigenvalues(half: int) -> Floats:
-    """Return the eigenvalues of the steps of flicker noise with B = 1, (half + 1,).
-
-    Cached for one length, because all axes of an IMU use the same.
-    """
+    """Return the circulant eigenvalues of the differences of flicker noise, B = 1, (half + 1,)."""
+    # cached for one length, because all axes of an IMU have the same length
     from scipy import fft
 
     # The transform of an even sequence is the cosine transform of half of it.
@@ -177,14 +176,14 @@ def _flicker_eigenvalues(half: int) -> Floats:
 
 
 def _flicker_autocovariance(lags: int) -> Floats:
-    """Return the autocovariance at lags 0 .. ``lags`` of the steps of flicker noise with B = 1.
+    """Return the autocovariance of the differences of flicker noise, B = 1, at lags 0 to ``lags``.
 
     The phase has the generalised autocovariance G(t) = t^2 ln|t| / (2 pi) (Greenhall, 34th PTTI,
-    2002: flicker FM; scaled so that its Allan variance is 2 ln2/pi), and the steps of the samples
-    are second differences of the phase. So their autocovariance is the fourth central difference of
-    G. At long lags this difference loses its digits, and its expansion in derivatives, f'''' +
-    f''''''/6 + f^(8)/80 + 17 f^(10)/30240 with f = t^2 ln t, is used instead (relative error 1e-9
-    at the first such lag).
+    2002: flicker FM; scaled to an Allan variance of 2 ln2/pi). The differences of the samples are
+    second differences of the phase. Their autocovariance is therefore the fourth central difference
+    of G. At long lags this difference loses its digits. There, its expansion in derivatives is
+    used: f'''' + f''''''/6 + f^(8)/80 + 17 f^(10)/30240 with f = t^2 ln t (relative error 1e-9 at
+    the first such lag).
     """
     t = np.arange(-2.0, ASYMPTOTIC_LAG + 3.0)
     square_log = t**2 * np.log(np.maximum(np.abs(t), 1.0))
@@ -206,25 +205,32 @@ def simulate_imu(
     start_ns: int = 0,
     frame_id: str = 'imu_link',
 ) -> Iterator[ImuBatch]:
-    """Yield the batches of a simulated recording with known noise.
+    """Simulate a recording with known noise, and yield its samples in batches.
 
-    Every axis and every fault has its own random numbers, so a fault does not change the other
-    effects.
+    Every axis and every fault has its own random numbers: adding a fault changes nothing else.
 
     Parameters
     ----------
     seconds, rate : float
-        Length in s and samples per second.
+        Duration in s, and sample rate in Hz.
     gyro, accel : three NoiseTerms each
-        Noise of x, y and z.
+        Noise of x, y and z, in SI.
     mean : (6,) array
-        Means to which the noise is added, in rad/s and m/s^2; at rest and level by default.
+        Means to which the noise is added, in rad/s and m/s^2; by default, the IMU is level.
     seed : int
-        At least 0; the same seed gives the same recording.
+        Seed of the random numbers, 0 or more; the same seed gives the same recording.
+    faults : Faults
+        Imperfections that are added to the samples and stamps.
     start_ns : int
-        Stamp of the first sample.
+        Stamp of the first sample in ns.
+    frame_id : str
+        The frame_id of the messages.
 
-    Raises AllanError when the length or rate is not positive, or a sensor does not have three axes.
+    Raises
+    ------
+    AllanError
+        When the duration or rate is not positive, a sensor does not have three axes, or the samples
+        do not fit into memory.
     """
     if not (seconds > 0.0 and rate > 0.0 and round(seconds * rate) >= 1):
         raise AllanError(f'cannot simulate {seconds} s at {rate} Hz: give positive numbers')
@@ -244,10 +250,10 @@ def simulate_imu(
     samples += np.asarray(mean, float)
     sample_seed, stamp_seed, loss_seed = fault_seed.spawn(3)
     for sensor, axes in SENSORS.items():
-        disturb_samples(samples[:, axes], tau0, faults, sensor, sample_seed)
+        _disturb_samples(samples[:, axes], tau0, faults, sensor, sample_seed)
     stamps_ns = start_ns + np.round(np.arange(n) * (tau0 * 1e9)).astype(np.int64)
-    kept = np.flatnonzero(~lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
-    header_ns, record_ns = disturb_stamps(stamps_ns[kept], faults, stamp_seed)
+    kept = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
+    header_ns, record_ns = _disturb_stamps(stamps_ns[kept], faults, stamp_seed)
     for first in range(0, len(kept), BATCH_SAMPLES):
         rows = slice(first, first + BATCH_SAMPLES)
         yield ImuBatch(header_ns[rows], samples[kept[rows]], record_ns[rows], frame_id)
@@ -266,17 +272,16 @@ BURST_SHORTEST = 0.02
 """Shortest pause between bursts, as a fraction of the longest."""
 
 
-def disturb_samples(
+def _disturb_samples(
     samples: Floats, tau0: float, faults: Faults, sensor: str, seed: np.random.SeedSequence
 ) -> None:
     """Apply the faults to the samples of one sensor, (n, 3), in place.
 
-    Motion and bias are applied first, then the effects of the electronics. With the same seed, a
-    knock affects both sensors at the same time.
+    With the same seed, a knock disturbs both sensors at the same time.
     """
     n, axes = samples.shape
     times: Floats = np.arange(n, dtype=np.float64) * tau0
-    # one generator per fault: a fault does not change the others
+    # one generator per fault: adding a fault does not change the others
     fault_rngs = {
         name: np.random.default_rng([*seed.generate_state(4).tolist(), i])
         for i, name in enumerate(('gauss_markov', 'vibration', 'bumps', 'motion'))
@@ -301,7 +306,7 @@ def disturb_samples(
         _add_knocks(samples, tau0, faults, amplitude('bump'), fault_rngs['bumps'])
     if faults.motion:
         phases = fault_rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), axes))
-        moving = in_periods(times, faults.motion)
+        moving = _in_periods(times, faults.motion)
         for frequency, phase in zip(MOTION_FREQUENCIES, phases[own]):
             angle = 2.0 * np.pi * frequency * times[moving, None]
             share = amplitude('motion') / len(MOTION_FREQUENCIES)
@@ -342,39 +347,39 @@ def _add_knocks(
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return for each sample the index of the sample that it repeats."""
+    """Return the index of the sample that each sample of a slower sensor repeats."""
     # Rounding must not hide a tick of the slower clock that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     held = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
     return np.asarray(held, np.int64)
 
 
-def in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
-    """Return which of the times, in s, lie in one of the intervals (start, length)."""
+def _in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
+    """Return whether each time lies in one of the periods (start, length)."""
     inside = np.zeros(len(times), bool)
     for start, length in periods:
         inside |= (times >= start) & (times < start + length)
     return inside
 
 
-def lost_samples(
+def _lost_samples(
     n: int, tau0: float, faults: Faults, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Return which samples are lost: those in gaps and random drops, but never the first sample."""
-    lost = in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
+    """Return whether each sample is lost in a gap or at random; the first sample never is."""
+    lost = _in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
     if faults.drop > 0.0:
         lost |= rng.random(n) < faults.drop
     lost[0] = False
     return lost
 
 
-def disturb_stamps(
+def _disturb_stamps(
     stamps_ns: NDArray[np.int64], faults: Faults, seed: np.random.SeedSequence
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the header stamps and the record times of samples taken at the given times, in ns.
+    """Return header stamps and record times in ns of samples that are taken at ``stamps_ns``.
 
-    Jitter changes both. With bursts, the host reads the sensor at intervals and stamps all samples
-    that have arrived since the last read in quick succession.
+    Both are the same. With bursts, the host reads the sensor at intervals and then stamps all new
+    samples in quick succession.
     """
     jitter_seed, burst_seed = seed.spawn(2)
     out = stamps_ns

@@ -223,12 +223,12 @@ def _provenance_from_document(fields: Fields) -> Provenance:
     cuts = fields.fields('counts').fields('cuts')
     of_reason = Counter({reason: cuts.integer(reason, least=0) for reason in cuts})
     return Provenance(
-        fields.of('source', tuple[SourceInfo, ...]),
-        fields.of('segments', tuple[Segment, ...]),
-        fields.of('findings', tuple[Finding, ...]),
+        fields.typed('source', tuple[SourceInfo, ...]),
+        fields.typed('segments', tuple[Segment, ...]),
+        fields.typed('findings', tuple[Finding, ...]),
         fields.fields('counts').record(Counts, cuts=of_reason),
         _settings_from_document(fields.fields('settings')),
-        fields.of('last_stamp_ns', int | None),
+        fields.typed('last_stamp_ns', int | None),
     )
 
 
@@ -289,7 +289,7 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
-    noise, misfit = fields.fields('noise'), fields.of('misfit', float | None)
+    noise, misfit = fields.fields('noise'), fields.typed('misfit', float | None)
     fit = fields.record(
         AxisFit,
         noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
@@ -309,8 +309,8 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
 def _processes_from_document(fields: Fields) -> Processes:
     """Read all processes; documents of earlier versions have at most one of each kind."""
     if 'processes' not in fields:
-        process = fields.of('gauss_markov', GaussMarkov | None)
-        line = fields.of('sinusoid', Sinusoid | None)
+        process = fields.typed('gauss_markov', GaussMarkov | None)
+        line = fields.typed('sinusoid', Sinusoid | None)
         return Processes(() if process is None else (process,), () if line is None else (line,))
     processes: Processes = fields.fields('processes').record(Processes)
     return processes
