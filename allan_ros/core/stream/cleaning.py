@@ -1,11 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Removes samples that are not measurements: duplicates, backward stamps, repeated and zero-filled
-samples.
+"""Drops samples that are not measurements, chooses the stamps, and splits looped recordings.
 
-Drivers that put a slower accelerometer into every gyro message repeat its last sample, or fill the
-missing half with zeros. Both change the noise (a 250 Hz accelerometer repeated at 400 Hz shows N
-5 % too high), so such a sensor gets its own sensor stream, which contains only its new samples.
+Dropped are duplicates, samples with backward stamps, and repeated or zero-filled values. Drivers
+that put a slower accelerometer into every gyro message repeat its last sample (sample and hold), or
+fill the missing half with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at
+400 Hz is 5 % too high). So each sensor becomes a separate stream that contains only its
+measurements.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 BACKWARD_RUN = 16
-"""Number of consecutive stamps before the latest one that means that the clock was set back. Fewer
-such stamps are dropped."""
+"""If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set
+back. Fewer such samples are dropped."""
 
 
 class StampChoice:
@@ -36,12 +37,11 @@ class StampChoice:
     def __init__(self, use_record: bool, declared_rate: float) -> None:
         self.use_record = use_record
         self._rate = declared_rate
-        # samples whose stamps are computed from that rate, if it is used
-        self._placed: int | None = None
+        # number of samples whose stamps were computed from the rate; None if it is not used
+        self._computed: int | None = None
 
     def learn(self, first: ImuBatch) -> list[Finding]:
-        """Choose the stamps from the first samples of the stream, and return the findings about
-        them."""
+        """Decide which stamps to use, from the first samples, and return the findings about it."""
         stamps = first.stamps_ns
         if self.use_record or len(stamps) < 2 or stamps.min() != stamps.max():
             return []
@@ -50,22 +50,22 @@ class StampChoice:
             self.use_record = True
             return [finding('stamps_unusable', what=what)]
         if self._rate:
-            self._placed = self._placed or 0
+            self._computed = self._computed or 0
             return [finding('stamps_from_rate', what=what, rate=self._rate)]
         return [finding('stamps_missing', what=what)]
 
     def of(self, batch: ImuBatch) -> Stamps:
-        """Return the stamps of the next samples, (n,), in ns."""
+        """Return the chosen stamps of the next batch, (n,), in ns."""
         if self.use_record and batch.record_ns is not None:
             return batch.record_ns
-        if self._placed is None:
+        if self._computed is None:
             return batch.stamps_ns
-        self._placed += len(batch)
-        return even_stamps(self._placed - len(batch), len(batch), self._rate)
+        self._computed += len(batch)
+        return even_stamps(self._computed - len(batch), len(batch), self._rate)
 
 
 class WarmUp:
-    """Leaves out the samples of the first seconds of a stream; ``skipped`` counts them."""
+    """Skips the first ``seconds`` of a stream; the attribute ``skipped`` counts these samples."""
 
     def __init__(self, seconds: float) -> None:
         self.skipped = 0
@@ -73,8 +73,8 @@ class WarmUp:
         self._end_ns: int | None = None
         self._over = not self._length_ns
 
-    def take(self, stamps: Stamps) -> int:
-        """Return how many of the next samples, at least one, belong to the warm-up."""
+    def skip(self, stamps: Stamps) -> int:
+        """Return how many of the next samples to skip; ``stamps``, (n,), are in ns, and n > 0."""
         if self._over:  # a later backward clock step skips no further samples
             return 0
         if self._end_ns is None:
@@ -87,7 +87,10 @@ class WarmUp:
 
 
 class StampFilter:
-    """Drops samples that are not finite, repeat the previous one, or go back in time."""
+    """Drops samples that are not finite, repeat the previous one, or have a backward stamp.
+
+    The dropped samples, which have ``axes`` values each, are counted in ``counts``.
+    """
 
     def __init__(self, axes: int, counts: Counts) -> None:
         self._counts = counts
@@ -96,10 +99,10 @@ class StampFilter:
         self._backward = 0
 
     def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
-        """Take stamps, (n,), and rows, (axes, n); return stamps, rows and flags of the k samples
-        kept.
+        """Return stamps (k,), values (axes, k) and flags (k,) of the samples that are kept.
 
-        The third array, (k,), flags backward clock steps.
+        A flag is set where the clock was set back before the sample. ``stamps``, (n,), are in ns,
+        and ``rows`` are (axes, n).
         """
         if len(stamps) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
             finite = (np.abs(rows) <= LARGEST).all(axis=0)
@@ -120,7 +123,7 @@ class StampFilter:
     def _select(
         self, stamps: Stamps, rows: Floats, step: Stamps
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which samples are kept, and which follow a backward clock step."""
+        """Return masks (n,) of the samples that are kept and that follow a backward clock step."""
         before = np.concatenate([self._latest_row[:, None], rows[:, :-1]], axis=1)
         repeated = (step == 0) & (rows == before).all(axis=0)
         self._counts.duplicate += int(np.count_nonzero(repeated))
@@ -146,42 +149,42 @@ class StampFilter:
 class PassSplitter:
     """Splits a stream where its stamps jump back permanently, as in a looped recording.
 
-    Single backward stamps are left to `StampFilter`. So samples with earlier stamps are buffered
-    until `BACKWARD_RUN` of them follow each other (the first of them begins a new pass), or a
-    sample with a later stamp follows. ``latest_ns`` is the latest stamp in existing sums (of a
-    checkpoint).
+    Each part is a pass. Samples with earlier stamps are buffered until `BACKWARD_RUN` of them
+    follow each other, in which case the first of them begins a new pass, or until a sample with a
+    later stamp follows. `StampFilter` drops the others. ``latest_ns`` is the latest stamp in
+    existing sums (of a checkpoint); None without sums.
     """
 
     def __init__(self, latest_ns: int | None = None) -> None:
         self._latest = latest_ns
-        self._waiting: ImuBatch | None = None
+        self._pending: ImuBatch | None = None
 
     def split(self, batch: ImuBatch) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield (begins a new pass, samples) in order; together these are the complete stream."""
-        if self._waiting is not None:
-            if self._waiting.frame_id == batch.frame_id:
-                batch = joined([self._waiting, batch])
+        """Yield pairs of a flag and samples, in order; a set flag means that a new pass begins."""
+        if self._pending is not None:
+            if self._pending.frame_id == batch.frame_id:
+                batch = joined([self._pending, batch])
             else:
-                yield False, self._waiting
-            self._waiting = None
+                yield False, self._pending
+            self._pending = None
         new_pass = False
         while len(batch):
-            number, another = self._this_pass(batch)
+            number, another = self._count_this_pass(batch)
             if number:
                 yield new_pass, batch[:number]
             batch = batch[number:]
             if not another:
-                self._waiting = batch if len(batch) else None
+                self._pending = batch if len(batch) else None
                 return
             self._latest, new_pass = None, True
 
     def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield the buffered samples at the end of the input."""
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            yield False, waiting
+        """Yield the buffered samples at the end of the input, as `split` does."""
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            yield False, pending
 
-    def _this_pass(self, batch: ImuBatch) -> tuple[int, bool]:
+    def _count_this_pass(self, batch: ImuBatch) -> tuple[int, bool]:
         """Return how many samples belong to this pass, and whether a new pass follows them."""
         stamps = batch.stamps_ns
         latest = stamps[0] if self._latest is None else self._latest
@@ -196,64 +199,66 @@ class PassSplitter:
         return int(edges[-2]) + 1, False
 
 
-SHARE = 0.1
+REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
 sensor."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
-"""If coarse values of a sensor at rest repeat, or are zero, by chance, the logarithm of the share
-of all three axes is the sum of their logarithms. If the axes are repeated or filled together, it is
-a third of the sum. The threshold lies between the two."""
-
-OwnSamples = Literal['all', 'held', 'zero']
+"""Threshold for the ratio of two logarithms: that of the share of samples in which all three axes
+repeat (or are zero), and the sum of those of the three shares of single axes. The ratio is 1 if the
+axes repeat independently, because a resolution is coarse, and 1/3 if they always repeat together.
+"""
 
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The axes of a sensor stream, and the rule that selects its samples from the messages.
+    """The axes of a sensor stream, and which of its samples to drop.
 
-    ``own`` is 'all', 'held' to drop samples that repeat the previous one, or 'zero' to drop
-    samples that are zero.
+    ``drop`` is '' for none, 'repeated' for samples that repeat the previous one on all axes, or
+    'zero' for samples that are zero on all axes.
     """
 
     axes: tuple[str, ...]
-    own: OwnSamples = 'all'
+    drop: Literal['', 'repeated', 'zero'] = ''
 
 
 class SampleHoldFilter:
-    """Selects the samples of one sensor stream from the six-axis stream."""
+    """Selects the measurements of one sensor stream from the six-axis stream."""
 
     def __init__(self, plan: SensorPlan) -> None:
-        self.plan = plan
+        self._drop = plan.drop
         self._rows = [AXES.index(axis) for axis in plan.axes]
-        self._whole = self._rows == list(range(len(AXES)))
+        self._all = self._rows == list(range(len(AXES)))
         self._last: Floats = np.full(len(self._rows), np.nan)
 
-    def pick(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Return stamps (k,) and rows (own axes, k) of its samples; rows is (6, n)."""
-        own = rows if self._whole else rows[self._rows]
-        if self.plan.own == 'all' or not len(stamps):
-            return stamps, own
-        if self.plan.own == 'zero':
-            keep = own.any(axis=0)
+    def select(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
+        """Return the stamps (k,) and values (axes of the sensor stream, k) of its measurements.
+
+        ``stamps``, (n,), and ``rows``, (6, n), are the next samples of the six-axis stream.
+        """
+        rows = rows if self._all else rows[self._rows]
+        if not self._drop or not len(stamps):
+            return stamps, rows
+        if self._drop == 'zero':
+            keep = rows.any(axis=0)
         else:
-            before = np.concatenate([self._last[:, None], own[:, :-1]], axis=1)
-            keep = (own != before).any(axis=0)
-            self._last = own[:, -1].copy()
-        return stamps[keep], own[:, keep]
+            before = np.concatenate([self._last[:, None], rows[:, :-1]], axis=1)
+            keep = (rows != before).any(axis=0)
+            self._last = rows[:, -1].copy()
+        return stamps[keep], rows[:, keep]
 
 
-LEAST_CLIPPED = 0.05
-"""Smallest share of equal samples at one end of an axis that indicates clipping."""
+MIN_CLIPPED = 0.05
+"""Smallest share of samples that are equal to the maximum or minimum and indicate clipping."""
 
 CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
-"""Clipping also requires that these samples are more than those of the next value by this factor,
-and that the axis has at least this number of different values. (At a coarse resolution, most
+"""Clipping requires that the maximum (or minimum) occurs this many times as often as the next
+value, and that the axis has at least this number of different values. (At a coarse resolution, most
 samples of an unclipped axis have one of two values.)"""
 
 
 def clipped_share(samples: Floats) -> float:
-    """Return the share of samples at an end of the measurement range, 0 if there is none.
+    """Return the share of the samples, (n,), that are clipped at the maximum or minimum, or 0.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=1000)
@@ -273,19 +278,20 @@ def clipped_share(samples: Floats) -> float:
         default=0,
     )
     share = float(most / counts.sum())
-    return share if share >= LEAST_CLIPPED else 0.0
+    return share if share >= MIN_CLIPPED else 0.0
 
 
 def plan_sensors(
     stamps: Stamps, rows: Floats
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
-    """Return the sensor streams, found from the first samples of a stream, and the findings.
+    """Decide into which sensor streams a stream is divided, and return them with the findings.
 
-    The rows, (6, n), are NaN where a sensor is absent.
+    The decision is based on the first samples of the stream. ``stamps``, (n,), are in ns. ``rows``,
+    (6, n), are NaN where a sensor is absent.
     """
-    # duplicate messages are dropped later and do not count here
-    twice = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
-    rows = rows[:, np.concatenate([[True], ~twice])] if len(stamps) else rows
+    # without duplicate messages, which are dropped later
+    duplicate = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    rows = rows[:, np.concatenate([[True], ~duplicate])] if len(stamps) else rows
     repeats = rows[:, 1:] == rows[:, :-1]
     plans: list[SensorPlan] = []
     findings: list[Finding] = []
@@ -295,49 +301,48 @@ def plan_sensors(
         if not len(present):
             findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
             continue
-        axes, own = tuple(AXES[i] for i in present), rows[present]
+        axes = tuple(AXES[i] for i in present)
         lacking = tuple(axis for axis in AXES[place] if axis not in axes)
         if lacking:
             findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
-        zeros = own == 0.0
-        own_samples: OwnSamples = 'all'
+        zeros = rows[present] == 0.0
+        plan = SensorPlan(axes)
         if zeros.all():
             findings.append(finding('sensor_all_zero', axes, sensor=sensor))
             continue
-        if _together(zeros):
-            own_samples = 'zero'
+        if _coincide(zeros):
+            plan = SensorPlan(axes, 'zero')
             share = float(zeros.all(axis=0).mean())
             findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
-        elif _together(repeats[present]):
-            own_samples = 'held'
+        elif _coincide(repeats[present]):
+            plan = SensorPlan(axes, 'repeated')
             share = float(repeats[present].all(axis=0).mean())
             findings.append(finding('held', axes, sensor=sensor, share=share))
-        for axis, samples in zip(axes, own):
-            share = clipped_share(samples)
-            if share:
+        for axis, samples in zip(axes, rows[present]):
+            if share := clipped_share(samples):
                 findings.append(finding('clipped', (axis,), share=share))
-        plans.append(SensorPlan(axes, own_samples))
+        plans.append(plan)
     if len(plans) == len(SENSORS) and _sampled_together(plans, repeats):
-        plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].own)]
+        plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].drop)]
     return tuple(plans), tuple(findings)
 
 
 def _sampled_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
-    """Return whether both sensors have new samples in the same messages."""
-    kinds = {plan.own for plan in plans}
-    if kinds == {'held'}:
+    """Return whether both sensors have new values in the same messages."""
+    drops = {plan.drop for plan in plans}
+    if drops == {'repeated'}:
         gyro, accel = (repeats[[AXES.index(axis) for axis in plan.axes]] for plan in plans)
-        apart = gyro.all(axis=0) != accel.all(axis=0)
-        return bool(apart.mean() < SHARE)
-    return kinds == {'all'}
+        differ = gyro.all(axis=0) != accel.all(axis=0)
+        return bool(differ.mean() < REPEATED_SHARE)
+    return drops == {''}
 
 
-def _together(flags: NDArray[np.bool_]) -> bool:
+def _coincide(flags: NDArray[np.bool_]) -> bool:
     """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    Flags that are always set are ignored: constant values are another fault.
+    The result is False if they are always set, since constant values are another fault.
     """
     joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
-    if not SHARE < joint < 1.0:
+    if not REPEATED_SHARE < joint < 1.0:
         return False
     return bool(np.log(joint) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results and state of a stream: counts, sums, segments, means and findings."""
+"""Results and state of a stream of samples: counts, sums, segments, means and findings."""
 
 from __future__ import annotations
 
@@ -22,35 +22,36 @@ from ..settings import SegmenterSettings
 Floats = NDArray[np.float64]
 
 State = Literal['waiting', 'learning', 'still', 'moving', 'louder']
-"""No sample yet; rate and noise floor are being learned; data at rest are accumulated; the IMU
-moves; the IMU is at rest, but its noise became louder."""
+"""'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'still': the
+IMU is at rest, and its data are used. 'moving': it moves. 'louder': it is at rest, but its noise is
+larger than the noise floor."""
 
 RATE_CHANGE = 0.02
-"""Relative change of the sample period that counts as another rate."""
+"""Smallest relative difference between two sample periods that is regarded as another rate."""
 
 REPORTED_DROPPED_SHARE = 0.02
-"""Share of samples with backward stamps from which N is 1 % too large where the gaps that they
-leave cannot be found."""
+"""Smallest share of samples with backward stamps that is reported. If stamps are bursty, the gaps
+after dropped samples cannot be found, and at this share N becomes 1 % too large."""
 
 REPORTED_BRIDGED_SHARE = 1e-3
 """Smallest share of interpolated samples that is reported."""
 
 LOUDER_SHARE = 0.5
-"""Axes with at least this share of the largest increase of noise are named."""
+"""A finding names the axes whose noise increased by more than this share of the largest ratio."""
 
 SHORT_S = 60.0
-"""Data shorter than this are reported: less than a minute does not give N within a few percent."""
+"""Data shorter than this time in s are reported, because the error of N exceeds a few percent."""
 
 LEAST_SPIKES, LEAST_SPIKE_SHARE = 3, 1e-6
-"""Smallest number of isolated spikes, and smallest share of the samples, that are reported: in
-white noise the share is below 1e-7."""
+"""Smallest number of isolated spikes, and smallest share of the samples, that are reported. The
+share in white noise is below 1e-7."""
 
 LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
-that no gyro reaches."""
+above which the unit of a gyro is wrong."""
 
 G_BAND = 0.15
-"""Relative tolerance within which a mean acceleration counts as gravity."""
+"""Largest relative difference between gravity and a mean acceleration at rest."""
 
 WEIGHTLESS = 0.05
 """Mean acceleration, as a fraction of gravity in any unit, below which gravity was removed."""
@@ -58,35 +59,36 @@ WEIGHTLESS = 0.05
 
 @dataclass
 class Counts:
-    """Counts of the samples since the start of a stream, by their use.
+    """Number of samples since the start of a stream, by what happened to them.
 
-    If the sensors have different rates, all counts except ``received`` and ``skipped`` are per
-    sensor stream. received + bridged = used + skipped + not_finite + duplicate + backward + untimed
-    + moving + stuck + louder + the samples still buffered.
+    If the sensors have different rates, each sensor stream counts separately, except for
+    ``received`` and ``skipped``, and the counts are added. For one sensor stream, received +
+    bridged = used + skipped + not_finite + duplicate + backward + untimed + moving + stuck + louder
+    + the samples still buffered.
     """
 
     received: int = 0
     used: int = 0  # in the sums, including interpolated ones
     # dropped
-    skipped: int = 0  # at the start, during the warm-up
+    skipped: int = 0  # in the warm-up time at the start
     not_finite: int = 0
-    duplicate: int = 0  # repeat stamp and values of the previous sample
-    backward: int = 0  # a stamp before the latest
-    untimed: int = 0  # a thousand equal stamps in a row
+    duplicate: int = 0  # the stamp and all values equal those of the previous sample
+    backward: int = 0  # the stamp is earlier than the latest one
+    untimed: int = 0  # more than a thousand consecutive stamps are equal
     # missing according to the stamps
     lost: int = 0
     bridged: int = 0  # lost samples that were interpolated
     # not at rest, and dropped
     moving: int = 0
-    stuck: int = 0  # an axis repeated one value
-    saturated: int = 0  # moving samples at the end of the range
-    louder: int = 0  # at rest, but much louder than the noise floor
-    spikes: int = 0  # isolated spikes that were replaced, per axis
+    stuck: int = 0  # an axis repeats one value
+    saturated: int = 0  # part of `moving`: at the end of the measurement range
+    louder: int = 0  # at rest, but the noise is much larger than the noise floor
+    spikes: int = 0  # isolated values that were replaced, counted per axis
     # reason -> number of times the data were split
     cuts: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
-        """Add the counts of another sensor stream."""
+        """Add the counts of another stream to these."""
         for f in fields(self):
             if f.name != 'cuts':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
@@ -94,28 +96,34 @@ class Counts:
 
 
 class FilledGaps:
-    """Counts gaps that were interpolated, by length: ``count``, (lengths, axes)."""
+    """Counts interpolated gaps by their length in samples.
+
+    ``count``, (lengths, axes), is the number of gaps of 1, 2, ... samples.
+    """
 
     def __init__(self, axes: int) -> None:
         self.count = np.zeros((0, axes), np.int64)
-        self._open = [0] * axes  # lengths of the gaps that may continue
+        self._open = [0] * axes  # length of the gap at the end of each axis
 
     def add(self, filled: NDArray[np.bool_] | None) -> None:
-        """Add the flags of the next samples, (axes, n); None if no sample is interpolated."""
+        """Count the gaps in the next samples; ``filled``, (axes, n), flags interpolated values.
+
+        None means that no value is interpolated.
+        """
         if filled is None:
             self.end()
             return
         for axis, flags in enumerate(filled):
-            runs = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
-            if not len(runs) or runs[0, 0]:
+            edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+            if not len(edges) or edges[0, 0]:
                 self._close(axis)
-            for begin, end in runs.tolist():
+            for begin, end in edges.tolist():
                 self._open[axis] += end - begin
                 if end < len(flags):
                     self._close(axis)
 
     def end(self) -> None:
-        """End all gaps: the next sample is not interpolated, or belongs to another segment."""
+        """Count the gaps at the end, which the next samples do not continue."""
         if any(self._open):
             for axis in range(len(self._open)):
                 self._close(axis)
@@ -131,9 +139,9 @@ class FilledGaps:
 
 
 class Segment(NamedTuple):
-    """A part of a stream without a gap, from the stamp ``start_ns`` on.
+    """A part of a stream without a gap, which begins at the stamp ``start_ns``.
 
-    ``cut`` is the reason for the gap before it, as in ``Counts.cuts``; '' for the first segment.
+    ``cut`` is the reason for the gap before it, such as 'gap' or 'motion'; '' for the first one.
     """
 
     start_ns: int
@@ -154,33 +162,36 @@ class StreamHealth:
     last_ns: int | None = None
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
     frame_id: str = ''  # of the latest sample
-    evidence_frame_id: str = ''  # of the sums with the longest time
+    sums_frame_id: str = ''  # of the sums with the longest elapsed time
     frame_changes: int = 0
-    discarded: int = 0  # how often sums were discarded because they were taken in motion
+    discarded: int = 0  # how often sums were discarded because the IMU had been moving
+    # axis -> largest ratio of its noise at rest to the noise floor; empty if none became louder
     loudest: Mapping[str, float] = field(default_factory=dict)
-    """Ratio of the noise of an axis at rest to its floor; only axes that became louder."""
 
     @property
     def still_share(self) -> float | None:
-        """Share of the samples that were at rest; None before any sample was classified."""
+        """Share of the classified samples that were at rest; None if there are none."""
         c = self.counts
-        judged = c.used + c.moving + c.stuck + c.louder
-        return c.used / judged if judged else None
+        classified = c.used + c.moving + c.stuck + c.louder
+        return c.used / classified if classified else None
 
 
 LISTED_SEGMENTS = 1000
-"""Number of the longest segments that are listed."""
+"""Largest number of segments that are listed; these are the longest ones."""
 
 
 class StreamSums(NamedTuple):
-    """Sums, spectrum (if requested) and listed segments of the samples at one rate."""
+    """Sums, spectrum (None unless requested) and listed segments of the data at one sample rate."""
 
     sums: AllanSums
     spectrum: SpectrumSums | None
     segments: tuple[Segment, ...]
 
     def joined(self, other: StreamSums) -> StreamSums:
-        """Return the sum of both; raise AllanError if the rates differ."""
+        """Return the combined results of both.
+
+        Raises AllanError if the sample rates differ.
+        """
         spectra = (self.spectrum, other.spectrum)
         both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
         segments = sorted(
@@ -190,7 +201,10 @@ class StreamSums(NamedTuple):
 
 
 def joined_by_rate(former: list[StreamSums], present: StreamSums) -> list[StreamSums]:
-    """Return the sums at each rate. When an earlier rate returns, its sums are continued."""
+    """Return the sums at each sample rate, from those at earlier rates and the present ones.
+
+    If the present rate equals an earlier one, the two are added.
+    """
     if not present.sums.samples:
         return former
     for i, each in enumerate(former):
@@ -204,12 +218,12 @@ def joined_by_rate(former: list[StreamSums], present: StreamSums) -> list[Stream
 
 @dataclass(frozen=True)
 class Accumulation:
-    """The results of a stream so far.
+    """The results of a stream.
 
-    ``sums`` has one entry for all axes, or one per sensor if their rates differ; a sensor without
-    samples has no entry. After a change of rate or frame_id, it has the rate and frame_id with the
-    most data. ``spectra`` (if requested) has the order of ``sums``; ``segments`` lists the segments
-    of the first entry of ``sums``.
+    ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
+    data has no entry. If the sample rate or the frame_id changed, the entry is that with the most
+    data. ``spectra`` (empty unless requested) has the order of ``sums``. ``segments`` are the
+    segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
@@ -220,13 +234,14 @@ class Accumulation:
 
 
 KEPT_MEANS = 120
-"""Number of latest means that are kept for a reader that polls rarely."""
+"""Number of latest means that are kept until they are read."""
 
 
 class Means(NamedTuple):
-    """Means of static samples of the axes of one sensor stream: the input of the bias filter.
+    """Means of static data over a second, for the axes of one sensor stream.
 
-    Arrays of the end times in ns, (n,), and of the values in the unit of the samples, (n, axes).
+    ``end_ns``, (n,), are the end times in ns, and ``values``, (n, axes), the means in the unit of
+    the samples. They are the input of the bias filter.
     """
 
     axes: tuple[str, ...]
@@ -235,7 +250,7 @@ class Means(NamedTuple):
 
 
 class RunningMeans:
-    """Means over consecutive seconds of contiguous samples."""
+    """Computes means over consecutive seconds of samples without a gap."""
 
     def __init__(self, axes: tuple[str, ...]) -> None:
         self._axes = axes
@@ -243,13 +258,13 @@ class RunningMeans:
         self.cut()
 
     def cut(self) -> None:
-        """Drop the mean in progress, because the next samples do not follow directly."""
+        """Drop the incomplete mean, because a gap follows."""
         self._start_ns: int | None = None
         self._second, self._count = 0, 0
         self._sum = np.zeros(len(self._axes))
 
     def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
-        """Add contiguous samples: stamps (n,) in ns, rows (axes, n)."""
+        """Add samples without a gap: stamps (n,) in ns, values (axes, n)."""
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
         seconds = (stamps - self._start_ns) // NANOSECONDS
@@ -266,7 +281,7 @@ class RunningMeans:
 
     @property
     def means(self) -> Means:
-        """The latest complete means."""
+        """The latest `KEPT_MEANS` complete means."""
         end_ns = np.array([end for end, _ in self._kept], np.int64)
         values = np.array([value for _, value in self._kept]).reshape(-1, len(self._axes))
         return Means(self._axes, end_ns, values)
@@ -276,11 +291,11 @@ EVENTS = (
     *('clock_jumps', 'frame_changed', 'rate_changed', 'stuck', 'not_finite', 'duplicates'),
     'backward_stamps',
 )
-"""Findings that count events, causes before their effects."""
+"""Ids of findings about events, ordered from causes to effects."""
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return the number of occurrences of each of the `EVENTS`."""
+    """Return finding id -> number of events since the start, for each of the `EVENTS`."""
     c = health.counts
     jumps, changes = c.cuts['clock jump'], c.cuts['rate change']
     counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
@@ -288,16 +303,21 @@ def events(health: StreamHealth) -> Counter[str]:
 
 
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
-    """Return the findings about events that occurred; ``when`` completes their text."""
+    """Return the findings about events with a count above 0.
+
+    ``counts`` is finding id -> number of events. ``when`` is appended to the text of the findings,
+    such as ' in the last minute'.
+    """
     now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
-    happened = [id for id in EVENTS if counts[id] > 0]
-    return [finding(id, count=counts[id], times=counts[id], **now) for id in happened]
+    return [
+        finding(id, count=counts[id], times=counts[id], **now) for id in EVENTS if counts[id] > 0
+    ]
 
 
 def stream_findings(
     health: StreamHealth, sums: tuple[AllanSums, ...], settings: SegmenterSettings
 ) -> list[Finding]:
-    """Return the findings about a stream and its sums."""
+    """Return the findings about a complete stream and its sums."""
     counts = health.counts
     found = event_findings(events(health), health)
 
@@ -329,8 +349,7 @@ def stream_findings(
     if counts.moving and not counts.used and health.rate_hz:
         add('never_still', True, seconds=counts.moving / health.rate_hz)
     elif counts.moving:
-        judged = counts.moving + counts.louder + counts.used
-        add('motion', True, share=counts.moving / judged)
+        add('motion', True, share=counts.moving / (counts.moving + counts.louder + counts.used))
     for each in sums:
         flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
         add('no_noise', flat, flat)
@@ -340,13 +359,13 @@ def stream_findings(
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:
-    """Return the findings about the sums of all recordings."""
+    """Return the finding that the data of all recordings together are short, if they are."""
     seconds = sums.elapsed_ns * 1e-9
     return [finding('short', seconds=seconds)] if seconds < SHORT_S else []
 
 
 def _unit_findings(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each sensor whose values at rest are impossible in SI units."""
+    """Return a finding for each sensor whose noise or mean is impossible in SI units."""
     if not sums.tau0 or not sums.history.recordings:
         return []
     periods = sums.history.recordings
@@ -375,9 +394,10 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
 
 
 def gravity_unit(norm: float) -> str | None:
-    """Return the unit in which a mean acceleration equals gravity; None for no usual unit.
+    """Return the unit in which ``norm``, the magnitude of a mean acceleration, equals gravity.
 
-    The result is 'm/s^2' if gravity was removed.
+    The result is 'm/s^2' if ``norm`` is close to 0, because gravity was subtracted, and None if
+    ``norm`` equals gravity in no known unit.
     """
     for unit in SAMPLE_UNITS['accel']:
         if abs(norm * UNITS[unit].factor / STANDARD_GRAVITY - 1.0) < G_BAND:

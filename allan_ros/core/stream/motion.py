@@ -1,21 +1,21 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion gate: passes on the samples of an IMU at rest.
+"""Motion detection: keeps the samples of an IMU at rest and drops the others.
 
 The stream is classified in windows of about half a second. A window is moving if its variance, its
-most distant sample, a step of its mean or its mean rate differs from the noise floor of the sensor
-at rest. The thresholds are so high that stationary noise is not trimmed (the probability that a
-window of white noise is moving is below 1e-12, so N has no bias), and that a sensor passes whose
-noise grew by half. A motion ends at a lower threshold than it begins. Margins before and after it
-are excluded, too.
+largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
+noise floor, the noise of the sensor at rest. The limits are so high that stationary noise stays
+complete (a window of white noise is classified as moving with a probability below 1e-12, so N has
+no bias), and that noise may grow by half. Motion begins at higher limits than it ends (hysteresis).
+Some windows before and after a motion are dropped, too.
 
-Before, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
-they stay and do not count as motion. Noise that becomes louder while the IMU stays at rest is
-distinguished from motion and counted separately.
+First, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
+they are noise: they stay in the data and are not regarded as motion. If the noise becomes louder
+while the IMU stays at rest, the samples are dropped and counted separately.
 
-The floor is learned from the first windows in which the IMU can be at rest. It follows the quiet
-quarter of each later block. All decisions count windows from the start of a stretch without gaps,
-independent of the chunks.
+The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
+from the quietest quarter of each block of windows. Windows are counted from the start of the
+stream or the last gap, so the decisions do not depend on how the samples are divided into batches.
 """
 
 from __future__ import annotations
@@ -46,62 +46,61 @@ MOST_WINDOW = 1024
 """Longest window in samples."""
 
 BLOCK_WINDOWS = 32
-"""Number of windows from which the floor is learned, and after which it is updated."""
+"""Number of windows from which the noise floor is learned, and after which it is updated."""
 
 MARGIN_BEFORE, MARGIN_AFTER = 1, 4
-"""Windows excluded before and after a motion: 0.5 s and 2 s."""
+"""Number of windows that are dropped before and after a motion: 0.5 s and 2 s."""
 
 RELEARNED = 'relearned'
-"""Reason for a split after which all earlier data of this stream are invalid, because they were
-taken in motion."""
+"""Reason for a split after which all earlier sums are discarded: the IMU moved."""
 
 LEAVE_RATIO = 0.8
-"""Motion ends below this fraction of the standard deviation at which it begins."""
+"""Motion ends when the standard deviation is below this fraction of the limit for its begin."""
 
 KNOCK_SIGMAS = 20.0
-"""A sample this many floor deviations from the mean of its window is a knock."""
+"""A sample that deviates from the mean of its window by this many standard deviations of the noise
+floor is a mechanical knock."""
 
 STEP_SIGMAS = 8.0
-"""Means of neighboring windows that differ by this many of their standard deviations indicate
-motion."""
+"""Means of neighboring windows that differ by this many standard deviations of the difference
+indicate motion."""
 
 LOUDER_BLOCKS = 2
-"""Number of consecutive noisy blocks, about 30 s, that count as louder noise instead of motion."""
+"""Number of consecutive blocks (together about 30 s) after which noise that exceeds the limits is
+classified as louder noise instead of motion."""
 
-LEAST_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
-"""Number of equal samples at the end of the range, and smallest step to them in resolutions, that
-count as saturated. At a coarse resolution, the peak of a slow motion has equal samples, too."""
+MIN_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
+"""An axis is saturated if this number of consecutive samples has its largest value, and the step to
+them is at least this many resolutions. (At a coarse resolution, a slow motion has equal samples at
+its peak, too.)"""
 
 
 class WindowClass(NamedTuple):
-    """Classification of k windows, (k,) bool arrays.
+    """Classification of k windows, (k,) bool arrays."""
 
-    ``moving``: motion, or an axis ``stuck`` at one value. ``quiet``: may end a motion.
-    ``turning_only``: only the mean rate differs from the floor.
-    """
-
-    moving: Flags
-    quiet: Flags
-    stuck: Flags
-    turning_only: Flags
+    moving: Flags  # in motion, or an axis is stuck
+    quiet: Flags  # below the limits at which a motion ends
+    stuck: Flags  # an axis repeats one value
+    rotating: Flags  # only the mean angular rate differs from the noise floor
 
 
-class _Judged(NamedTuple):
-    """Windows of the present block of windows, with their statistics and class."""
+class _Part(NamedTuple):
+    """Consecutive windows of the present block: samples, statistics and classification."""
 
-    block: Block
+    samples: Block
     windows: Windows
     still: Flags
-    windows_class: WindowClass
+    found: WindowClass
 
 
 class MotionGate:
-    """Passes on the samples at rest; at most the windows of the learning phase are buffered.
+    """Returns the samples at rest; at most the windows of the learning phase are buffered.
 
-    ``counts`` is changed in place. A window is moving above ``motion_ratio`` times the standard
-    deviation of the floor, or ``rate_limit`` rad/s away from the mean rate at rest. ``louder`` is
-    the present ratio of the noise at rest to the floor, (axes,), or None if the noise is not
-    louder; ``loudest`` contains the largest values so far, or 0.
+    ``period_ns`` is the sample period. A window is moving if its standard deviation exceeds that of
+    the noise floor ``motion_ratio`` times, or if its mean rate differs from that at rest by more
+    than ``rate_limit`` in rad/s. ``counts`` is changed in place. The attribute ``louder`` is the
+    present ratio of the noise at rest to the noise floor, (axes,), or None if the noise is not
+    louder. ``loudest`` holds the largest ratios so far, or 0.
     """
 
     def __init__(
@@ -121,24 +120,23 @@ class MotionGate:
         self._ratio = motion_ratio
         self._limits = RestLimits.of(axes, rate_limit)
         self._floor: NoiseFloor | None = None
-        # stretches that are buffered until the floor is known; samples that do not fill a window
-        # yet
-        self._learning: list[Block] = []
-        self._waiting = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
+        self._learning: list[Block] = []  # buffered until the noise floor is known
+        # buffered until they fill a window, with their look-ahead
+        self._pending = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
         self._before = np.empty((len(axes), 0))  # the last samples before them
-        self._extreme = np.zeros(len(axes))  # largest value of each axis, either way
+        self._extreme = np.zeros(len(axes))  # largest absolute value of each axis
         self._last_mean: Floats | None = None
-        self._quiet = 0  # quiet windows since the motion
-        self._cut = ''  # why the next still block does not follow the last one
-        self._margin: list[Block] = []  # still windows that a motion may yet take back
-        self._stretch_cut = ''  # why the waiting samples do not follow those before
-        self._block: list[_Judged] = []
-        self._in_block = 0
+        self._quiet = 0  # number of quiet windows since the motion
+        self._cut = ''  # reason for the gap before the next still block
+        self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
+        self._pending_cut = ''  # reason for the gap before the pending samples
+        self._block: list[_Part] = []
+        self._in_block = 0  # number of windows in it
         self._noisy_blocks = 0
 
     @property
     def state(self) -> State:
-        """State of the stream: learning as long as neither the noise floor nor motion is known."""
+        """State of the gate; 'learning' until a noise floor or a motion is found."""
         if self._floor is None and not self.moving:
             return 'learning'
         if self.louder is not None:
@@ -146,38 +144,37 @@ class MotionGate:
         return 'moving' if self.moving else 'still'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
-        """Add consecutive blocks, and return the data that are definitely at rest."""
+        """Add consecutive blocks, and return those that are definitely at rest."""
         out: list[Block] = []
-        for stretch in _stretches(blocks):
+        for contiguous in _contiguous(blocks):
             if self._floor is None:
-                self._learning += stretch
+                self._learning += contiguous
                 needed = BLOCK_WINDOWS * self.size
                 while self._floor is None and sum(map(len, self._learning)) >= needed:
                     out += self._learn()
             else:
-                out += self._take(stretch)
+                out += self._add(contiguous)
         return out
 
     def flush(self) -> list[Block]:
-        """Return the buffered data at the end of the input."""
+        """Return the buffered blocks that are at rest, at the end of the input."""
         out: list[Block] = []
         while self._floor is None and self._learning:
             out += self._learn()
-        return out + self._end_stretch()
+        return out + self._flush_pending()
 
     # --- learning ---------------------------------------------------------------------------------
 
     def _learn(self) -> list[Block]:
-        """Learn the floor from the first windows, or drop them if the IMU cannot be at rest in
-        them."""
+        """Learn the noise floor from the first windows, or drop them if the IMU moved."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
-        stretches = [np.concatenate([b.rows for b in s], axis=1) for s in _stretches(first)]
-        floor = NoiseFloor.learned(stretches, self.size, self._limits)
-        if floor.can_be_rest():
+        parts = [np.concatenate([b.rows for b in blocks], axis=1) for blocks in _contiguous(first)]
+        floor = NoiseFloor.learned(parts, self.size, self._limits)
+        if floor.is_plausible():
             self._floor = floor
-            waited, self._learning = self._learning, []
+            blocks, self._learning = self._learning, []
             self.moving = False
-            return self.feed(waited)
+            return self.feed(blocks)
         self._learning = rest
         self._counts.moving += sum(map(len, first))
         if not self.moving:
@@ -188,45 +185,43 @@ class MotionGate:
 
     # --- windows ----------------------------------------------------------------------------------
 
-    def _take(self, stretch: list[Block]) -> list[Block]:
-        """Add blocks that follow each other; only the first may follow a gap."""
+    def _add(self, blocks: list[Block]) -> list[Block]:
+        """Add blocks without a gap between them."""
         out: list[Block] = []
-        if stretch[0].cut:
-            out += self._end_stretch()
-        self._stretch_cut = self._stretch_cut or stretch[0].cut
-        for block in stretch:
-            # only the window that began in the buffer is copied; its look-ahead is the start of the
-            # next window, which is a view
-            seam = -len(self._waiting) % self.size + SPIKE_NEIGHBORS
-            out += self._fill(block.part(slice(None, seam)))
+        if blocks[0].cut:
+            out += self._flush_pending()
+        self._pending_cut = self._pending_cut or blocks[0].cut
+        for block in blocks:
+            # only the window that begins in the buffer is copied, with its look-ahead
+            seam = -len(self._pending) % self.size + SPIKE_NEIGHBORS
+            out += self._append(block.part(slice(None, seam)))
             if len(block) > seam:
-                self._waiting = self._waiting.part(slice(0))
-                out += self._fill(block.part(slice(seam - SPIKE_NEIGHBORS, None)))
+                self._pending = self._pending.part(slice(0))
+                out += self._append(block.part(slice(seam - SPIKE_NEIGHBORS, None)))
         return out
 
-    def _fill(self, more: Block) -> list[Block]:
-        """Classify the complete windows whose look-ahead is available; other samples stay
-        buffered."""
-        have = Block.joined([self._waiting, more]) if len(self._waiting) else more
+    def _append(self, block: Block) -> list[Block]:
+        """Classify the complete windows with look-ahead, and keep the other samples pending."""
+        have = Block.joined([self._pending, block]) if len(self._pending) else block
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
-        out = self._windows(have, ready, self.size) if ready else []
-        self._waiting = have.part(slice(ready, None)).copy()
+        out = self._classify(have, ready, self.size) if ready else []
+        self._pending = have.part(slice(ready, None)).copy()
         return out
 
-    def _end_stretch(self) -> list[Block]:
-        """Classify the last windows of a stretch without look-ahead, and release the margin."""
+    def _flush_pending(self) -> list[Block]:
+        """Classify the last windows before a gap without look-ahead, and release the margin."""
         out: list[Block] = []
-        rest, self._waiting = self._waiting, self._waiting.part(slice(0))
+        rest, self._pending = self._pending, self._pending.part(slice(0))
         while len(rest) and self._floor is not None:
             size = min(len(rest), self.size)
-            out += self._windows(rest, size, size)
+            out += self._classify(rest, size, size)
             rest = rest.part(slice(size, None))
         self._before = self._before[:, :0]
         out += self._margin
         self._margin = []
         return out
 
-    def _windows(self, have: Block, samples: int, size: int) -> list[Block]:
+    def _classify(self, have: Block, samples: int, size: int) -> list[Block]:
         """Classify the first ``samples`` in windows of ``size``; the others are the look-ahead."""
         assert self._floor is not None
         block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
@@ -237,9 +232,9 @@ class MotionGate:
         at, number = 0, samples // size
         while at < number:
             k = min(number - at, BLOCK_WINDOWS - self._in_block)
-            part = block.part(slice(at * size, (at + k) * size), self._stretch_cut)
-            self._stretch_cut = ''
-            out += self._judge(part, size, windows[at : at + k])
+            part = block.part(slice(at * size, (at + k) * size), self._pending_cut)
+            self._pending_cut = ''
+            out += self._keep_still(part, size, windows[at : at + k])
             at += k
             if size == self.size:
                 self._in_block += k
@@ -249,9 +244,8 @@ class MotionGate:
 
     # --- still or moving --------------------------------------------------------------------------
 
-    def _judge(self, block: Block, size: int, windows: Windows) -> list[Block]:
-        """Classify the windows of a block; ``block.cut`` is set if it does not follow the last
-        block."""
+    def _keep_still(self, block: Block, size: int, windows: Windows) -> list[Block]:
+        """Return the windows of ``size`` samples that are at rest, from ``windows`` statistics."""
         out: list[Block] = []
         if block.cut:
             out, self._margin = self._margin, []
@@ -266,16 +260,16 @@ class MotionGate:
                 out += self._step(window, *(bool(v[i]) for v in found[:3]))
                 still[i] = not self.moving
         else:
-            out += self._pass_on(block.part(slice(None)))
+            out += self._release(block.part(slice(None)))
         self._last_mean = windows.mean[:, -1]
         if size == self.size:
-            self._block.append(_Judged(block, windows, still, found))
+            self._block.append(_Part(block, windows, still, found))
         return out
 
     def _step(self, window: Block, moving: bool, quiet: bool, stuck: bool) -> list[Block]:
-        """Update the state of the gate by one window."""
+        """Update the state by one window, and return the blocks that are released."""
         if not self.moving and not moving:
-            return self._pass_on(window)
+            return self._release(window)
         if not self.moving:
             self.moving = True
             reason = 'stuck' if stuck else 'motion'
@@ -294,9 +288,8 @@ class MotionGate:
             self._quiet = 0
         return []
 
-    def _pass_on(self, block: Block) -> list[Block]:
-        """Release a still block except its last window, since a motion may begin in the next
-        one."""
+    def _release(self, block: Block) -> list[Block]:
+        """Return a still block except its last window, which becomes the margin."""
         out = self._margin
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
@@ -307,51 +300,51 @@ class MotionGate:
         return out
 
     def _saturated(self, rows: Floats) -> int:
-        """Return how many samples of a moving window are at the end of the range.
+        """Return how many samples of a moving window, (axes, n), are saturated.
 
-        The end of the range is the largest value of the axis so far, kept for several samples
-        after a large step.
+        An axis is saturated if it stays at its largest value so far for several samples, after a
+        large step.
         """
         assert self._floor is not None
         size = np.abs(rows)
         self._extreme = np.maximum(self._extreme, size.max(axis=1))
         top = size >= self._extreme[:, None]
         inside = np.zeros(rows.shape[1], bool)
-        for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= LEAST_PLATEAU):
+        for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= MIN_PLATEAU):
             edges = np.flatnonzero(np.diff(top[axis], prepend=False, append=False))
             for a, b in edges.reshape(-1, 2):
                 outside = [rows[axis, i] for i in (a - 1, b) if 0 <= i < rows.shape[1]]
                 step = max((abs(rows[axis, a] - x) for x in outside), default=0.0)
-                if b - a >= LEAST_PLATEAU and step >= PLATEAU_STEP_LSB * self._floor.lsb[axis] > 0:
+                if b - a >= MIN_PLATEAU and step >= PLATEAU_STEP_LSB * self._floor.lsb[axis] > 0:
                     inside[a:b] = True
         return int(np.count_nonzero(inside))
 
-    # --- the floor --------------------------------------------------------------------------------
+    # --- the noise floor --------------------------------------------------------------------------
 
     def _end_block(self) -> list[Block]:
-        """Update the floor after a block of windows; restart if the floor was learned in motion."""
+        """Update the noise floor after a block; start again if it was learned during a motion."""
         floor = self._floor
         assert floor is not None
         block, self._block, self._in_block = self._block, [], 0
-        windows = Windows.joined(judged.windows for judged in block)
-        relearned = floor.if_learned_in_motion(windows)
-        if relearned is not None:
-            self._floor = relearned
-            return self._judge_again(block)
-        still = np.concatenate([judged.still for judged in block])
-        turning = all(judged.windows_class.turning_only.all() for judged in block)
-        following = floor.following(windows, still, turning)
-        if following.can_be_rest():
-            self._floor = following
-        self._note_louder(block, windows, still)
+        windows = Windows.joined(part.windows for part in block)
+        lower = floor.replacement(windows)
+        if lower is not None:
+            self._floor = lower
+            return self._restart(block)
+        still = np.concatenate([part.still for part in block])
+        rotating = all(part.found.rotating.all() for part in block)
+        updated = floor.updated(windows, still, rotating)
+        if updated.is_plausible():
+            self._floor = updated
+        self._count_louder(block, windows, still)
         return []
 
-    def _note_louder(self, block: list[_Judged], windows: Windows, still: Flags) -> None:
+    def _count_louder(self, block: list[_Part], windows: Windows, still: Flags) -> None:
         """Distinguish a block of louder noise from motion, and count it separately."""
         ratio = None
-        if not still.any() and not any(j.windows_class.stuck.any() for j in block):
+        if not still.any() and not any(part.found.stuck.any() for part in block):
             assert self._floor is not None
-            rows = np.concatenate([judged.block.rows for judged in block], axis=1)
+            rows = np.concatenate([part.samples.rows for part in block], axis=1)
             ratio = self._floor.louder(rows, windows)
         self._noisy_blocks = 0 if ratio is None else self._noisy_blocks + 1
         self.louder = ratio if self._noisy_blocks >= LOUDER_BLOCKS else None
@@ -363,27 +356,27 @@ class MotionGate:
         self._counts.louder += samples
         self.loudest = np.maximum(self.loudest, self.louder)
 
-    def _judge_again(self, block: list[_Judged]) -> list[Block]:
-        """Classify a block again with the floor learned from it; all earlier data are invalid."""
-        # released samples are counted as moving when they are discarded
+    def _restart(self, block: list[_Part]) -> list[Block]:
+        """Discard all earlier data, and classify a block again with the lower noise floor."""
+        # `SensorStream` counts the samples that were already released
         self._counts.moving += sum(map(len, self._margin))
-        samples = sum(len(j.block) for j in block)
-        stuck = self.size * sum(int(np.count_nonzero(j.windows_class.stuck)) for j in block)
+        samples = sum(len(part.samples) for part in block)
+        stuck = self.size * sum(int(np.count_nonzero(part.found.stuck)) for part in block)
         self._counts.moving -= samples - stuck
         self._counts.stuck -= stuck
         self._margin = []
         self._last_mean = None
         self._noisy_blocks, self.louder = 0, None
         self.moving, self._quiet, self._cut = True, 0, 'motion'
-        out = [block[0].block.part(slice(0), RELEARNED)]
-        for judged in block:
-            out += self._judge(judged.block, self.size, judged.windows)
+        out = [block[0].samples.part(slice(0), RELEARNED)]
+        for part in block:
+            out += self._keep_still(part.samples, self.size, part.windows)
         self._block = []
         return out
 
 
-def _stretches(blocks: list[Block]) -> list[list[Block]]:
-    """Return groups of consecutive blocks."""
+def _contiguous(blocks: list[Block]) -> list[list[Block]]:
+    """Group blocks so that each group has no gap inside."""
     groups: list[list[Block]] = []
     for block in blocks:
         if block.cut or not groups:
@@ -413,34 +406,33 @@ def classify_windows(
     floor: NoiseFloor,
     motion_ratio: float,
 ) -> WindowClass:
-    """Compare windows of ``size`` samples with the floor, by the ``motion_ratio`` of `MotionGate`.
+    """Classify windows of ``size`` samples by comparing them with the noise floor.
 
-    ``previous_mean``, (axes,), is the mean of the window before the first; None if there is none.
+    A standard deviation above ``motion_ratio`` times the noise floor is motion. ``previous_mean``,
+    (axes,), is the mean of the window before the first, or None if there is none.
     """
-    # (axes, 1) each; infinite if the floor is unknown
+    # (axes, 1) each; the limits are infinite for an axis without noise
     scale, lsb = floor.scale[:, None], floor.lsb[:, None]
     unknown = np.where(scale > 0.0, 0.0, np.inf)
     sigma = np.sqrt(scale)
     step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
-    # the variance of few samples scatters: short windows are classified by their most distant
-    # sample
-    unsure = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
-    most_variance = motion_ratio**2 * scale + unsure
-    most_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
-    most_step = STEP_SIGMAS * step_sigma + lsb + unsure
-    most_turn = np.maximum(floor.limits.turn[:, None], STEP_SIGMAS * step_sigma)
+    # the variance of few samples is uncertain, so short windows are classified by their peak
+    uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
+    max_variance = motion_ratio**2 * scale + uncertain
+    max_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
+    max_step = STEP_SIGMAS * step_sigma + lsb + uncertain
+    max_rate = np.maximum(floor.limits.rate[:, None], STEP_SIGMAS * step_sigma)
     previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
     means = np.concatenate([previous, windows.mean], axis=1)
     step = np.abs(means[:, 1:] - means[:, :-1])
-    restless = windows.variance > LEAVE_RATIO**2 * most_variance
-    knocked = (windows.peak > most_peak) | (step > most_step)
-    turning = np.abs(windows.mean - floor.mean[:, None]) > most_turn
+    noisy = windows.variance > LEAVE_RATIO**2 * max_variance
+    knocked = (windows.peak > max_peak) | (step > max_step)
+    rotating = np.abs(windows.mean - floor.mean[:, None]) > max_rate
     none = np.zeros(windows.mean.shape[1], bool)
-    if windows.variance.all() and not (restless | knocked | turning).any():
+    if windows.variance.all() and not (noisy | knocked | rotating).any():
         return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
-    noisy = (floor.variance > floor.lsb**2)[:, None] & (size >= LEAST_WINDOW)
-    stuck = ((windows.variance == 0.0) & noisy).any(axis=0)
-    wild = windows.variance > most_variance
-    moving = (wild | knocked | turning).any(axis=0) | stuck
-    restless_any = (restless | knocked).any(axis=0) | stuck
-    return WindowClass(moving, ~(moving | restless_any), stuck, turning.any(axis=0) & ~restless_any)
+    has_noise = (floor.variance > floor.lsb**2)[:, None] & (size >= LEAST_WINDOW)
+    stuck = ((windows.variance == 0.0) & has_noise).any(axis=0)
+    moving = ((windows.variance > max_variance) | knocked | rotating).any(axis=0) | stuck
+    disturbed = (noisy | knocked).any(axis=0) | stuck
+    return WindowClass(moving, ~(moving | disturbed), stuck, rotating.any(axis=0) & ~disturbed)

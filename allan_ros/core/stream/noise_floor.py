@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise floor of a sensor at rest, statistics of windows of samples, and isolated spikes."""
+"""Estimates the noise of a sensor at rest from short windows, and replaces isolated spikes."""
 
 from __future__ import annotations
 
@@ -18,83 +18,86 @@ LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
 
 QUANTILE = 0.25
-"""The floor is this quantile of the windows' variances: up to three quarters of the windows may be
-motion."""
+"""The noise floor is this quantile of the variances of the windows. So up to three quarters of the
+windows may contain motion."""
 
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal variable over its median absolute value."""
+"""Ratio of the standard deviation of a zero-mean normal variable to the median of its absolute
+value."""
 
 FLOOR_GAIN = 0.25
-"""Weight of a new block of still windows when the floor is updated."""
+"""Weight of a new block of still windows when the noise floor is updated."""
 
 RELEARN_RATIO = 5.0
-"""If a block is quieter than the floor by this factor (standard deviation), the floor and the data
-so far were taken in motion."""
+"""If the standard deviation of a block is smaller than the noise floor by this factor, the floor
+was learned in motion, and all data so far are discarded."""
 
 ROUNDING = 1e-13
-"""A deviation below this fraction of the mean is rounding: no sensor has a resolution of 43
-bits."""
+"""A standard deviation below this fraction of the mean is a rounding error: no sensor has a
+resolution of 43 bits."""
 
 COLOURED_STEP = 3.0
 """If the steps between window means exceed those of white noise by this factor, the noise is not
 white."""
 
-SLOW = 0.2
-"""If the ratio (see `smoothness`) is smaller than this, the noise has low frequencies."""
+LOW_FREQUENCY = 0.2
+"""Below this von Neumann ratio, low frequencies dominate the noise."""
 
 HEAVY_BAND, HEAVY_SHARE, LEAST_HEAVY = (4.5, 7.0), 1.5e-3, 3
-"""Noise has heavy tails if this share, and this number, of samples lies in this band of deviations:
-the share is 2e-5 in white noise and 7e-3 in a t distribution with three degrees of freedom."""
+"""Noise has heavy tails if this share of the samples, and at least this number, deviate by a number
+of standard deviations in this band. The share is 2e-5 for white noise and 7e-3 for a t distribution
+with three degrees of freedom."""
 
 LOUDER_RATIO = 1.5
-"""Smallest ratio of the standard deviation to that of the floor at which an axis counts as
+"""Ratio of the standard deviation of an axis to its noise floor above which the noise has become
 louder."""
 
 LOUDER_SPREAD = 4.0
 """The variances of the windows of stationary noise lie within this factor of their median."""
 
 LOUDER_SPECTRUM = 0.5
-"""Smallest ratio of the smoothness (see `smoothness`) of louder noise to that of the floor, or of
-white noise. The energy of a motion lies at low frequencies."""
+"""The von Neumann ratio of louder noise is at least this fraction of that of the noise floor (or of
+white noise, if that is smaller). Motion has a smaller ratio, because it has low frequencies."""
 
 SAME_DIRECTION = 0.035
-"""Largest change of gravity, relative to its size, if an IMU did not tilt (2 degrees)."""
+"""Largest change of the measured gravity vector, relative to its magnitude, of an IMU that did not
+tilt (2 degrees)."""
 
 SPIKE_SIGMAS = 7.0
-"""A sample with this many floor deviations from the mean of its window is a spike if it is
-isolated. In white noise these are 1e-10 of the samples, and the variance changes by less than
-1e-8."""
+"""An isolated sample is a spike if it deviates from the mean of its window by more than this number
+of standard deviations of the noise floor. This holds for 1e-10 of the samples of white noise, so
+the variance of white noise changes by less than 1e-8."""
 
 SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""A spike is isolated if its direct neighbors, and all but one of this number of samples before and
-after it, are closer to the mean than this fraction of the smallest spike. After a knock the sensor
-rings, after a spike it does not."""
+"""Number of samples before and after a spike that are examined. The spike is isolated if its direct
+neighbors, and all others except one, deviate less than this fraction of the smallest possible
+spike. After a mechanical knock, in contrast, several samples deviate."""
 
 
 @dataclass(frozen=True)
 class RestLimits:
-    """Limits of the slow changes that a sensor can show at rest, (axes,) arrays.
+    """Largest slow changes of a sensor at rest, (axes,) arrays in rad/s and m/s^2.
 
-    White noise has no limit: large values indicate another unit, which is reported elsewhere.
+    White noise has no limit, because large values usually mean that the unit is wrong.
     """
 
-    deviation: Floats  # standard deviation within a window of noise at low frequencies
-    # of the step between the means of neighboring windows, if larger than that of white noise
+    deviation: Floats  # standard deviation within a window, if low frequencies dominate
+    # step between the means of neighboring windows, if larger than that of white noise
     step: Floats
-    turn: Floats  # of the change of the mean rate from its value at rest
-    gravity: NDArray[np.bool_]  # the axes that measure gravity
+    rate: Floats  # deviation of the mean angular rate from its value at rest; infinite for accel
+    gravity: NDArray[np.bool_]  # whether the axis measures gravity
 
     @classmethod
     def of(cls, axes: tuple[str, ...], rate_limit: float) -> RestLimits:
-        """Return the limits in rad/s and m/s^2, above the values of any IMU at rest."""
+        """Return limits above the values of any IMU at rest; ``rate_limit`` is in rad/s."""
         gyro = np.array([axis.startswith('gyro') for axis in axes])
-        turn = np.where(gyro, rate_limit, np.inf)
-        return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), turn, ~gyro)
+        rate = np.where(gyro, rate_limit, np.inf)
+        return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), rate, ~gyro)
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Mean, variance and largest deviation of k windows: values, (3, axes, k)."""
+    """Mean, variance and largest absolute deviation of k windows: ``values``, (3, axes, k)."""
 
     values: Floats
 
@@ -104,36 +107,37 @@ class Windows:
 
     @classmethod
     def of(cls, rows: Floats, size: int) -> Windows:
-        """Measure windows of ``size`` samples; rows is (axes, k * size)."""
+        """Compute the statistics of windows of ``size`` samples; rows is (axes, k * size)."""
         cube = rows.reshape(len(rows), -1, size)
         mean = np.add.reduce(cube, axis=2) / size
-        # rounding keeps the order, so the most distant sample is the largest or the smallest one
+        # the sample with the largest deviation is the largest or the smallest one
         peak = np.maximum(cube.max(axis=2) - mean, mean - cube.min(axis=2))
         from_mean = cube - mean[:, :, None]
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
-        # the variance of constant samples is 0, whatever the rounding of their mean leaves
+        # the variance of constant samples is 0, but rounding of their mean makes it positive
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
 
     def __getitem__(self, which: slice | NDArray[np.bool_]) -> Windows:
-        """Return some of the windows."""
+        """Return the windows selected by a slice or a mask (k,)."""
         return Windows(self.values[:, :, which])
 
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
-        """Return the windows of all parts."""
+        """Concatenate the windows of all parts, at least one."""
         return cls(np.concatenate([part.values for part in parts], axis=2))
 
 
-def smoothness(stretches: Iterable[Floats]) -> Floats:
-    """Return the von Neumann ratio per axis: 1 for white noise, near 0 for slow motion.
+def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
+    """Return the von Neumann ratio of each axis, (axes,): 1 for white noise, 0 for slow motion.
 
-    The ratio is half the mean square of the differences between neighboring samples, divided by the
-    variance about the mean of each stretch, (axes, n). It is NaN if the samples are constant.
+    It is half the mean square of the differences between neighboring samples, divided by the
+    variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio is NaN if the
+    samples are constant. Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), 367.
     """
-    stretches = list(stretches)
-    differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in stretches)
-    deviations = sum(rows.var(axis=1) * rows.shape[1] for rows in stretches)
+    parts = list(parts)
+    differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in parts)
+    deviations = sum(rows.var(axis=1) * rows.shape[1] for rows in parts)
     with np.errstate(invalid='ignore', divide='ignore'):
         return np.asarray(0.5 * np.asarray(differences) / deviations)
 
@@ -142,28 +146,30 @@ def smoothness(stretches: Iterable[Floats]) -> Floats:
 class NoiseFloor:
     """The noise of a sensor at rest, (axes,) arrays in the unit of the samples (squared).
 
-    It is learned in windows of ``size`` samples.
+    It is estimated from windows of ``size`` samples.
     """
 
     variance: Floats  # about the mean of a still window
     step: Floats  # standard deviation of the step between the means of neighboring windows
     mean: Floats
-    lsb: Floats  # smallest change between two samples: the resolution of the sensor, or less
-    smooth: Floats  # `smoothness` of the samples
-    # whether the samples have heavy tails: single large values are noise, not spikes
-    heavy: NDArray[np.bool_]
+    lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
+    ratio: Floats  # von Neumann ratio of the samples
+    heavy: NDArray[np.bool_]  # heavy tails: single large values are noise, not spikes
     size: int
     limits: RestLimits
 
     @classmethod
-    def learned(cls, stretches: Iterable[Floats], size: int, limits: RestLimits) -> NoiseFloor:
-        """Learn from the first samples, (axes, n) each."""
-        stretches = list(stretches)
+    def learned(cls, parts: Iterable[Floats], size: int, limits: RestLimits) -> NoiseFloor:
+        """Return the noise of the first samples, of which at least a quarter should be at rest.
+
+        Each part, (axes, n), is a sequence of samples without a gap.
+        """
+        parts = list(parts)
         measured: list[Windows] = []
         steps: list[Floats] = []
-        axes = len(limits.turn)
+        axes = len(limits.rate)
         lsb = np.full(axes, np.inf)
-        for rows in stretches:
+        for rows in parts:
             window = min(size, rows.shape[1])
             if window < 2:
                 continue
@@ -184,31 +190,34 @@ class NoiseFloor:
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
             _quantile(windows.mean, 0.5),
             lsb,
-            smoothness(stretches),
-            _have_heavy_tails(stretches, size, np.sqrt(scale)),
+            von_neumann_ratio(parts),
+            _have_heavy_tails(parts, size, np.sqrt(scale)),
             size,
             limits,
         )
 
     @property
     def scale(self) -> Floats:
-        """Variance whose multiples are the thresholds, (axes,), at least that of rounding."""
+        """Variance that scales the thresholds, (axes,): at least that of rounding to the lsb."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
-    def can_be_rest(self) -> bool:
-        """Return whether this can be the floor of a sensor at rest."""
+    def is_plausible(self) -> bool:
+        """Return whether a sensor at rest can have this noise; False means that it moved."""
         white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
         steps = (self.step > self.limits.step) & (self.step > COLOURED_STEP * white)
-        swings = (self.variance > self.limits.deviation**2) & (self.smooth < SLOW)
-        return not bool((steps | swings).any())
+        slow = (self.variance > self.limits.deviation**2) & (self.ratio < LOW_FREQUENCY)
+        return not bool((steps | slow).any())
 
-    def if_learned_in_motion(self, block: Windows) -> NoiseFloor | None:
-        """Return the floor of a block if it is far quieter than this floor; else None."""
+    def replacement(self, block: Windows) -> NoiseFloor | None:
+        """Return the noise floor of a block if it is lower by `RELEARN_RATIO`, else None.
+
+        In that case, this floor was learned while the sensor moved.
+        """
         # an axis that repeats one value has no noise to compare
         quiet = _quantile(block.variance, QUANTILE)
         quiet = np.where(quiet > 0.0, quiet, self.variance)
         if (quiet > self.variance / RELEARN_RATIO**2).all():
-            return None  # the common case: the scale of no axis is lower, either
+            return None  # the common case; `scale` is not lower, either
         new = replace(self, variance=quiet)
         if not (RELEARN_RATIO**2 * new.scale < self.scale).any():
             return None
@@ -219,28 +228,30 @@ class NoiseFloor:
             new, step=MAD_TO_SIGMA * _quantile(steps, QUANTILE), mean=_quantile(mean, 0.5)
         )
 
-    def following(self, block: Windows, still: NDArray[np.bool_], turning: bool) -> NoiseFloor:
-        """Return the floor after a block of windows, some of which, (k,), were ``still``.
+    def updated(self, block: Windows, still: NDArray[np.bool_], rotating: bool) -> NoiseFloor:
+        """Return the noise floor updated by a block of k windows.
 
-        ``turning`` is whether only the mean rate differed from the floor, in all windows.
+        ``still``, (k,), flags windows at rest. With ``rotating``, all windows differ from the floor
+        in the mean angular rate only.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else block[still]
             recent = _quantile(rest.variance, QUANTILE)
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
             return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
-        if turning:
-            # a steady rate during a whole block is a bias that changed suddenly, or was learned in
-            # a turn
+        if rotating:
+            # a constant rate during a complete block is a bias that changed suddenly, or that was
+            # learned during a rotation
             return replace(self, mean=_quantile(block.mean, 0.5))
         return self
 
     def louder(self, rows: Floats, block: Windows) -> Floats | None:
-        """Return the ratio of the noise of a block at rest to the floor, (axes,); None in motion.
+        """Return by how much the noise of a block at rest exceeds the floor, as a ratio, (axes,).
 
-        Louder noise is stationary, has a spectrum as broad as that of the floor or of white noise,
-        and does not change the mean rate and the direction of gravity. The samples of the block are
-        ``rows``, (axes, n).
+        ``rows``, (axes, n), are the samples of the block, and ``block`` their windows. Returns None
+        if the noise is not louder, or if the sensor moves. Noise at rest is stationary, its
+        spectrum is as broad as that of the floor or of white noise, and the mean rate and the
+        direction of gravity do not change.
         """
         level = _quantile(block.variance, 0.5)
         scale = self.scale
@@ -254,27 +265,27 @@ class NoiseFloor:
         within &= LOUDER_SPREAD * block.variance >= level[:, None]
         if (within[louder].mean(axis=1) < 0.9).any():
             return None
-        least = LOUDER_SPECTRUM * np.fmin(self.smooth, 1.0)
-        if (smoothness([rows])[louder] < least[louder]).any():
+        smallest_ratio = LOUDER_SPECTRUM * np.fmin(self.ratio, 1.0)
+        if (von_neumann_ratio([rows])[louder] < smallest_ratio[louder]).any():
             return None
         sigma = np.sqrt(np.maximum(level, scale))
         white = np.sqrt(2.0 / self.size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
-        least_step = COLOURED_STEP * np.maximum(white, self.step)
-        if (MAD_TO_SIGMA * _quantile(steps, 0.5) > least_step).any():
+        largest_step = COLOURED_STEP * np.maximum(white, self.step)
+        if (MAD_TO_SIGMA * _quantile(steps, 0.5) > largest_step).any():
             return None
-        moved = np.abs(_quantile(block.mean, 0.5) - self.mean)
-        vertical = self.limits.gravity
-        gravity = float(np.linalg.norm(self.mean[vertical]))
-        allowed = np.where(vertical, SAME_DIRECTION * gravity, self.limits.turn) + white
-        return None if (moved > allowed).any() else ratio
+        change = np.abs(_quantile(block.mean, 0.5) - self.mean)
+        accel = self.limits.gravity
+        gravity = float(np.linalg.norm(self.mean[accel]))
+        allowed = np.where(accel, SAME_DIRECTION * gravity, self.limits.rate) + white
+        return None if (change > allowed).any() else ratio
 
 
-def _have_heavy_tails(stretches: list[Floats], size: int, sigma: Floats) -> NDArray[np.bool_]:
-    """Return which axes have many values just below the threshold of spikes, (axes,)."""
+def _have_heavy_tails(parts: list[Floats], size: int, sigma: Floats) -> NDArray[np.bool_]:
+    """Return which axes have heavy tails, (axes,); ``sigma``, (axes,), are standard deviations."""
     low, high = (factor * sigma[:, None, None] for factor in HEAVY_BAND)
     inside, samples = np.zeros(len(sigma), np.int64), 0
-    for rows in stretches:
+    for rows in parts:
         window = max(min(size, rows.shape[1]), 1)
         cube = rows[:, : rows.shape[1] // window * window].reshape(len(rows), -1, window)
         off = np.abs(cube - np.median(cube, axis=2, keepdims=True))
@@ -284,7 +295,7 @@ def _have_heavy_tails(stretches: list[Floats], size: int, sigma: Floats) -> NDAr
 
 
 def _quantile(values: Floats, share: float) -> Floats:
-    """Return the lower quantile of each row: one of its values, found without interpolation."""
+    """Return the lower quantile of each row, which is one of its values (no interpolation)."""
     k = int(share * (values.shape[1] - 1))
     return np.asarray(np.partition(values, k, axis=1)[:, k])
 
@@ -292,29 +303,30 @@ def _quantile(values: Floats, share: float) -> Floats:
 def without_spikes(
     block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
 ) -> tuple[Block, Windows, int]:
-    """Replace isolated spikes in windows of ``size`` samples by the mean of their neighbors.
+    """Replace isolated spikes by the mean of the two samples next to them.
 
-    Spikes of axes whose noise has heavy tails stay in the block, but not in the windows. The
-    arguments ``before`` and ``after`` are up to `SPIKE_NEIGHBORS` samples next to the block. The
-    result is the block, its windows, and the number of values that were replaced.
+    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
+    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
+    windows, and the number of replaced values. On axes with heavy tails, spikes are only removed
+    from the statistics, and the block keeps them.
     """
     rows = block.rows
     windows = Windows.of(rows, size)
-    least = SPIKE_SIGMAS * np.sqrt(floor.scale)
-    flagged = (windows.peak > least[:, None]) & (least > 0.0)[:, None]
+    threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
+    flagged = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
     if not flagged.any() or size < LEAST_WINDOW:
         return block, windows, 0
     axes, at = np.nonzero(flagged)
     cube = rows.reshape(len(rows), -1, size)[axes, at]
     level = np.median(cube, axis=1)
     sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-    # where the noise itself became louder, by more than the scatter of the estimate
-    louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * least[axes]
-    height = np.where(louder, SPIKE_SIGMAS * sigma, least[axes])
+    # a higher threshold if the noise is louder than its floor by more than the error of sigma
+    louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
+    height = np.where(louder, SPIKE_SIGMAS * sigma, threshold[axes])
     far = np.abs(cube - level[:, None]) > height[:, None]
     few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
     around = np.concatenate([before, rows, after], axis=1)
-    judged = rows.copy()
+    without = rows.copy()
     found = np.zeros(rows.shape, bool)
     for n, k in zip(*np.nonzero(far & few[:, None])):
         axis, i = axes[n], at[n] * size + k
@@ -322,21 +334,20 @@ def without_spikes(
         first = max(0, j - SPIKE_NEIGHBORS)
         near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
         if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
-            judged[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
+            without[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
             found[axis, i] = True
     changed = found.any(axis=0).reshape(-1, size).any(axis=1)
     if not changed.any():
         return block, windows, 0
-    some = judged.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
+    some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
     windows.values[:, :, changed] = Windows.of(some, size).values
     found[floor.heavy] = False
     filled = found if block.filled is None else block.filled | found
-    replaced = np.where(found, judged, rows)
+    replaced = np.where(found, without, rows)
     return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
 
 
 def _is_isolated(far: NDArray[np.bool_], at: int) -> bool:
-    """Return whether at most one other sample is far from the level, and none is next to an
-    index."""
+    """Return whether at most one flag other than ``far[at]`` is set, and no flag next to it."""
     inside = 0 < at < len(far) - 1
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2

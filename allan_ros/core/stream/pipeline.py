@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processing of batches of samples to sums, shared by the nodes and the offline tools.
+"""Processes batches of samples to Allan sums, for the nodes and the offline tools.
 
 `ImuStream` separates IMUs by their frame_id, `FrameStream` chooses the stamps and separates the
-sensors where their rates differ, and `SensorStream` runs the stages from samples to sums.
+sensors if their rates differ, and `SensorStream` runs the stages from samples to sums.
 """
 
 from __future__ import annotations
@@ -38,18 +38,17 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .period import LEARN, Clock, learn_clock
-from .timing import Block, SampleClock
+from .timing import LEARN, Block, Clock, SampleClock, learn_clock
 
 KEPT_FRAMES = 8
-"""Number of frame_ids in one stream whose sums are kept; each is another IMU."""
+"""Largest number of frame_ids (that is, of IMUs) in one stream whose sums are kept."""
 
 KEPT_RATES = 8
-"""Number of rates of one sensor stream whose sums are kept."""
+"""Largest number of different sample rates of one sensor stream whose sums are kept."""
 
 
 class StreamOptions(NamedTuple):
-    """Options of the accumulation: the settings, and whether spectra and means are kept."""
+    """Settings of the stages, and whether to compute spectra and means over a second."""
 
     settings: SegmenterSettings
     with_spectra: bool
@@ -59,10 +58,10 @@ class StreamOptions(NamedTuple):
 class ImuStream:
     """Accumulates the Allan sums of one stream of IMU samples.
 
-    Any chunking of the same samples gives the same sums, bit for bit: all decisions are taken on
-    samples counted from the start of the stream, with a fixed look-ahead.
-
-    The power spectral density and the means over a second are kept if requested.
+    The sums are the same, bit for bit, however the samples are divided into batches: all decisions
+    depend only on the positions of samples counted from the start of the stream, with a fixed
+    look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``with_spectra`` also
+    accumulates the power spectral density, ``with_means`` the means of static data over a second.
     """
 
     def __init__(
@@ -81,7 +80,7 @@ class ImuStream:
         self._dropped = Counts()  # of frames beyond `KEPT_FRAMES`
 
     def update(self, batch: ImuBatch) -> None:
-        """Add the next samples of the stream."""
+        """Process the next samples of the stream."""
         if not len(batch):
             return
         frame_id = batch.frame_id
@@ -97,11 +96,14 @@ class ImuStream:
             frame.flush()
 
     def means(self) -> tuple[Means, ...]:
-        """Return the latest means of static samples over a second, one value for each sensor."""
+        """Return the latest means of static data over a second, one object per sensor stream.
+
+        The result is empty unless they were requested.
+        """
         return tuple(stream.means for stream in self._present.sensors if stream.means is not None)
 
     def result(self) -> Accumulation:
-        """Return the results as if the input ended here; the stream itself is not changed."""
+        """Return the results as if the input ended here; the stream is not changed."""
         now = copy.deepcopy(self)
         state = now._present.state
         now.end()
@@ -115,9 +117,10 @@ class ImuStream:
         )
 
     def outlook(self, sums: tuple[AllanSums, ...]) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return health and findings from the sums of an earlier `result`, at a lower cost.
+        """Return state and findings without computing new sums, which is faster than `result`.
 
-        The latest samples, which are not classified yet, count as buffered.
+        ``sums`` are those of an earlier `result`. Samples that are not classified yet are missing
+        in the counts.
         """
         state = self._present.state
         if state not in ('waiting', 'learning'):
@@ -127,7 +130,7 @@ class ImuStream:
         return now._health(state, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Add a frame; if there are too many, drop the frame with the shortest data."""
+        """Add a frame_id; if there are too many, drop the one with the least data."""
         if len(self._frames) >= KEPT_FRAMES:
             least = min(
                 self._frames.values(),
@@ -141,7 +144,7 @@ class ImuStream:
         return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return the sums with the longest time for each sensor that was present at any time."""
+        """Return, for each sensor with data, the sums with the longest elapsed time."""
         best: dict[str, StreamSums] = {}
         for each in (each for frame in self._frames.values() for each in frame.by_rate()):
             for axis in each.sums.axes if each.sums.samples else ():
@@ -152,6 +155,7 @@ class ImuStream:
     def _health(
         self, state: State, longest: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
+        """Return counts, state and findings; ``longest`` are the sums that are reported."""
         frame = self._present
         counts = Counts(received=self._received)
         for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
@@ -178,10 +182,10 @@ class ImuStream:
 
 
 class FrameStream:
-    """The samples of one frame_id: chooses the stamps and feeds the sensor streams.
+    """Chooses the stamps of the samples with one frame_id, and divides them into sensor streams.
 
-    There is one sensor stream, or one per sensor if the rates differ, and none during the learning
-    phase, whose findings are ``notes``.
+    ``sensors`` has one stream for all axes, or one per sensor if the rates differ. It is empty
+    until the first samples are evaluated. ``notes`` are the findings about these first samples.
     """
 
     def __init__(self, identity: ImuIdentity, options: StreamOptions) -> None:
@@ -199,7 +203,7 @@ class FrameStream:
 
     @property
     def state(self) -> State:
-        """State of the stream."""
+        """State of the first sensor stream, or 'louder' if any of them is louder."""
         states = [sensor.state for sensor in self.sensors]
         if not states:
             return 'learning' if self._learned else 'waiting'
@@ -207,7 +211,7 @@ class FrameStream:
 
     @property
     def counts(self) -> Counts:
-        """Counts of the samples, except the number received."""
+        """Counts of the samples of all sensor streams; the number received is 0."""
         counts = Counts(skipped=self._warm_up.skipped)
         for sensor in self.sensors:
             counts.add(sensor.counts)
@@ -218,11 +222,11 @@ class FrameStream:
         return [each for sensor in self.sensors for each in sensor.by_rate()]
 
     def update(self, batch: ImuBatch) -> None:
-        """Add the next samples."""
+        """Process the next samples."""
         if self.sensors:
             self._feed(batch)
             return
-        # the first LEARN samples decide together, in any chunking
+        # exactly the first LEARN samples are evaluated, so that batch sizes do not matter
         take = min(LEARN - self._learned, len(batch))
         self._learning.append(batch[np.arange(take)])  # a copy
         self._learned += take
@@ -251,33 +255,33 @@ class FrameStream:
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
         self.last_ns = int(stamps[-1])
-        start = self._warm_up.take(stamps)
+        start = self._warm_up.skip(stamps)
         stamps, rows = stamps[start:], rows[:, start:]
         for sensor in self.sensors:
             sensor.feed(stamps, rows)
 
 
 class SensorStream:
-    """Feeds the engine with the samples at rest of the axes that are sampled together.
+    """Computes the sums of the axes that are sampled together, from their samples at rest.
 
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
-    stages are: own samples, order of stamps, sample clock, motion gate, engine. ``relearned``
-    counts how often the sums were discarded because they had been taken in motion.
+    stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `MotionGate`, `RunningAllan`.
+    ``relearned`` counts how often the sums were discarded because the IMU had been moving.
     """
 
     def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
         self.counts = Counts()
         self.relearned = 0
         self._axes = plan.axes
-        self._former: list[StreamSums] = []  # one per rate of the stream
+        self._former: list[StreamSums] = []  # one per earlier rate
         self._identity = identity
         self._options = options
-        self._own = SampleHoldFilter(plan)
-        self._order = StampFilter(len(plan.axes), self.counts)
+        self._hold_filter = SampleHoldFilter(plan)
+        self._stamp_filter = StampFilter(len(plan.axes), self.counts)
         self._start(np.empty(0, np.int64), np.empty((len(plan.axes), 0)))
 
     def _start(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-        """Start to learn a rate from the buffered samples."""
+        """Start to learn the sample period, from samples that were not processed yet."""
         self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
         self._clock: SampleClock | None = None
         self._gate: MotionGate | None = None
@@ -301,25 +305,28 @@ class SensorStream:
 
     @property
     def state(self) -> State:
-        """State of the stream."""
+        """State of this sensor stream."""
         if self._clock is None:
             return 'learning' if self._buffered else 'waiting'
         return 'still' if self._gate is None else self._gate.state
 
     @property
     def loudest(self) -> dict[str, float]:
-        """Axis -> ratio of its noise at rest to its floor; only axes that became louder."""
+        """Axis -> largest ratio of its noise at rest to its noise floor, or 0.
+
+        It is empty if no axis has become louder.
+        """
         if self._gate is None or not self._gate.loudest.any():
             return {}
         return dict(zip(self._axes, self._gate.loudest.tolist()))
 
     @property
     def clock(self) -> Clock | None:
-        """Working period and regularity of the stamps; None before the clock is learned."""
+        """Period and regularity of the stamps; None before they are learned."""
         return None if self._clock is None else self._clock.clock
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at each rate; when a rate returns, its sums are continued."""
+        """Return the sums at each sample rate; an earlier rate that returns is continued."""
         spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
@@ -329,16 +336,16 @@ class SensorStream:
 
     @property
     def means(self) -> Means | None:
-        """The latest means of static samples over a second, if they are kept."""
+        """The latest means of static data over a second; None if they were not requested."""
         return None if self._means is None else self._means.means
 
     def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-        """Process samples of the six-axis stream: stamps (n,) in ns, rows (6, n)."""
-        own = self._order.feed(*self._own.pick(stamps, rows))
+        """Process samples of the six-axis stream: stamps (n,) in ns, values (6, n)."""
+        kept = self._stamp_filter.feed(*self._hold_filter.select(stamps, rows))
         if self._clock is not None:
-            self._advance(self._clock.feed(*own))
+            self._process(self._clock.feed(*kept))
             return
-        self._learning.append(own)
+        self._learning.append(kept)
         if self._buffered >= LEARN:
             self._learn()
 
@@ -349,14 +356,14 @@ class SensorStream:
                 self._learn()
             if self._clock is None:
                 break
-            self._pass_on(self._clock.flush())
+            self._gate_blocks(self._clock.flush())
             if not self._clock.rate_changed:
                 break
             self._change_rate()
-        self._end_gate()
+        self._flush_gate()
 
     def _learn(self) -> None:
-        """Learn the clock from the first samples, then process these."""
+        """Learn the sample period from the first samples, then process these."""
         if not self._buffered:
             return
         parts, self._learning = self._learning, []
@@ -373,36 +380,38 @@ class SensorStream:
             self._gate = MotionGate(
                 clock.period_ns, axes, self.counts, settings.motion_ratio, settings.rate_limit
             )
-        self._advance(self._clock.feed(stamps, rows, jumped))
+        self._process(self._clock.feed(stamps, rows, jumped))
 
-    def _advance(self, blocks: list[Block]) -> None:
-        self._pass_on(blocks)
+    def _process(self, blocks: list[Block]) -> None:
+        """Process evenly spaced blocks, and then a change of the rate, if there is one."""
+        self._gate_blocks(blocks)
         if self._clock is not None and self._clock.rate_changed:
             self._change_rate()
             if self._buffered >= LEARN:
                 self._learn()
 
     def _change_rate(self) -> None:
-        """Keep the sums of the previous rate, and start to learn the new one."""
+        """Store the sums at the previous rate, and start to learn the new rate."""
         assert self._clock is not None
-        self._end_gate()
+        self._flush_gate()
         self.counts.cuts['rate change'] += 1
         longest_first = sorted(self.by_rate(), key=lambda each: -each.sums.elapsed_ns)
         self._former = longest_first[:KEPT_RATES]
-        stamps, rows = self._clock.waiting
+        stamps, rows = self._clock.pending
         self._start(stamps.copy(), rows.copy())
 
-    def _end_gate(self) -> None:
+    def _flush_gate(self) -> None:
         if self._gate is not None:
             for block in self._gate.flush():
                 self._accumulate(block)
         self._close_segment()
 
-    def _pass_on(self, blocks: list[Block]) -> None:
+    def _gate_blocks(self, blocks: list[Block]) -> None:
         for block in blocks if self._gate is None else self._gate.feed(blocks):
             self._accumulate(block)
 
     def _accumulate(self, block: Block) -> None:
+        """Add a block at rest to the sums."""
         if block.cut == RELEARNED:
             self.counts.moving += self._engine.samples
             self.counts.used -= self._engine.samples

@@ -1,13 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sample clock: finds gaps in the stamps and interpolates short ones.
+"""Estimates the sample period from the stamps, detects gaps and interpolates short ones.
 
-An IMU samples evenly, but its stamps scatter. A silence that is followed by a burst of late samples
-has lost nothing; any other silence is a gap. The two are distinguished by the earliest arrivals
-(the lower envelope of stamp minus index times period) before and after the silence, with a fixed
-look-ahead in samples.
+An IMU samples evenly, but its stamps scatter. If no stamp arrives for several periods, either
+samples were lost, or they are late and follow in a burst. The delay of a sample is its stamp minus
+its index times the period. Lost samples increase the smallest delay (the lower envelope of the
+delays), late samples do not. So the smallest delays before and after the pause are compared, over a
+fixed number of samples.
 
-Decisions are taken on blocks counted from the first sample, so they do not depend on the chunking.
+All decisions are taken for blocks counted from the first sample, so they do not depend on how the
+samples are divided into batches.
 """
 
 from __future__ import annotations
@@ -19,18 +21,136 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .health import RATE_CHANGE, Counts
-from .period import CLOCK_BLOCK, LATTICE_TRACKING, LEARN, Clock, Stamps, lattice_period
 
+Stamps = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+LEARN = 1024
+"""Number of samples from which the period of a stream is learned."""
+
+CLOCK_BLOCK = 256
+"""Number of samples that are processed together."""
+
+LOOK_AHEAD = 64
+"""Number of samples before and after a pause whose delays are compared, for regular stamps."""
+
+BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
+"""The same for bursty stamps: a time in s, and the largest number of samples."""
+
+BURST_PAUSE_S = 0.25
+"""Shortest pause and smallest increase of the delay, in s, that can be a loss if stamps are bursty.
+In that case the smallest delay varies by several samples without a loss."""
+
+LATE = 1.5
+"""If stamps are regular, a step longer than this many periods is a pause."""
+
+REGULAR_SHARE = 0.6
+"""Stamps are regular if this share of the steps lies within 50 % of the median step, and if the
+mean of these steps is at least this share of the mean of all steps."""
+
+JITTER_SHARE = 0.01
+"""Stamps have jitter if more than this share of the steps is shorter than half the period."""
+
+PERIOD_RANGE, PERIOD_TRACKING = 0.05, 0.003
+"""Relative range in which `rayleigh_period` searches: the first time, and later."""
+
+PHASE_GAP = 16.0
+"""Longest pause, in periods, after which the phase of the samples is assumed to continue."""
+
+PHASE_STEP = 0.25
+"""Phase difference between two tried periods, in cycles over all stamps."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Estimated sample period, and median step between the stamps, of a stream.
+
+    If the stamps are ``bursty``, many samples have almost the same stamp, and single steps contain
+    no information. With ``jitter``, some single losses are not detected.
+    """
+
+    period_ns: float
+    step_ns: float
+    bursty: bool
+    jitter: bool = False
+
+    @property
+    def look_ahead(self) -> int:
+        """Number of samples before and after a pause whose delays are compared."""
+        if not self.bursty:
+            return LOOK_AHEAD
+        wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
+        return int(min(max(wanted, LOOK_AHEAD), BURST_LOOK_AHEAD))
+
+    @property
+    def pause_ns(self) -> float:
+        """Step between two stamps, in ns, above which samples may be lost."""
+        late = LATE * self.period_ns
+        return max(late, BURST_PAUSE_S * 1e9) if self.bursty else late
+
+    @property
+    def smallest_loss(self) -> float:
+        """Increase of the smallest delay, in periods, above which samples are regarded as lost."""
+        return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
+
+
+def learn_clock(stamps: Stamps) -> Clock | None:
+    """Estimate the sample period and the regularity of stamps in ns, (n,), in the order received.
+
+    Backward stamps are ignored. Returns None if no two stamps differ.
+    """
+    if not len(stamps):
+        return None
+    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
+    if not step.any():
+        return None
+    size = max(1, min(CLOCK_BLOCK, len(step) // 4))
+    # one long gap does not change the median of block means
+    mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
+    mean = mean or float(step.mean())
+    median = float(np.median(step))
+    near = step[np.abs(step - median) <= 0.5 * median]
+    if median > 0.0 and len(near) >= REGULAR_SHARE * len(step):
+        period = float(near.mean())
+        if period >= REGULAR_SHARE * mean:
+            # jitter makes steps longer and shorter, lost samples only longer
+            long_steps = np.count_nonzero(step > LATE * period)
+            short_steps = np.count_nonzero(step < period / 2)
+            if short_steps > JITTER_SHARE * len(step):
+                period = rayleigh_period(stamps, period, PERIOD_RANGE)
+                return Clock(period, median, bursty=False, jitter=True)
+            return Clock(mean if 2 * short_steps >= long_steps else period, median, bursty=False)
+    return Clock(mean, median, bursty=True)
+
+
+def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> float:
+    """Return the sample period, in ns, at which the phases of stamps with jitter agree best.
+
+    Periods p within ``relative_range`` (a fraction) of ``period`` are tried. The result maximizes
+    |sum exp(2 pi i t / p)|, the Rayleigh statistic of the phases of the stamps t (K. V. Mardia,
+    P. E. Jupp, Directional Statistics, 2000, section 6.3). Lost samples do not move the maximum,
+    and jitter only makes it smaller.
+    """
+    step = np.diff(stamps) / period
+    t = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
+    t -= t[len(t) // 2]
+    resolution = PHASE_STEP / max(float(t[-1] - t[0]), 1.0)
+    steps = int(relative_range / resolution)
+    rate = 1.0 + resolution * np.arange(-steps, steps + 1)
+    statistic = np.array([abs(np.exp(2j * np.pi * r * t).sum()) for r in rate])
+    return float(period / rate[np.argmax(statistic)])
+
+
+# --- the sample clock ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Block:
-    """Evenly spaced samples: stamps in ns, (n,), and rows, (axes, n).
+    """Evenly spaced samples: stamps in ns, (n,), and values, (axes, n).
 
-    They follow the previous block directly, unless ``cut`` states why not. ``filled``, (axes, n),
-    flags interpolated values; None if no value is interpolated.
+    ``cut`` is '' if the block directly follows the previous one, else the reason for the gap
+    between them. ``filled``, (axes, n), flags interpolated values; None if there are none.
     """
 
     stamps: Stamps
@@ -42,7 +162,7 @@ class Block:
         return len(self.stamps)
 
     def part(self, which: slice, cut: str = '') -> Block:
-        """Return some of the samples as a separate block (views)."""
+        """Return a slice of the samples as a block of views, after a gap if ``cut`` is set."""
         filled = None if self.filled is None else self.filled[:, which]
         return Block(self.stamps[which], self.rows[:, which], cut, filled)
 
@@ -53,7 +173,7 @@ class Block:
 
     @classmethod
     def joined(cls, parts: list[Block]) -> Block:
-        """Return the samples of all parts as one block, with the cut of the first."""
+        """Concatenate consecutive blocks, at least one; the result has the ``cut`` of the first."""
         parts = [part for part in parts if len(part)] or parts[:1]
         if len(parts) == 1:
             return parts[0]
@@ -70,26 +190,28 @@ class Block:
 
 
 TRACK_BLOCKS = 16
-"""Blocks after which the working period is updated."""
+"""Number of blocks after which the estimated period is updated."""
 
 RATE_CHANGE_STEP = 1.45
-"""Median step, relative to the previous one, that indicates another rate and not a loss at every
-step."""
+"""Ratio of the median step of a block to that learned at the start above which the rate has
+changed. Single losses do not change the median."""
 
 RATE_CHANGE_BURSTY = 0.10
-"""Change of the period over `TRACK_BLOCKS` that indicates another rate if stamps are bursty."""
+"""Relative change of the period over `TRACK_BLOCKS` that means, if stamps are bursty, that the rate
+changed."""
 
 BRIDGED_SHARE = 0.5
-"""Largest number of interpolated samples per received sample in a block; if more samples are lost,
-the data are split."""
+"""Largest ratio of interpolated to received samples in a block; if more samples are lost, the data
+are split."""
 
 
 class SampleClock:
-    """Turns samples into evenly spaced blocks; at most one block and the look-ahead are buffered.
+    """Converts samples to evenly spaced blocks; at most one block and the look-ahead are buffered.
 
-    The working period of its ``clock`` follows the stamps. Gaps of up to ``max_bridge`` samples
-    are interpolated, and ``counts`` is changed in place. Once ``rate_changed`` is set, `waiting`
-    contains the samples from the change on, and no more samples are accepted.
+    ``clock`` is the first estimate of the period, which is then updated from the stamps. Gaps of up
+    to ``max_bridge`` samples are interpolated, and ``counts`` is changed in place. Once
+    ``rate_changed`` is set, `pending` contains the samples from the change on, and no more samples
+    are accepted.
     """
 
     def __init__(self, clock: Clock, axes: int, max_bridge: int, counts: Counts) -> None:
@@ -98,40 +220,45 @@ class SampleClock:
         self._max_bridge = max_bridge
         self._counts = counts
         self._reach = clock.look_ahead
-        # buffered samples, after up to `_reach` that are already processed (`_past` of them)
+        # the first `_past` samples, at most `_reach`, are already processed
         self._stamps: Stamps = np.empty(0, np.int64)
         self._rows: Floats = np.empty((axes, 0))
         self._jumped: Flags = np.empty(0, bool)
         self._past = 0
-        self._index: NDArray[np.int64] = np.empty(0, np.int64)  # of the past samples
-        self._since_cut = 0  # past samples since the last cut, at most `_reach`
+        # index of each processed sample, with lost samples counted
+        self._index: NDArray[np.int64] = np.empty(0, np.int64)
+        self._since_gap = 0  # processed samples since the last gap, at most `_reach`
         self._blocks = 0
-        self._suspect = False  # whether the last block seemed to have another rate
+        self._other_period = False  # whether the period of the last block differed
         self._track_start: tuple[int, int] | None = None  # stamp and index; None after a gap
 
     @property
-    def waiting(self) -> tuple[Stamps, Floats]:
-        """Samples that are not processed yet: stamps (n,) and rows (axes, n)."""
+    def pending(self) -> tuple[Stamps, Floats]:
+        """Samples that are not processed yet: stamps (n,) in ns and values (axes, n)."""
         return self._stamps[self._past :], self._rows[:, self._past :]
 
     def feed(self, stamps: Stamps, rows: Floats, jumped: Flags) -> list[Block]:
-        """Add samples, and return the complete blocks."""
+        """Add samples, and return the blocks whose look-ahead is complete.
+
+        ``stamps``, (n,), are in ns, and ``rows`` are (axes, n). ``jumped``, (n,), flags samples
+        before which the clock was set back.
+        """
         if rows.strides[1] != rows.itemsize:
-            # axis by axis, in any memory layout. Only the seam between buffered and new samples is
-            # copied: up to the end of the block after which all samples of the look-back are new.
             rows = np.ascontiguousarray(rows)
-        waiting = len(self._stamps) - self._past
-        seam = -(-(waiting + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - waiting + self._reach
+        # Only samples near the border between buffered and new samples are copied: up to the end of
+        # the first block before which `_reach` samples are new.
+        pending = len(self._stamps) - self._past
+        seam = -(-(pending + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - pending + self._reach
         self._append(stamps[:seam], rows[:, :seam], jumped[:seam])
-        done = self._judge_ready()
+        done = self._process_ready()
         if len(stamps) > seam:
             if self.rate_changed:
                 self._append(stamps[seam:], rows[:, seam:], jumped[seam:])
                 return done
             rest = slice(seam - len(self._stamps), None)
             self._stamps, self._rows, self._jumped = stamps[rest], rows[:, rest], jumped[rest]
-            done += self._judge_ready()
-            # a copy, which does not keep the others in memory
+            done += self._process_ready()
+            # copies the buffer, so that the batch can be released
             self._append(stamps[:0], rows[:, :0], jumped[:0])
         return done
 
@@ -140,30 +267,30 @@ class SampleClock:
         self._rows = np.concatenate([self._rows, rows], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
 
-    def _judge_ready(self) -> list[Block]:
+    def _process_ready(self) -> list[Block]:
         """Process the complete blocks whose look-ahead is available."""
         done: list[Block] = []
-        first = self._past  # of samples without a gap: they are passed on as one block
+        first = self._past  # of consecutive samples without a gap, which become one block
         while not self.rate_changed:
             ready = (len(self._stamps) - self._past - self._reach) // CLOCK_BLOCK
             count = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
             if count < 1:
                 break
             if self._are_even(count * CLOCK_BLOCK):
-                self._suspect = False
-                self._step_forward(count * CLOCK_BLOCK)
+                self._other_period = False
+                self._advance(np.ones(count * CLOCK_BLOCK, np.int64))
                 continue
             done += self._view(first)
-            done += self._judge(count * CLOCK_BLOCK)
+            done += self._process(count * CLOCK_BLOCK)
             first = self._past
         done += self._view(first)
         self._release()
         return done
 
     def _view(self, first: int) -> list[Block]:
-        """Return the processed samples from an index on."""
-        passed = slice(first, self._past)
-        return [Block(self._stamps[passed], self._rows[:, passed])] if first < self._past else []
+        """Return the processed samples from position ``first`` on, if there are any."""
+        which = slice(first, self._past)
+        return [Block(self._stamps[which], self._rows[:, which])] if first < self._past else []
 
     def flush(self) -> list[Block]:
         """Return the blocks of all buffered samples at the end of the input."""
@@ -171,36 +298,34 @@ class SampleClock:
         while not self.rate_changed and len(self._stamps) > self._past:
             left = len(self._stamps) - self._past
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            done += self._judge(min(left, room))
+            done += self._process(min(left, room))
             self._release()
         return done
 
     def _are_even(self, n: int) -> bool:
-        """Return whether the next n samples have no gap and the same rate, which is the common
-        case.
-        """
+        """Return whether the next n samples have no gap and the same rate (the common case)."""
         begin = self._past
         if begin == 0 or self._jumped[begin : begin + n].any():
             return False
         stamps = self._stamps[begin - 1 : begin + n]
         clock, longest = self.clock, int((stamps[1:] - stamps[:-1]).max())
-        if clock.bursty or longest > clock.silence_ns:
-            return longest <= clock.silence_ns
+        if clock.bursty or longest > clock.pause_ns:
+            return longest <= clock.pause_ns
         period = np.diff(stamps[::CLOCK_BLOCK]) / CLOCK_BLOCK
         return longest <= RATE_CHANGE_STEP * clock.step_ns and bool(
             np.all(np.abs(period / clock.period_ns - 1.0) <= RATE_CHANGE)
         )
 
-    def _judge(self, n: int) -> list[Block]:
-        """Process the next n samples (complete blocks, or the last ones)."""
+    def _process(self, n: int) -> list[Block]:
+        """Find gaps and a change of the rate in the next n samples, and return them as blocks."""
         begin = self._past
         stamps, jumped = (a[begin : begin + n] for a in (self._stamps, self._jumped))
         before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
         step = np.diff(stamps, prepend=before)
-        advance = np.where(jumped, 0, 1)  # index steps; 0 means a gap
+        advance = np.where(jumped, 0, 1)  # steps of the index; 0 means that the data are split
         missing = np.zeros(n, np.int64)
         bridged = np.zeros(-(-n // CLOCK_BLOCK), np.int64)
-        for j in np.flatnonzero((step > self.clock.silence_ns) & ~jumped):
+        for j in np.flatnonzero((step > self.clock.pause_ns) & ~jumped):
             missing[j] = lost = self._lost(begin + int(j), int(j), advance)
             block = j // CLOCK_BLOCK
             if lost > self._max_bridge or bridged[block] + lost > BRIDGED_SHARE * CLOCK_BLOCK:
@@ -208,7 +333,7 @@ class SampleClock:
             else:
                 bridged[block] += lost
                 advance[j] = 1 + lost
-        same = self._same_rate(step, advance)
+        same = self._count_same_rate(step, advance)
         if same < n:
             self.rate_changed = True
             if same == 0:
@@ -220,16 +345,17 @@ class SampleClock:
         gaps = int(np.count_nonzero(advance == 0)) - jumps
         self._counts.cuts += Counter({'clock jump': jumps, 'gap': gaps})
         blocks = self._blocks_of(begin, advance)
-        self._step_forward(same, advance)
+        self._advance(advance)
         return blocks
 
-    def _same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
-        """Return how many of the samples come before a change of the rate.
+    def _count_same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
+        """Return how many samples come before a change of the rate.
 
-        The steps of a block show whether the rate changed, the first unusual step shows where. With
-        jitter, two blocks are needed, because one block may have several losses that were not
-        detected. The samples from which the period was learned are exempt, so that every clock
-        makes progress.
+        The steps between the stamps, in ns, and the steps of the index are (n,). The mean and
+        median step of a block show whether the rate changed, and the first unusual step shows
+        where. With jitter, two blocks are needed, because one block may have several losses that
+        were not detected. The samples from which the period was learned are never regarded as a
+        change, since otherwise learning could repeat without end.
         """
         if self.clock.bursty:
             return len(step)
@@ -238,56 +364,55 @@ class SampleClock:
             steps, indices = step[at : at + CLOCK_BLOCK], advance[at : at + CLOCK_BLOCK]
             if len(steps) < CLOCK_BLOCK // 4:
                 break
-            counted = indices > 0
-            period = steps[counted].sum() / max(1, indices.sum())
-            before = self._suspect
-            self._suspect = abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
+            period = steps[indices > 0].sum() / max(1, indices.sum())
+            differed = self._other_period
+            self._other_period = abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
             if float(np.median(steps)) > RATE_CHANGE_STEP * usual or (
-                self._suspect and (before or not self.clock.jitter)
+                self._other_period and (differed or not self.clock.jitter)
             ):
-                odd = (steps > RATE_CHANGE_STEP * usual) | (RATE_CHANGE_STEP * steps < usual)
-                return at + int(np.argmax(odd))
+                unusual = (steps > RATE_CHANGE_STEP * usual) | (RATE_CHANGE_STEP * steps < usual)
+                return at + int(np.argmax(unusual))
         return len(step)
 
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
-        """Return how many samples are missing before a sample, by the lower envelope.
+        """Return how many samples were lost before a sample, from the smallest delays.
 
-        The sample has index ``at`` in the buffer and ``j`` among those being processed, with steps
-        ``advance``.
+        The sample has position ``at`` in the buffer and ``j`` among the samples being processed,
+        whose steps of the index are ``advance``.
         """
         period, reach = self.clock.period_ns, self._reach
-        judged = self._since_cut + j
-        cuts = np.flatnonzero(advance[:j] == 0)
-        if len(cuts):
-            judged = j - int(cuts[-1])
-        past = min(reach, judged)
+        gaps = np.flatnonzero(advance[:j] == 0)
+        past = min(reach, j - int(gaps[-1]) if len(gaps) else self._since_gap + j)
         if past == 0:
             return 0
         origin = self._stamps[at - 1]
         steps = np.concatenate([np.diff(self._index, prepend=0), advance[:j]])
         back = -np.cumsum(steps[::-1])[: past - 1]
         index = np.concatenate([[0], back])[::-1]
-        envelope_before = ((self._stamps[at - past : at] - origin) - period * index).min()
+        delay_before = ((self._stamps[at - past : at] - origin) - period * index).min()
         after = self._stamps[at : at + reach]
         jumps = np.flatnonzero(self._jumped[at + 1 : at + reach])
         if len(jumps):
             after = after[: jumps[0] + 1]
-        late = (after - origin) - period * np.arange(1, len(after) + 1)
-        shift = (float(late.min()) - float(envelope_before)) / period
-        silence = (self._stamps[at] - origin) / period - 1.0
-        least = max(0.5 * silence, self.clock.least_loss)
-        return round(shift) if shift > least else 0
+        delay = (after - origin) - period * np.arange(1, len(after) + 1)
+        increase = (float(delay.min()) - float(delay_before)) / period
+        pause = (self._stamps[at] - origin) / period - 1.0
+        return round(increase) if increase > max(0.5 * pause, self.clock.smallest_loss) else 0
 
     def _blocks_of(self, begin: int, advance: NDArray[np.int64]) -> list[Block]:
-        """Return the processed samples as blocks, short gaps interpolated."""
+        """Return samples from position ``begin`` on as blocks, with short gaps interpolated.
+
+        ``advance``, (n,), are the steps of the index: above 1 where samples are interpolated, 0
+        where the data are split.
+        """
         n = len(advance)
-        judged = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
+        samples = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
         blocks: list[Block] = []
         parts: list[Block] = []
         cut, at = '', 0
         for j in (*np.flatnonzero(advance != 1).tolist(), n):
             if j > at:
-                parts.append(judged.part(slice(at, j), cut))
+                parts.append(samples.part(slice(at, j), cut))
             at = j
             if j == n:
                 break
@@ -297,60 +422,53 @@ class SampleClock:
                 parts, cut = [], 'clock jump' if self._jumped[begin + j] else 'gap'
                 continue
             left, right = begin + j - 1, begin + j
-            share = np.arange(1, advance[j]) / advance[j]
+            fraction = np.arange(1, advance[j]) / advance[j]
             gap_ns = self._stamps[right] - self._stamps[left]
             step = (self._rows[:, right] - self._rows[:, left])[:, None]
-            rows = self._rows[:, left][:, None] + share * step
-            stamps = self._stamps[left] + np.rint(share * gap_ns).astype(np.int64)
+            rows = self._rows[:, left][:, None] + fraction * step
+            stamps = self._stamps[left] + np.rint(fraction * gap_ns).astype(np.int64)
             parts.append(Block(stamps, rows, cut, np.ones(rows.shape, bool)))
         if parts:
             blocks.append(Block.joined(parts))
         return blocks
 
-    def _step_forward(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
-        """Mark n samples as processed and follow the period; None if no sample is missing."""
-        begin, end = self._past, self._past + n
-        last = int(self._index[-1]) if len(self._index) else -1
-        since_cut, cut = self._since_cut + n, False
-        if advance is None:
-            index = np.arange(last + 1, last + 1 + n)
-        else:
-            index = last + np.cumsum(advance)
-            cuts = np.flatnonzero(advance == 0)
-            if cut := bool(len(cuts)):
-                since_cut = n - int(cuts[-1])
-        self._since_cut = min(since_cut, self._reach)
-        self._track(self._stamps[begin:end], index, cut)
+    def _advance(self, advance: NDArray[np.int64]) -> None:
+        """Mark the next n samples as processed; ``advance``, (n,), are the steps of the index."""
+        end = self._past + len(advance)
+        index = (int(self._index[-1]) if len(self._index) else -1) + np.cumsum(advance)
+        gaps = np.flatnonzero(advance == 0)
+        since_gap = len(advance) - int(gaps[-1]) if len(gaps) else self._since_gap + len(advance)
+        self._since_gap = min(since_gap, self._reach)
+        self._track(self._stamps[self._past : end], index, bool(len(gaps)))
         self._index = np.concatenate([self._index, index[-self._reach :]])[-self._reach :]
         self._past = end
 
     def _release(self) -> None:
-        """Release processed samples that no later decision needs."""
+        """Drop all processed samples except the last `_reach`."""
         old = max(0, self._past - self._reach)
         self._stamps = self._stamps[old:]
         self._rows = self._rows[:, old:]
         self._jumped = self._jumped[old:]
         self._past -= old
 
-    def _track(self, stamps: Stamps, index: NDArray[np.int64], cut: bool) -> None:
-        """Update the working period after every `TRACK_BLOCKS` blocks without a gap."""
-        fresh = self._blocks % TRACK_BLOCKS == 0
-        if fresh:
+    def _track(self, stamps: Stamps, index: NDArray[np.int64], split: bool) -> None:
+        """Update the estimated period after every `TRACK_BLOCKS` blocks without a gap."""
+        if self._blocks % TRACK_BLOCKS == 0:
             self._track_start = (int(stamps[0]), int(index[0]))
-        if cut:
+        if split:
             self._track_start = None
         self._blocks += -(-len(stamps) // CLOCK_BLOCK)
         if self._blocks % TRACK_BLOCKS or self._track_start is None:
             return
         start_ns, start = self._track_start
         if self.clock.jitter:
-            period = lattice_period(stamps, self.clock.period_ns, LATTICE_TRACKING)
+            period = rayleigh_period(stamps, self.clock.period_ns, PERIOD_TRACKING)
         else:
             period = (int(stamps[-1]) - start_ns) / (int(index[-1]) - start)
         off = abs(period / self.clock.period_ns - 1.0)
         if self.clock.bursty:
             self.rate_changed = off > RATE_CHANGE_BURSTY
-            # one silence shifts the mean of an interval as much as a real change of the period
+            # a single pause changes the mean over the blocks as much as a real change of the period
             period = self.clock.period_ns + 0.25 * (period - self.clock.period_ns)
         if not self.rate_changed:
             self.clock = replace(self.clock, period_ns=period)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.stream.health import Counts
-from allan_ros.core.stream.period import Clock, learn_clock
-from allan_ros.core.stream.timing import Block, SampleClock
+from allan_ros.core.stream.timing import Block, Clock, SampleClock, learn_clock
 
 MS = 1_000_000
 
@@ -154,11 +153,11 @@ def test_another_rate_is_told(factor):
     runs, _, stage = run(np.unique(stamps))
     assert stage.rate_changed
     assert 3000 - 256 <= sum(len(r.stamps) for r in runs) <= 3256
-    assert len(stage.waiting[0]) > 1700
+    assert len(stage.pending[0]) > 1700
 
 
 def test_a_clock_gets_on_whatever_it_learned():
     """Samples from which the rate was learned never count as a new rate, so learning ends."""
     stamps = np.concatenate([even(512), even(512)[-1] + even(3000, 13 * MS, 0)[1:]])
     _, _, stage = run(stamps, clock=Clock(10.0 * MS, 10.0 * MS, bursty=False))
-    assert len(stage.waiting[0]) <= len(stamps) - 1024
+    assert len(stage.pending[0]) <= len(stamps) - 1024

@@ -45,7 +45,7 @@ class Input:
             'still',
             self.rate_hz,
             frame_id=self.frames[0],
-            evidence_frame_id=self.frames[1],
+            sums_frame_id=self.frames[1],
             frame_changes=self.frames[2],
         )
         found = self.watch.observe(
