@@ -5,8 +5,8 @@
     python bench/bench_accuracy.py                                   a short version, minutes
     python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
 
-Samples go through the engine like any recording's. The sums of the draws can be stored and used
-again, so that methods are compared on the same records.
+Samples pass through the engine like those of a recording. With --keep their sums are stored and
+reused, so all methods are compared on the same records.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ CONFIDENCE = 0.95
 
 
 def gyro(**datasheet: float) -> NoiseTerms:
-    """Return the terms of a gyro given in urad, deg/sqrt h, deg/h, deg/h^1.5, deg/h^2."""
+    """Return noise terms of a gyro; Q, N, B, K, R are in urad, deg/sqrt h, deg/h, deg/h^1.5,
+    deg/h^2.
+    """
     return NoiseTerms(**{k: from_datasheet(k, 'gyro', v) for k, v in datasheet.items()})
 
 
@@ -89,14 +91,14 @@ class Scenario:
         return y
 
     def cuts(self, rng: np.random.Generator) -> np.ndarray:
-        """Return the first sample of every segment but the first."""
+        """Return the index of the first sample of each segment except the first segment."""
         n = round(self.rate * self.seconds)
         if self.at_random:
             return np.sort(rng.choice(np.arange(1, n), self.segments - 1, replace=False))
         return np.cumsum([len(part) for part in np.array_split(np.arange(n), self.segments)])[:-1]
 
     def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
-        """Return the sums of independent records, one for each axis."""
+        """Return the sums of one independent record per axis."""
         rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
         engine = RunningAllan(axes=AXES[:axes])
         start = 0
@@ -147,11 +149,11 @@ SCENARIOS = {
 
 
 def read_slopes(sums: AllanSums) -> list[dict[str, float | None]]:
-    """Return coefficients read from lines of the right slope, as most tools do.
+    """Return coefficients from lines with the textbook slopes, as most tools do.
 
     The curve is used up to a ninth of the record. B is its smallest value over 0.664. The other
-    coefficients come from lines of slope -1, -1/2, 1/2 and 1 through the point at which the slope
-    of the curve is closest to that of the line.
+    coefficients come from lines of slope -1, -1/2, 1/2 and 1 through the point at which the
+    slope of the curve is closest to that of the line.
     """
     tau = sums.m * sums.tau0
     keep = 9 * sums.m <= sums.samples
@@ -179,7 +181,9 @@ class Outcome:
 
     @classmethod
     def of(cls, c: Coefficient) -> Outcome:
-        """Return the outcome of a coefficient; its limit becomes an interval from zero."""
+        """Return the outcome of a coefficient; an upper limit becomes an interval that begins at
+        zero.
+        """
         nan = float('nan')
         low, high = c.ci95 or (0.0, nan if c.upper95 is None else c.upper95)
         return cls(c.value or 0.0, low, high, c.status == 'estimated')
@@ -195,7 +199,7 @@ def fits_of(sums: AllanSums, method: str) -> list[AxisFit]:
 
 
 def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
-    """Yield the sums of six records at a time; they are read from files if those exist."""
+    """Yield the sums of simulated records, six at a time; files in ``keep`` are reused."""
     for block in range(-(-runs // len(AXES))):
         file = keep / f'{scenario}_{block:04d}.pickle' if keep else None
         if file and file.exists():

@@ -37,7 +37,7 @@ TRUTH = {
 
 
 def simulated_run(seconds: float, rng: np.random.Generator) -> Results:
-    """Return the results of one run."""
+    """Return the results of one simulated recording of six axes."""
     n = round(seconds * RATE)
     rows = np.stack([simulate_axis(n, 1.0 / RATE, TRUTH[axis], rng) for axis in AXES], axis=1)
     engine = RunningAllan(axes=AXES)

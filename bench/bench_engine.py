@@ -5,8 +5,8 @@
     python bench/bench_engine.py           to 10 h at 1 kHz x 6 axes, about half a minute
     python bench/bench_engine.py --full    to 100 h: 360 M samples, some minutes
 
-Between 8 and 16, doubles are 2^-49 apart. So noise on an offset of 9.8 is a sequence of whole
-numbers, whose phase and second differences are exact in integers.
+Doubles between 8 and 16 are multiples of 2^-49. So samples near 9.8 can be written as integers,
+whose phase and second differences are computed exactly.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CHECKED_AXIS = 3
 
 
 def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield (first column, columns) of the blocks of the pool that form a record."""
+    """Yield (first column, number of columns) of random blocks of the pool, which form a record."""
     rng = np.random.default_rng(seed)
     while samples > 0:
         size = min(BLOCK, samples)
@@ -51,7 +51,7 @@ def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int,
 
 
 def exact_phase(samples: int, numbers: np.ndarray) -> np.ndarray:
-    """Return the integer phase of one axis at every STEP-th sample."""
+    """Return the phase of one axis at every STEP-th sample, as exact integers."""
     parts, last, at = [np.zeros(1, np.int64)], 0, 0
     first = None
     for begin, size in blocks(samples, numbers[None]):

@@ -67,7 +67,7 @@ def main() -> int:
                 continue
             print(' | '.join(row.cells), flush=True)
             table.put(row.cells)
-            silent = row.said == 'nothing' and not row.lost.startswith('0 of')
+            silent = row.message == 'nothing' and not row.lost.startswith('0 of')
             if row.exits.strip('0, ') or silent or row.recovered == 'never':
                 wrong.append(name)
     print(f'{len(names)} faults, {len(wrong)} with something wrong: {", ".join(wrong) or "-"}')

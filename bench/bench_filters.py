@@ -6,7 +6,7 @@
     python bench/bench_filters.py nees --sensors x z --axes 8
     python bench/bench_filters.py growth                shared ADIS16405 units, about 1 min
     python bench/bench_filters.py bias                  coverage of the bias interval, 5 min
-    python bench/bench_filters.py share                 what an unresolved K counts with, 10 min
+    python bench/bench_filters.py share                 share of an unresolved K, 10 min
     python bench/bench_filters.py gtsam                 a factor graph in rest and motion, 2 min
     python bench/bench_filters.py figure                docs/images/filter_growth.png
 
@@ -54,7 +54,7 @@ WINDOW_S = 100.0
 
 
 def oracle() -> dict[str, Any]:
-    """Import the independent simulator and filter; exit with a message if they are missing."""
+    """Import the independent simulator and filter; exit with a message if they do not exist."""
     path = SHARED / 'oracle' / 'reality.py'
     if not path.is_file():
         print('skipped: no shared data')
@@ -89,7 +89,7 @@ WEAK_K = ('nbk1', 'nbk2')
 def draw(
     name: str, seconds: int, rng: np.random.Generator, axes: int, rate: float = RATE
 ) -> tuple[Any, Any]:
-    """Return the white part and the sum of all parts of the samples of a sensor, (n, axes) each."""
+    """Return the white noise and the complete noise of a sensor, (n, axes) each."""
     _, terms, processes, _ = SENSORS[name]
     n, dt = round(seconds * rate), 1.0 / rate
     white = REALITY['white_noise'](n, dt, terms['N'], rng, axes)
@@ -105,7 +105,7 @@ def analysed(samples: Any) -> ar.Results:
 
 
 def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
-    """Return the filter models of one axis: the bare N and K, the default file, the state space."""
+    """Return the filter models of one axis: bare N and K, the default export, the state space."""
     models = {}
     for name, fidelity in (('bare N, K', 'coefficients'), ('N, K', 'reduction')):
         read: dict[str, Any] = {}
@@ -187,7 +187,9 @@ def growth() -> None:
 
 
 def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float]]:
-    """Return the 95 % band of predicted over actual growth at `GROWTH_S` in records so long."""
+    """Return the 95 % band of predicted over actual growth at `GROWTH_S` for records of this
+    length.
+    """
     model = growth_of.expected_model(axis.fit)
     known = {growth.horizon: growth for growth in axis.growth if growth.window == WINDOW_S}
     rng, n = np.random.default_rng(9), round(seconds)
@@ -245,11 +247,11 @@ SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
 
 
 def share(names: list[str], records: int, write: bool) -> None:
-    """Print and write the effect of shares of an unresolved K on predicted errors and bias
-    intervals.
+    """Print how the variance of an unresolved K affects predicted errors and bias intervals.
 
-    For each sensor and share: the root mean square ratio of actual to predicted error after 300 s
-    without correction, and the coverage of the 95 % interval of the bias 600 s later.
+    It counts with each of `SHARES` of its expected variance. Printed are the root mean square
+    ratio of actual to predicted error after 300 s without correction, and the coverage of the 95
+    % interval of the bias 600 s later.
     """
     heading = ('sensor', 'K resolved', *(f'{value:.0%}' for value in SHARES))
     table = DocTable('share', heading, ROOT / 'docs' / 'engineering' / 'accuracy.md')
@@ -285,7 +287,7 @@ def share(names: list[str], records: int, write: bool) -> None:
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> dict[int, list[bool]]:
-    """Return whether the bias is in its interval, by seconds ahead, every ``every`` s."""
+    """Return seconds ahead -> whether the bias is in its interval, tested every ``every`` s."""
     seconds = len(samples) // round(BIAS_RATE)
     means, drift = (
         values.reshape(seconds, -1).mean(axis=1) for values in (samples, samples - white)
@@ -337,8 +339,11 @@ def graph(runs: int) -> None:
 
 
 def _graph_nees(gtsam: Any, params: Any, noise: Any, drift: Any) -> float:
-    """Return the mean NEES of one trajectory from samples of noise (n, 6), of which drift is the
-    bias."""
+    """Return the mean NEES of one trajectory.
+
+    ``noise`` (n, 6) are samples without motion, and ``drift`` is the part of them that is the
+    bias.
+    """
     x, v, b = (lambda i, c=c: gtsam.symbol(c, i) for c in 'xvb')
     sigmas = np.array([0.1 * np.pi / 180.0] * 3 + [0.01] * 3)
     measured = gtsam.noiseModel.Diagonal.Sigmas(sigmas)

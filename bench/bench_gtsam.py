@@ -7,7 +7,7 @@
 An IMU whose noise is known is recorded at rest for two hours, analysed, and exported. Then it
 moves: GTSAM integrates noisy samples of a turning, accelerating IMU many times over, and the
 variances of angle, position, velocity and biases are compared with the covariance it predicts from
-the file. "true" is a file of the true coefficients: there the ratios must be one within 5 %.
+the file. "true" is a file of the true coefficients; its ratios must be within 5 % of 1.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def params_of(results: Results) -> Any:
 
 
 def integrated(params: Any, gyro: Floats, accel: Floats) -> Any:
-    """Return the preintegration by GTSAM of samples (n, 3)."""
+    """Return GTSAM's preintegration of samples of gyro and accelerometer, (n, 3) each."""
     sums = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias())
     for rate, force in zip(gyro, accel):
         sums.integrateMeasurement(force, rate, 1.0 / RATE_HZ)
@@ -86,10 +86,10 @@ def integrated(params: Any, gyro: Floats, accel: Floats) -> Any:
 
 
 def noise(terms: NoiseTerms, steps: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return white noise and a bias that is zero at the start of each run; (runs, n, 3) each.
+    """Return white noise and a bias that is zero at the start of each run, (runs, n, 3) each.
 
-    One record is divided into the runs, because a simulated record begins at zero, and so would the
-    white noise of every run.
+    One record is divided into runs, because a simulated record begins at zero: separate records
+    would give every run the same first sample.
     """
     white, bias = np.empty((2, RUNS, steps, 3))
     for axis in range(3):
@@ -100,7 +100,7 @@ def noise(terms: NoiseTerms, steps: int, rng: np.random.Generator) -> tuple[Floa
     return white, bias
 
 
-def shown(params: Any) -> Floats:
+def actual_variances(params: Any) -> Floats:
     """Return the variances of the integration errors over all runs, (15,)."""
     rng = np.random.default_rng(2)
     steps = round(MOVE_S * RATE_HZ)
@@ -123,7 +123,7 @@ def main() -> None:
     steps = round(MOVE_S * RATE_HZ)
     still = np.tile(TURN, (steps, 1)), np.tile(PUSH, (steps, 1))
     files = {'true': params_of(with_truth(results)), 'measured': params_of(results)}
-    variances = shown(files['true'])
+    variances = actual_variances(files['true'])
     print(f'variance shown by {RUNS} runs of {MOVE_S:g} s over variance predicted, x y z')
     worst = 0.0
     for name, params in files.items():

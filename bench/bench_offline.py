@@ -4,10 +4,10 @@
 
     python bench/bench_offline.py           1 M messages, about a minute
     python bench/bench_offline.py --full    7.2 M messages too (10 h at 200 Hz), several minutes
-    python bench/bench_offline.py --keep DIR    bags are kept there and used again
+    python bench/bench_offline.py --keep DIR    keep the bags there and reuse them
 
-CPU is user and system time of the process that does the work; every figure is a median of rounds
-in which all ways are run one after the other, so that a busy machine troubles all alike.
+CPU is user and system time of the process that does the work. Every figure is a median of rounds
+that run all methods one after the other, so a busy machine affects all of them alike.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ STORAGES = {'mcap zstd': ('mcap', 'chunk'), 'sqlite3': ('sqlite3', 'none')}
 
 
 def bag(folder: Path, name: str, messages: int) -> Path:
-    """Return a simulated bag of this storage and length, written if it does not exist."""
+    """Return a simulated bag of this storage and length; an existing one is reused."""
     from allan_ros.core.noise import NoiseTerms
     from allan_ros.core.simulate import simulate_imu
     from allan_ros.io.writing import write_recording
@@ -80,7 +80,7 @@ def read(path: Path) -> int:
 
 
 def plain(path: Path) -> int:
-    """Read a bag message by message with rosbags, as its documentation shows."""
+    """Read a bag message by message with rosbags, as in the documentation of rosbags."""
     from rosbags.highlevel import AnyReader
 
     messages = 0
@@ -92,7 +92,9 @@ def plain(path: Path) -> int:
 
 
 def floor(path: Path) -> int:
-    """Do the minimum of work: decompress the chunks, or let SQLite read every row."""
+    """Do the least work that any reader must do: decompress the chunks, or step SQLite over all
+    rows.
+    """
     from zstandard import ZstdDecompressor
 
     from allan_ros.io.readers.mcap import CHUNK, MAGIC, RECORD
@@ -121,7 +123,9 @@ WORK: dict[str, Callable[[Path], int]] = {
 
 
 def measured(work: str, path: Path) -> tuple[float, int, float]:
-    """Return CPU seconds, messages and peak memory in MB of work in its own process."""
+    """Run ``work`` in its own process; return its CPU time in s, its messages, its peak memory
+    in MB.
+    """
     command = [sys.executable, __file__, '--work', work, str(path)]
     cpu, messages, memory = subprocess.run(
         command, check=True, capture_output=True, text=True
@@ -209,8 +213,9 @@ def command_cpu(words: list[str], rounds: int) -> float:
 
 
 def show_analysis(folder: Path, rounds: int) -> None:
-    """Print the cost of a complete analysis of one minute, in which reading costs nearly
-    nothing."""
+    """Print the cost of a complete analysis of one minute, where the cost of reading is
+    negligible.
+    """
     print('\n| one analysis of 60 s | CPU, s |')
     print('|---|---|')
     path = str(bag(folder, 'mcap zstd', MINUTE))

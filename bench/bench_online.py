@@ -3,11 +3,11 @@
 """Cost of the nodes over real DDS: CPU per message, messages lost in bursts, memory.
 
     python bench/bench_online.py             CPU and bursts, about 5 min
-    python bench/bench_online.py memory 600  memory over so many seconds at 4 kHz
+    python bench/bench_online.py memory 600  memory during 600 s at 4 kHz
 
 CPU is compared within one run with an empty raw subscriber on the same topic, so a busy machine
 changes little. The monitor is measured between two fits, which take 5 % of a core at most. Trials
-of what the nodes survive are in online_trials.py.
+of kills and restarts are in online_trials.py.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def bursts(client: Client) -> None:
 
 
 def accounted(client: Client, sent: int) -> dict[str, int]:
-    """Return the counts of the input when they add up to ``sent``, or after `PATIENCE_S`."""
+    """Return the counts of the input once their sum is ``sent``, or after `PATIENCE_S`."""
     keys = ('received', 'lost on the way', 'sent before')
     counts: dict[str, int] = {}
     end = time.monotonic() + PATIENCE_S

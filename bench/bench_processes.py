@@ -49,7 +49,7 @@ SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared'))
 
 
 def process(n: int, tau0: float, sigma: float, time: float, rng: np.random.Generator) -> np.ndarray:
-    """Return samples of a stationary first-order Gauss-Markov process."""
+    """Return n samples of a stationary first-order Gauss-Markov process."""
     keep = math.exp(-tau0 / time)
     steps = rng.standard_normal(n) * sigma * math.sqrt(1.0 - keep * keep)
     steps[0] = sigma * rng.standard_normal()
@@ -57,14 +57,16 @@ def process(n: int, tau0: float, sigma: float, time: float, rng: np.random.Gener
 
 
 def sigma_of_hump(truth: NoiseTerms, time: float, hump: float, rate: float = RATE) -> float:
-    """Return sigma such that the Allan deviation of the process is ``hump`` times the rest."""
+    """Return sigma of a process whose Allan deviation is at most ``hump`` times that of
+    ``truth``.
+    """
     m = np.unique(np.round(np.geomspace(1.0, 100.0 * time * rate, 300)))
     rest = term_avar(m, 1.0 / rate, truth).sum(axis=-1)
     return hump / math.sqrt(float(np.max(gauss_markov_avar(m, time * rate) / rest)))
 
 
 def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
-    """Return the sums of six axes."""
+    """Return the sums of samples, one row per axis."""
     engine = RunningAllan(axes=AXES[: rows.shape[1]])
     engine.update(rows, 0, round((len(rows) - 1) / rate * 1e9))
     engine.end_segment()
@@ -74,8 +76,9 @@ def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
 def bounds() -> None:
     """Print the power of the likelihood ratio test for one process added to table 1, X.
 
-    Twice the Kullback-Leibler divergence (Whittle 1953) of the record from the nearest noise of N,
-    B and K is the noncentrality of the test. The first frequency counts half: the ramp is free.
+    Twice the Kullback-Leibler divergence (Whittle 1953) of the record from the nearest noise of
+    N, B and K is the noncentrality of the test. The lowest frequency is weighted by half,
+    because the ramp is fitted as well.
     """
     from scipy.optimize import minimize
     from scipy.special import ndtr
@@ -106,7 +109,7 @@ def bounds() -> None:
 
 
 def humps(blocks: int, rate: float) -> None:
-    """Print N and how often the process is detected, for one process added to table 1, X."""
+    """Print N and how often the process is detected, for processes added to table 1, X."""
     print(
         '| T [s] | hump | records | N bias % | N coverage % (95 % band) | found % | ms per axis |'
     )
@@ -205,7 +208,9 @@ def growth_error(model: ProcessModel, samples: np.ndarray, rate: float) -> float
 
 
 def gmwm(sums: AllanSums, axis: int) -> ProcessModel:
-    """Return the best model of up to three processes by the diagonal weights of the GMWM."""
+    """Return the best model of up to three processes, fitted with the diagonal weights of the
+    GMWM.
+    """
     sys.path.insert(0, str(SHARED / 'oracle'))
     from processes import fit_processes
 
@@ -233,7 +238,7 @@ def models_of(sums: AllanSums, with_gmwm: bool) -> dict[str, list[ProcessModel]]
 
 
 def growth(blocks: int, with_gmwm: bool) -> None:
-    """Print the error of predicted growth for sensors of several processes, by method."""
+    """Print the error of the predicted growth by method, for sensors with several processes."""
     b = gyro(B=1.0).B
     white, walk = NoiseTerms(N=X.N), NoiseTerms(N=X.N, K=gyro(K=15.0).K)
     cases = {
@@ -265,7 +270,7 @@ def _print_growth(name: str, errors: dict[str, list[float]]) -> None:
 
 
 def adis(skip: float, with_gmwm: bool) -> None:
-    """Print measured over drawn Allan deviation of the shared recordings, and growth errors."""
+    """Print measured over modelled Allan deviation of the shared recordings, and growth errors."""
     sys.path.insert(0, str(SHARED / 'data' / 'adis16405'))
     from load import load
 

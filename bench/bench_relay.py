@@ -4,8 +4,9 @@
 
     python bench/bench_relay.py      about 2 min
 
-Latency is from before publishing to the bytes in another thread of this process; "direct" is the
-same without a relay, so the difference is the relay's. A busy machine shows in the last columns.
+Latency is the time from just before publishing until another thread of this process has the bytes.
+"direct" is the same without a relay, so the difference is the cost of the relay. High values in the
+last columns indicate a busy machine.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Receiver:
 
 
 def message() -> tuple[bytearray, str]:
-    """Return an Imu payload and a noise model for its frame."""
+    """Return a serialized Imu message, and a noise model for its frame_id."""
     accumulator = ImuStream()
     for batch in simulate_imu(20.0, 200.0, SIMULATED, SIMULATED, seed=1):
         accumulator.update(batch)

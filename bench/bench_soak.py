@@ -4,7 +4,7 @@
 
     python bench/bench_soak.py month       a month at 200 Hz as fast as it goes, 10 to 25 min
     python bench/bench_soak.py live        30 min at 1 kHz through DDS into allan_monitor
-    python bench/bench_soak.py live 600    the same for so many seconds
+    python bench/bench_soak.py live 600    the same for 600 s
 
 Both write their table into docs/engineering/reliability.md.
 """

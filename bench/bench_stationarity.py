@@ -49,7 +49,7 @@ SIXTHS = 6
 
 
 def gyro(terms: str) -> NoiseTerms:
-    """Return gyro X with only the given terms."""
+    """Return the noise of gyro X with only the given terms."""
     return NoiseTerms(**{t: from_datasheet(t, 'gyro', TRUTH[t]) for t in terms})
 
 
@@ -61,7 +61,7 @@ def deg_h(value: float) -> float:
 
 
 def sums_of(y: Floats, gap: tuple[int, int] | None = None, tau0: float = 1.0) -> AllanSums:
-    """Return the sums of samples, with a gap where a knock was excluded."""
+    """Return the sums of samples; the samples in ``gap`` (first, last) are left out."""
     engine = RunningAllan(axes=AXES[: y.shape[1]])
     tick = round(tau0 * 1e9)
     for first, last in ((0, len(y)),) if gap is None else ((0, gap[0]), (gap[1], len(y))):
@@ -93,7 +93,9 @@ REPORTED = (*EARLY, 'bias_steps', 'level_changes', 'drift_changes')
 
 
 def alarms(sums: AllanSums) -> tuple[bool, bool, bool, bool]:
-    """Return whether an early part, steps, a level that changes, or uneven drift are found."""
+    """Return whether the tests find an early part, steps, a change of level, a change of the
+    drift.
+    """
     one = sums.history.recordings[0]
     sensors = [s for s in SENSORS if s[-1] < len(sums.axes)] or [range(len(sums.axes))]
     early = early_parts(one, sensors)
@@ -114,7 +116,7 @@ def band(found: int, of: int) -> str:
 
 
 def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield the false alarms of each kind of clean noise; record i is the same in any run."""
+    """Yield the false alarms of each kind of clean noise; record i is the same in every run."""
     kinds = [(name, hours) for name in CLEAN for hours in (2, 10)]
     found = np.zeros((len(kinds), 6), int)
     for i in range(records):
@@ -168,7 +170,9 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 def show_coverage(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield how often a warm-up of three axes is reported and K covered, with the fit."""
+    """Yield how often a warm-up of three axes is reported, and how often the fitted K is
+    covered.
+    """
     rng = np.random.default_rng(seed)
     for name, terms, hours in (('table 1 X, 2 h', 'QNBKR', 2), ('N + B, 8 h', 'NB', 8)):
         for knock in (False, True):
@@ -186,7 +190,7 @@ def show_coverage(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 def show_widths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield coverage of clean noise with the scatter between sixths in the intervals."""
+    """Yield the coverage on clean noise if intervals include the scatter between sixths."""
     rng = np.random.default_rng(seed)
     for name, terms in (('table 1 X', 'QNBKR'), ('N + K', 'NK')):
         covered, number, widths = dict.fromkeys('NBK', 0), 0, []

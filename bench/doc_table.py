@@ -34,7 +34,7 @@ class DocTable:
         self._opening, self._heading, self._path = f'<!-- table: {name} -->', heading, path
 
     def put(self, *rows: Sequence[str]) -> None:
-        """Write rows; each replaces the row with the same first cell, or is appended."""
+        """Write rows; each replaces the row with the same first cell, or is appended at the end."""
         before, opening, rest = self._path.read_text().partition(self._opening)
         if not opening:
             raise SystemExit(f'{self._path} has no {self._opening}')

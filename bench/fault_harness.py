@@ -35,11 +35,11 @@ LEVELS = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR', b'\3': 'STALE'}
 
 @dataclass(frozen=True)
 class Row:
-    """Effect of one fault, as a row of the table."""
+    """The effect of one fault: a row of the table."""
 
     fault: str
     lost: str
-    said: str
+    message: str
     delay: str
     recovered: str
     exits: str
@@ -47,7 +47,7 @@ class Row:
     @property
     def cells(self) -> tuple[str, ...]:
         """Cells in the order of the heading."""
-        return self.fault, self.lost, self.said, self.delay, self.recovered, self.exits
+        return self.fault, self.lost, self.message, self.delay, self.recovered, self.exits
 
 
 REASONS = {
@@ -90,32 +90,32 @@ def fault(
     return enter
 
 
-class Hearing:
+class DiagnosticsLog:
     """Records diagnostics messages, and the times at which static data grow.
 
     Parameters
     ----------
     client : Client
     ending : str
-        End of the name of the input's status, whose static data are followed.
+        End of the name of the status of the input, which reports the static data.
 
     Attributes
     ----------
-    said : list of (time in s, level and message)
-        Every new message that is not OK; messages that differ only in numbers are equal.
+    messages : list of (time in s, level and message)
+        Every new message that is not OK. Messages that differ only in numbers are recorded once.
     grew : list of float
         Times at which the static data had grown.
     """
 
     def __init__(self, client: Client, ending: str = 'input') -> None:
         self.client, self.ending = client, ending
-        self.said: list[tuple[float, str]] = []
+        self.messages: list[tuple[float, str]] = []
         self.grew: list[float] = []
         self._evidence = 0.0
         self._latest: dict[str, str] = {}
-        client.on_status = self._hear
+        client.on_status = self._record
 
-    def _hear(self, status: Any) -> None:
+    def _record(self, status: Any) -> None:
         now = time.monotonic()
         values = {v.key: v.value for v in status.values}
         if status.name.endswith(self.ending):
@@ -129,14 +129,14 @@ class Hearing:
                 self._latest.pop(status.name, None)
             return
         self._latest[status.name] = words
-        self.said.append((now, f'{LEVELS[status.level]}: {status.message}'))
-        print(f'{now:9.1f} {status.name}: {self.said[-1][1]}', file=sys.stderr, flush=True)
+        self.messages.append((now, f'{LEVELS[status.level]}: {status.message}'))
+        print(f'{now:9.1f} {status.name}: {self.messages[-1][1]}', file=sys.stderr, flush=True)
 
     def first_since(self, time_s: float) -> tuple[float, str]:
         """Return time and text of the first message after a time; NaN and '' without one."""
-        return next((each for each in self.said if each[0] >= time_s), (math.nan, ''))
+        return next((each for each in self.messages if each[0] >= time_s), (math.nan, ''))
 
-    def grew_since(self, time_s: float) -> float:
+    def static_data_grew_since(self, time_s: float) -> float:
         """Return the time at which static data first grew after a time; NaN if they did not."""
         return next((at for at in self.grew if at > time_s), math.nan)
 
@@ -185,14 +185,14 @@ class Trial:
         label: str = '',
         **how: Any,
     ) -> None:
-        self.hearing = Hearing(client, f'{label} input' if label else 'input')
+        self.log = DiagnosticsLog(client, f'{label} input' if label else 'input')
         self.checkpoint = folder / f'{label or "imu"}.json'
         self._name, self._how = name, how
         self._ros = (f'checkpoint.path:={folder if label else self.checkpoint}', *ros)
         self.watched = self.start()
         self.stream = stream()
         self.stream.begin()
-        if math.isnan(self.hearing.until(self._healthy)):
+        if math.isnan(self.log.until(self._healthy)):
             raise SystemExit(f'{name} does not get healthy')
         self.began = self.ended = time.monotonic()
 
@@ -203,7 +203,7 @@ class Trial:
 
     def spin(self, seconds: float) -> None:
         """Wait."""
-        self.hearing.client.spin(seconds)
+        self.log.client.spin(seconds)
 
     @contextmanager
     def fault(self, seconds: float = 0.0) -> Iterator[None]:
@@ -233,10 +233,10 @@ class Trial:
         same : bool
             Whether the sums are compared with an offline run of the sent samples.
         """
-        self.hearing.until(lambda: not math.isnan(self.hearing.grew_since(self.ended)))
-        grows = self.hearing.grew_since(self.ended)
+        self.log.until(lambda: not math.isnan(self.log.static_data_grew_since(self.ended)))
+        grows = self.log.static_data_grew_since(self.ended)
         self.spin(AFTER_S)
-        said_s, words = self.hearing.first_since(self.began)
+        shown_s, words = self.log.first_since(self.began)
         self.stream.end()
         self.spin(1.5)
         code = self.watched.end(signal.SIGINT)
@@ -245,13 +245,13 @@ class Trial:
             fault,
             '; '.join(x for x in (self._lost(same), note) if x),
             words or 'nothing',
-            f'{said_s - self.began:.1f} s' if words else '-',
+            f'{shown_s - self.began:.1f} s' if words else '-',
             'never' if math.isnan(grows) else f'{grows - self.ended:.1f} s',
             str(code),
         )
 
     def _healthy(self) -> bool:
-        evidence = self.hearing.client.value(self.hearing.ending, 'evidence')
+        evidence = self.log.client.value(self.log.ending, 'evidence')
         return evidence not in ('', 'unknown') and float(evidence) >= HEALTHY_S
 
     def _lost(self, same: bool) -> str:

@@ -53,7 +53,7 @@ def _fill(place: Path) -> None:
 
 @fault('root')
 def disk_full(client: Client, folder: Path) -> Row:
-    """A tmpfs of 2 MB fills up, and is emptied again."""
+    """A tmpfs of 2 MB is filled, and emptied again."""
     with _tmpfs(folder, '2m') as place:
         trial = Trial(client, place, ('checkpoint.period:=2.0',))
         with trial.fault():
@@ -76,9 +76,9 @@ def disk_read_only(client: Client, folder: Path) -> Row:
 
 
 def _saved_again(trial: Trial, name: str) -> Row:
-    """Return the row, with the time until the next checkpoint was written."""
+    """Return the row of the trial, including the time until the next checkpoint was written."""
     before = trial.checkpoint.stat().st_mtime_ns
-    again = trial.hearing.until(lambda: trial.checkpoint.stat().st_mtime_ns > before)
+    again = trial.log.until(lambda: trial.checkpoint.stat().st_mtime_ns > before)
     row = trial.row(name, 'checkpoint.period 2 s')
     saved = 'never' if math.isnan(again) else f'saved after {again - trial.ended:.1f} s'
     return replace(row, recovered=saved)

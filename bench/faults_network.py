@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from fault_harness import Hearing, Row, fault
+from fault_harness import DiagnosticsLog, Row, fault
 from online_nodes import Client, start
 
 ROBOT, STATION = 'allan_robot', 'allan_station'
@@ -110,28 +110,26 @@ def _loss(client: Client, folder: Path, percent: int) -> Row:
 def _over_the_network(
     client: Client, folder: Path, name: str, put_in: Callable[[Callable[[float], None]], None]
 ) -> Row:
-    hearing, checkpoint = Hearing(client), folder / 'imu.json'
+    log, checkpoint = DiagnosticsLog(client), folder / 'imu.json'
     monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
     player = start('player', '--simulate', '600', prefix=ON_ROBOT)
-    hearing.until(
-        lambda: bool(hearing.grew) and float(client.value('input', 'evidence')) > HEALTHY_S
-    )
-    began = hearing.until(lambda: True)
+    log.until(lambda: bool(log.grew) and float(client.value('input', 'evidence')) > HEALTHY_S)
+    began = log.until(lambda: True)
     put_in(client.spin)
-    ended = hearing.until(lambda: True)
-    hearing.until(lambda: not math.isnan(hearing.grew_since(ended)))
+    ended = log.until(lambda: True)
+    log.until(lambda: not math.isnan(log.static_data_grew_since(ended)))
     client.spin(AFTER_S)
     codes = player.end(signal.SIGINT), monitor.end(signal.SIGINT)
     counts = json.loads(checkpoint.read_text())['counts']
-    said_s, words = hearing.first_since(began)
-    grew = hearing.grew_since(ended)
+    shown_s, words = log.first_since(began)
+    grew = log.static_data_grew_since(ended)
     received, missing = counts['received'], counts['lost']
     return Row(
         name,
         f'{missing} of {received + missing} ({client.value("input", "lost on the way")} known to '
         f'be lost on the way, {counts["bridged"]} interpolated)',
         words or 'nothing',
-        f'{said_s - began:.1f} s' if words else '-',
+        f'{shown_s - began:.1f} s' if words else '-',
         'never' if math.isnan(grew) else f'{grew - ended:.1f} s',
         ', '.join(map(str, codes)),
     )

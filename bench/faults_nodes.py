@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fault_harness import Hearing, Row, Trial, fault
+from fault_harness import DiagnosticsLog, Row, Trial, fault
 from online_nodes import Client, Process, node, start
 from still_stream import Stream
 
@@ -49,9 +49,9 @@ def kill_monitor(client: Client, folder: Path) -> Row:
     """The monitor is killed between two checkpoints."""
     watch = Watch(folder)
     row = _kill_watching(client, folder, 'monitor')
-    said = watch.stale('input')
+    stale = watch.stale('input')
     watch.end()
-    return replace(row, said=said or 'nothing', delay='5 s' if said else '-')
+    return replace(row, message=stale or 'nothing', delay='5 s' if stale else '-')
 
 
 @fault()
@@ -76,7 +76,7 @@ def kill_estimator(client: Client, folder: Path) -> Row:
     how: dict[str, Any] = {'ros': (QUICK_SUMS,), 'remap': ('sums:=/allan_accumulator/sums',)}
     watch, estimator = Watch(folder), start('estimator', **how)
     trial = Trial(client, folder, (QUICK_SUMS,), 'accumulator')
-    fitted = trial.hearing.until(lambda: ' N ' in f' {client.message("gyro x")}')
+    fitted = trial.log.until(lambda: ' N ' in f' {client.message("gyro x")}')
     if math.isnan(fitted):
         raise SystemExit('the estimator says no N')
     with trial.fault():
@@ -84,15 +84,15 @@ def kill_estimator(client: Client, folder: Path) -> Row:
         trial.spin(DOWN_S)
     client.statuses.clear()
     estimator = start('estimator', **how)
-    again = trial.hearing.until(lambda: ' N ' in f' {client.message("gyro x")}')
-    said = watch.stale('gyro x')
+    again = trial.log.until(lambda: ' N ' in f' {client.message("gyro x")}')
+    stale = watch.stale('gyro x')
     watch.end()
     row = trial.row(_title('allan_estimator'))
     code = estimator.end(signal.SIGINT)
     return replace(
         row,
-        said=said or 'nothing',
-        delay='5 s' if said else '-',
+        message=stale or 'nothing',
+        delay='5 s' if stale else '-',
         recovered=f'coefficients after {again - trial.ended:.1f} s',
         exits=f'{row.exits}, {code}',
     )
@@ -113,26 +113,26 @@ def kill_relay(client: Client, folder: Path) -> Row:
     remap = ('noise_model:=/allan_monitor/noise_model',)
     watch, relay = Watch(folder), start('relay', remap=remap)
     trial = Trial(client, folder, (QUICK_SUMS,), stream=lambda: Stream(subscribers=2))
-    trial.hearing.until(lambda: bool(filled) and filled[-1][1])
+    trial.log.until(lambda: bool(filled) and filled[-1][1])
     with trial.fault():
         relay.end(signal.SIGKILL)
         made = trial.stream.made
         trial.spin(DOWN_S)
     relay = start('relay', remap=remap)
     before = len(filled)
-    trial.hearing.until(lambda: len(filled) > before)
+    trial.log.until(lambda: len(filled) > before)
     lost = trial.stream.made - made
     again = filled[before][0] - trial.ended
-    trial.hearing.until(lambda: filled[-1][1])
+    trial.log.until(lambda: filled[-1][1])
     known = next(at for at, is_filled in filled[before:] if is_filled) - trial.ended
-    said = watch.stale('relay')
+    stale = watch.stale('relay')
     watch.end()
     row = trial.row(_title('allan_imu_relay'), f'{lost} messages were not relayed')
     code = relay.end(signal.SIGINT)
     return replace(
         row,
-        said=said or 'nothing',
-        delay='5 s' if said else '-',
+        message=stale or 'nothing',
+        delay='5 s' if stale else '-',
         recovered=f'messages after {again:.1f} s, filled after {known:.1f} s',
         exits=f'{row.exits}, {code}',
     )
@@ -141,29 +141,29 @@ def kill_relay(client: Client, folder: Path) -> Row:
 @fault()
 def kill_player(client: Client, folder: Path) -> Row:
     """The player is killed in the middle of a recording."""
-    hearing = Hearing(client)
+    log = DiagnosticsLog(client)
     checkpoint = folder / 'imu.json'
     monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
     arguments = ('--simulate', '300')
     player = start('player', *arguments)
-    hearing.until(lambda: bool(hearing.grew) and float(client.value('input', 'evidence')) > 12.0)
+    log.until(lambda: bool(log.grew) and float(client.value('input', 'evidence')) > 12.0)
     began = time.monotonic()
     player.end(signal.SIGKILL)
     client.spin(DOWN_S)
     ended = time.monotonic()
     player = start('player', *arguments)
-    hearing.until(lambda: not math.isnan(hearing.grew_since(ended)))
+    log.until(lambda: not math.isnan(log.static_data_grew_since(ended)))
     client.spin(8.0)
     lost = client.value('input', 'lost on the way')
     received, used = (int(client.value('input', key)) for key in ('received', 'used'))
-    said_s, words = hearing.first_since(began)
+    shown_s, words = log.first_since(began)
     codes = player.end(signal.SIGINT), monitor.end(signal.SIGINT)
     return Row(
         _title('allan_player'),
         f'{received - used} of {received} received, {lost} on the way',
         words or 'nothing',
-        f'{said_s - began:.1f} s',
-        f'{hearing.grew_since(ended) - ended:.1f} s',
+        f'{shown_s - began:.1f} s',
+        f'{log.static_data_grew_since(ended) - ended:.1f} s',
         ', '.join(map(str, codes)),
     )
 
@@ -173,20 +173,20 @@ def second_node(client: Client, folder: Path) -> Row:
     """A second node is started with the same checkpoint."""
     trial = Trial(client, folder)
 
-    def told() -> tuple[float, str]:
-        """Return time and text of the message; a node also publishes others at its start."""
-        return next((x for x in trial.hearing.said if 'kept by' in x[1]), (math.nan, ''))
+    def shown() -> tuple[float, str]:
+        """Return time and text of the message about the checkpoint; NaN and empty without one."""
+        return next((x for x in trial.log.messages if 'in use by' in x[1]), (math.nan, ''))
 
     with trial.fault():
         other = start('accumulator', ros=(f'checkpoint.path:={trial.checkpoint}',))
-        trial.hearing.until(lambda: bool(told()[1]))
+        trial.log.until(lambda: bool(shown()[1]))
         trial.spin(DOWN_S)
         code = other.end(signal.SIGINT)
     row = trial.row(f'a second node on the same checkpoint for {DOWN_S:.0f} s')
-    said_s, words = told()
+    shown_s, words = shown()
     return replace(
         row,
-        said=words.replace(f'{folder}/', '') or 'nothing',
-        delay=f'{said_s - trial.began:.1f} s',
+        message=words.replace(f'{folder}/', '') or 'nothing',
+        delay=f'{shown_s - trial.began:.1f} s',
         exits=f'{row.exits}, {code}',
     )

@@ -31,8 +31,11 @@ LAGS = 1 << 15
 """Number of lags of the autocovariance for a spectrum."""
 
 
-def bend_covariance(lags: int, step: int) -> Floats:
-    """Return the autocovariances of second differences of the phase over ``step``, (4, lags)."""
+def second_difference_covariance(lags: int, step: int) -> Floats:
+    """Return the autocovariances of second differences of the phase over ``step``, (4, lags).
+
+    A row belongs to a variance coefficient (q, w, b, k) of 1.
+    """
     at = np.arange(-2.0, lags + 2.0) * step
     fourth = np.convolve([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
     rows = [np.convolve(g, fourth, mode='valid') for g in phase_covariance(at)]
@@ -45,14 +48,14 @@ def bend_covariance(lags: int, step: int) -> Floats:
 
 
 def spectra(step: int) -> tuple[Floats, Floats]:
-    """Return frequencies, and the spectra for coefficients of 1, (4, frequencies)."""
-    rows = bend_covariance(LAGS, step)
+    """Return frequencies, and the spectra for variance coefficients of 1, (4, frequencies)."""
+    rows = second_difference_covariance(LAGS, step)
     even = np.concatenate([rows, rows[:, -2:0:-1]], axis=1)
     return np.arange(LAGS) / (2.0 * LAGS - 2.0), fft.rfft(even, axis=1).real
 
 
 def whittle(count: int, power: Floats, step: int) -> Floats:
-    """Return the information of ``count`` second differences, (4, 4)."""
+    """Return the information of ``count`` second differences by Whittle's formula, (4, 4)."""
     known, rows = spectra(step)
     f = np.arange(1, count // 2 + 1) / count
     # Divided by the sine, the flicker spectrum is smooth enough to interpolate.
@@ -66,8 +69,10 @@ def whittle(count: int, power: Floats, step: int) -> Floats:
 
 
 def exact(count: int, power: Floats, step: int) -> tuple[Floats, float]:
-    """Return the information of second differences of blocks with a free ramp, and its sd."""
-    rows = bend_covariance(count, step)
+    """Return the exact information of second differences with a free ramp, and the sd of the
+    ramp.
+    """
+    rows = second_difference_covariance(count, step)
     inverse = np.linalg.inv(toeplitz(power @ rows))
     ramp = inverse @ np.full(count, float(step) ** 2)
     knowledge = float(ramp.sum() * step**2)

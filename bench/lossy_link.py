@@ -32,7 +32,7 @@ def open_tap(name: str) -> int:
 
 
 def main(first: str, second: str, file: Path) -> None:
-    """Forward frames until killed."""
+    """Forward frames until the process is killed."""
     a, b = open_tap(first), open_tap(second)
     print('ready', flush=True)
     other, rng = {a: b, b: a}, random.Random(1)

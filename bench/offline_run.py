@@ -14,7 +14,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 
 
 def offline_sums(batches: Iterable[ImuBatch]) -> list[dict[str, Any]]:
-    """Return the sums of batches after a round trip through their document."""
+    """Return the sums of batches after they were written as a document and read again."""
     accumulator = ImuStream()
     for batch in batches:
         accumulator.update(batch)

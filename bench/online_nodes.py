@@ -104,7 +104,7 @@ def start(
 
 @contextlib.contextmanager
 def node(name: str, *arguments: str, **how: Any) -> Iterator[Process]:
-    """Run a node within the block."""
+    """Run a node during the block."""
     started = start(name, *arguments, **how)
     try:
         yield started
@@ -140,19 +140,23 @@ class Client:
             rclpy.spin_once(self.node, timeout_sec=left)
 
     def value(self, ending: str, key: str) -> str:
-        """Return one value of the status whose name has this ending; '' without one."""
+        """Return one value of the status whose name ends with ``ending``; empty if there is
+        none.
+        """
         for name, status in self.statuses.items():
             if name.endswith(ending):
                 return next((v.value for v in status.values if v.key.startswith(key)), '')
         return ''
 
     def message(self, ending: str) -> str:
-        """Return the message of the status whose name has this ending; '' without one."""
+        """Return the message of the status whose name ends with ``ending``; empty if there is
+        none.
+        """
         found = (s.message for name, s in self.statuses.items() if name.endswith(ending))
         return next(found, '')
 
     def publisher(self, wanted: int = 1, keep_all: bool = False) -> Any:
-        """Return a publisher of Imu that this many subscribers have discovered."""
+        """Return a publisher of Imu, once ``wanted`` subscribers have discovered it."""
         from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
 
@@ -167,10 +171,10 @@ class Client:
         return publisher
 
     def call(self, service: str) -> Any:
-        """Call a Trigger service that may be called twice, and return its response.
+        """Call a Trigger service and return its response.
 
         An answer to a client that the node has not discovered yet is lost; then the call is
-        repeated.
+        repeated. So the service must be safe to call twice.
         """
         from std_srvs.srv import Trigger
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trials over real DDS of some minutes each: identical sums, and restarts after kills.
 
-python bench/online_trials.py identity   a bag played at 1x, 50x and full speed: bit for bit, seen
+python bench/online_trials.py identity   a bag played at 1x, 50x and full speed: equal sums
 python bench/online_trials.py kills      20 kills (SIGKILL) at random moments of one run
 """
 

@@ -70,7 +70,9 @@ def status(client: Client, ending: str) -> str:
 
 
 def says(client: Client, words: str, *endings: str) -> Callable[[], str]:
-    """Return a condition: the message of one of these statuses contains these words."""
+    """Return a function that returns the message of one of these statuses if it contains
+    ``words``.
+    """
 
     def holds() -> str:
         shown = (status(client, ending) for ending in endings or ('input',))
@@ -90,7 +92,7 @@ def monitor(*ros: str, remap: tuple[str, ...] = (), log: Path | None = None) -> 
 
 
 def healthy_stream(client: Client) -> Stream:
-    """Return a stream that has been at rest for a while."""
+    """Return a stream of an IMU that has been at rest for some time."""
     stream = Stream()
     stream.begin()
     until(client, lambda: float(client.value('input', 'evidence') or 0.0) >= HEALTHY_S)
@@ -99,7 +101,7 @@ def healthy_stream(client: Client) -> Stream:
 
 
 def driving(block: ImuBatch) -> ImuBatch:
-    """Return the block of a robot that turns to and fro at up to 0.5 rad/s and shakes."""
+    """Return the block of a robot that turns left and right at up to 0.5 rad/s and vibrates."""
     t = block.stamps_ns[:, None] * 1e-9 % 1000.0
     rng = np.random.default_rng(int(block.stamps_ns[0] % 2**31))
     samples = block.samples.copy()
@@ -109,7 +111,7 @@ def driving(block: ImuBatch) -> ImuBatch:
 
 
 def louder(factor: float) -> Callable[[ImuBatch], ImuBatch]:
-    """Return a change that multiplies the noise of all axes."""
+    """Return a change of blocks that multiplies the noise of all axes."""
 
     def change(block: ImuBatch) -> ImuBatch:
         mean = np.round(block.samples.mean(axis=0), 1)
@@ -190,7 +192,7 @@ def louder_3(client: Client) -> Cells:
 
 @trial
 def louder_20(client: Client) -> Cells:
-    """Multiply the noise by 20, as of a loose IMU."""
+    """Multiply the noise by 20, like that of a loose IMU."""
     return _louder(client, 20.0, 'WARN')
 
 
@@ -265,7 +267,7 @@ def stamp_leap(client: Client) -> Cells:
 
 @trial
 def advice(client: Client) -> Cells:
-    """Record the status of an axis about the missing coefficients."""
+    """Record what the status of an axis says about the missing coefficients."""
     node = monitor()
     stream = healthy_stream(client)
     shown: list[str] = []

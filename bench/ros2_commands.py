@@ -68,7 +68,7 @@ COMMANDS = (
 
 
 def background(command: str, folder: str) -> subprocess.Popen[bytes]:
-    """Start a command in its own process group, without its output."""
+    """Start a command in its own process group and discard its output."""
     return subprocess.Popen(
         command.split(),
         cwd=folder,
@@ -79,7 +79,7 @@ def background(command: str, folder: str) -> subprocess.Popen[bytes]:
 
 
 def run(command: str, folder: str) -> tuple[str, str]:
-    """Return the exit code and the output of a command; 'none' if it does not end."""
+    """Return the exit code and the output of a command; the code is 'none' if it does not end."""
     try:
         ended = subprocess.run(
             command,
@@ -97,7 +97,7 @@ def run(command: str, folder: str) -> tuple[str, str]:
 
 
 def line_of(output: str, words: str) -> str:
-    """Return the first line with these words, else the last line."""
+    """Return the first line that contains ``words``, else the last line."""
     lines = [' '.join(x.split()) for x in output.splitlines() if x.strip()]
     found = [line for line in lines if words and words in line] or lines[-1:]
     return found[0][:SHOWN] if found else ''

@@ -1,8 +1,8 @@
 /* Copyright 2026 the allan_ros authors */
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Moves the wall clock of one process while it runs: preload it, and write an int64 of seconds into
- * the file that SHIFTED_CLOCK names. Waits until a time of the wall clock end when they would have;
- * other clocks are left alone. */
+ * the file that SHIFTED_CLOCK names. Waits until a wall-clock time end as they
+ * would without the shift; other clocks are not changed. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -17,7 +17,7 @@
 #include <time.h>
 #include <unistd.h>
 
-/* A time before 2001 is none of the wall clock: it is of a steady one, which begins with the boot. */
+/* A time before 2001 belongs to a steady clock, which starts at boot, not to the wall clock. */
 #define WALL_S 1000000000
 
 static const volatile int64_t none = 0;

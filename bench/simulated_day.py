@@ -92,7 +92,7 @@ class Robot:
         self.received = 0
 
     def boot(self) -> None:
-        """Start the monitor, and a publisher that it has discovered."""
+        """Start the monitor and wait until a publisher has discovered it."""
         self.monitor = start(
             'monitor',
             ros=(
@@ -153,7 +153,7 @@ class Robot:
         self.client.spin(1.5)
 
     def row(self, name: str, still_s: float, variance: float) -> tuple[str, ...]:
-        """Return the present coefficients with the true ones."""
+        """Return the row of the table: the present coefficients and the true ones."""
         client = self.client
         worst = max(client.statuses.values(), key=lambda s: s.level)
         level = {b'\0': 'OK', b'\1': 'WARN', b'\2': 'ERROR'}[worst.level]

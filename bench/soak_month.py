@@ -59,7 +59,7 @@ SHOWN_DAYS = (1, 2, 3, 5, 10, 15, 20, 25, 30)
 
 @dataclass
 class Robot:
-    """Simulates one hour after another without a break."""
+    """Simulates one hour after another of a continuous recording."""
 
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(30))
     walk: np.ndarray = field(default_factory=lambda: np.zeros(6))
@@ -80,7 +80,7 @@ class Robot:
             yield self._disturbed(stamps, samples)
 
     def _disturbed(self, stamps: np.ndarray, samples: np.ndarray) -> ImuBatch:
-        """Add the disturbances of 100 s, each with the frequency in the comment."""
+        """Return the samples of 100 s with disturbances; comments state how often each occurs."""
         rng, n = self.rng, len(stamps)
         keep = np.ones(n, bool)
         if rng.random() < 1 / 36:  # a drive of half a minute, once an hour

@@ -53,7 +53,7 @@ class Stream:
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def open(self) -> None:
-        """Create the participant and wait until a subscriber has discovered it."""
+        """Create the DDS participant and wait until a subscriber has discovered it."""
         import rclpy
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import Imu
@@ -66,12 +66,12 @@ class Stream:
             time.sleep(0.02)
 
     def close(self) -> None:
-        """Destroy the participant; samples are dropped until it is opened again."""
+        """Destroy the DDS participant; samples are dropped until it is opened again."""
         self._node.destroy_node()
         self._context.shutdown()
 
     def begin(self) -> None:
-        """Start to publish when the subscribers have been discovered."""
+        """Start publishing once the subscribers have been discovered."""
         from rclpy.executors import SingleThreadedExecutor
 
         from allan_ros.nodes.player import Handshake

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Documents with a consistent schema and absurd values: right types, impossible numbers."""
+"""Documents with a valid schema and absurd values: right types, impossible numbers."""
 
 from __future__ import annotations
 

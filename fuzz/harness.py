@@ -105,7 +105,7 @@ class BrokenRule(AssertionError):
 
 @dataclass
 class Outcome:
-    """The result of one input, which is valid unless it is rejected."""
+    """The result of one input: valid, unless it is rejected."""
 
     valid: bool = True
 

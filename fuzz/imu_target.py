@@ -32,7 +32,7 @@ REPEATS = (1, 1, 1, 30, 700, 1100)
 
 @st.composite
 def _message(draw: Any) -> bytes:
-    """Draw a well-formed message with odd values."""
+    """Draw a well-formed message with unusual values."""
     order = draw(st.sampled_from('<>'))
     frame = draw(texts).encode('utf-8', 'surrogatepass') + draw(st.sampled_from([b'\0', b'']))
     stamp = struct.pack(

@@ -34,7 +34,7 @@ REPORTS = {'count_differs', 'bag_cut', 'table_cut'}
 
 @lru_cache(maxsize=1)
 def seeds() -> dict[str, dict[str, bytes]]:
-    """Return form -> file name -> content."""
+    """Return storage format -> file name -> content."""
     found = {}
     for name, (storage, compression) in FORMS.items():
         with tempfile.TemporaryDirectory() as folder:

@@ -37,7 +37,7 @@ SCHEMA_ALPHABET = st.sampled_from(
 
 @dataclass(frozen=True)
 class Plan:
-    """The content of a file; a field that is None or () is correct."""
+    """The content of a file. A field that is None or () is written correctly."""
 
     chunks: int = 2
     compression: str = ''

@@ -117,7 +117,7 @@ class Graph:
         return self.node.create_client(SetParameters, f'/{name}/set_parameters')
 
     def set_parameter(self, name: str, parameter: str, value: Any) -> bool:
-        """Ask a node to change a parameter and return its answer, which is required."""
+        """Ask a node to change a parameter and return its answer; raise if there is none."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
@@ -203,7 +203,7 @@ def _attacks(draw: Any) -> tuple[str, Any]:
 
 
 def check(attack: tuple[str, Any], folder: Path) -> bool:
-    """Send it and check the nodes; return whether the nodes accept it."""
+    """Send the attack and check the nodes; return whether it was accepted as valid."""
     from std_msgs.msg import String
 
     del folder

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""rosbag2's SQLite files: odd schemas and cells by SQL, and damaged pages."""
+"""rosbag2's SQLite files: unusual schemas and cells, written with SQL, and damaged pages."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@
 vulnerabilities.
 
     python scripts/audit.py             # exit 1: something is vulnerable; 2: some was not audited
-    python scripts/audit.py --offline   # the list alone, nobody is asked
+    python scripts/audit.py --offline   # the list alone, no query
 
 The list contains the installed packages that ``install_requires`` of setup.py requires, directly or
 not. pip-audit asks the advisory service of PyPI for each of them, by name and version. A mirror of

@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compare two checkouts: are the sums of ten recordings equal, bit for bit, and the results?
+"""Compare two checkouts: are the sums of recordings equal bit for bit, and how do results
+differ?
 
 usage: compare_versions.py BEFORE AFTER [RECORDING ...]
 
@@ -47,7 +48,7 @@ def allan(checkout: Path, *words: str) -> bool:
 
 
 def kept(document: dict[str, Any]) -> list[Any]:
-    """Return the numbers of a sums.json that must be equal in both versions."""
+    """Return the numbers of a sums.json that both versions must compute equally."""
     return [
         [
             [sums[key] for key in SUMS],

@@ -61,8 +61,9 @@ def main() -> int:
 
 
 def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
-    """Yield a table of every coefficient with its true value, then the fraction of correct
-    intervals."""
+    """Yield a table of every coefficient with its true value, then the number of correct
+    intervals.
+    """
     yield f'{"":9}{"":17}{"true":>10}{"found":>11}   95 % interval'
     inside = []
     for axis, result in results.axes.items():
@@ -82,7 +83,9 @@ def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
 
 
 def holds(coefficient: Coefficient, true: float) -> bool:
-    """Return whether the truth lies in the interval, or below the limit of an unresolved term."""
+    """Return whether the true value is in the interval, or below the limit of an unresolved
+    term.
+    """
     if coefficient.status == 'estimated' and coefficient.ci95 is not None:
         low, high = coefficient.ci95
         return low <= true <= high

@@ -69,7 +69,7 @@ def _start(name: str, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def _fit() -> None:
-    """Save and fit the sums of all received samples, and wait for the noise model."""
+    """Let the monitor save and fit the sums of all samples, and wait for the noise model."""
     import rclpy
     from std_msgs.msg import String
     from std_srvs.srv import Trigger

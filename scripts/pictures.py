@@ -47,7 +47,7 @@ ALL_FIVE = NoiseTerms(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
 
 @dataclass(frozen=True)
 class Shape:
-    """A curve that the five terms do not describe."""
+    """A kind of noise that the five terms do not describe."""
 
     name: str
     axis: str
@@ -94,7 +94,7 @@ def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: obje
 
 
 def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float) -> None:
-    """Draw the fit, its parts, and the range that unresolved terms may add."""
+    """Draw the fit, its terms, and the range that unresolved terms may add."""
     curve = result.curve
     assert curve is not None
     for name, part in result.part_adev(curve.m).items():

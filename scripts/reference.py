@@ -246,7 +246,7 @@ def _items(body: str) -> Iterator[str]:
 
 
 def _code(text: str) -> str:
-    """Convert reStructuredText literals to Markdown."""
+    """Convert the literals of reStructuredText to Markdown."""
     return text.replace('``', '`').replace('<', '&lt;')
 
 
@@ -266,13 +266,12 @@ def _members(thing: type) -> Iterator[str]:
 
 
 def troubleshooting_page(text: str) -> str:
-    """Return the page with the present messages of all findings below their headings.
+    """Return the page with the current messages of all findings below their headings.
 
     Raises
     ------
     SystemExit
-        The message names findings without a heading or with two headings, and headings without a
-        finding.
+        If a finding has no heading or two, or a heading has no finding.
     """
     head, *entries = re.split(r'^### ', text, flags=re.MULTILINE)
     ids = [entry.split('\n', 1)[0].strip() for entry in entries]

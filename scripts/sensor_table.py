@@ -53,7 +53,7 @@ def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
 
 
 def page(text: str) -> str:
-    """Return the text of the page with the present table."""
+    """Return the text of the page with the current table."""
     before, rest = text.split(BEGIN)
     after = rest.split(END)[1]
     return f'{before}{BEGIN}\n\n{table()}\n{END}{after}'

@@ -3,7 +3,7 @@
 """Write the SROS 2 policy of the running nodes: config/sros2/allan_ros.policy.xml.
 
     python scripts/sros2_policy.py            # starts every node, reads its topics and services
-    python scripts/sros2_policy.py --check NODE ...  # exit 1 if the file says other of these
+    python scripts/sros2_policy.py --check NODE ...  # exit 1 if the file is wrong for these
 
 The format is version 0.2.0 of the policies that ``ros2 security create_permission`` reads
 (design.ros2.org, ROS 2 Access Control Policies and ROS 2 Security Enclaves).
@@ -104,7 +104,7 @@ def _settled(read: Callable[[], dict[str, Names]]) -> dict[str, Names]:
 
 
 def _names(client: object, node: str) -> Names:
-    """Return the names that a node uses now; empty while it is not discovered."""
+    """Return the names that a node uses now; an empty value before it is discovered."""
     from rclpy.node import NodeNameNonExistentError
 
     asked = {
@@ -144,14 +144,13 @@ def policy_of(graph: dict[str, Names]) -> str:
 
 
 def _relative(node: str, names: Iterable[str]) -> list[str]:
-    """Return the names in the notation of policies: ``~/`` for names of the node itself."""
+    """Return names as policies write them: names of the node's own namespace begin with ``~/``."""
     own = f'/{node}/'
     return sorted(f'~/{n[len(own) :]}' if n.startswith(own) else n.lstrip('/') for n in names)
 
 
 def _compare(seen: ET.Element, written: ET.Element) -> int:
-    """Print the differences between the enclaves of the graph and the file; return 1 if there are
-    any."""
+    """Print the differences between the graph and the file; return 1 if there are any."""
     known = {e.get('path'): ET.tostring(e).split() for e in written.iter('enclave')}
     differ = [e.get('path') for e in seen.iter('enclave')
               if ET.tostring(e).split() != known.get(e.get('path'))]  # fmt: skip
