@@ -46,7 +46,7 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import Results, analyse_recorded, judged_as_before
+from .io.results import Results, analyse_recorded, with_earlier_datasheet
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
@@ -100,7 +100,7 @@ def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSetti
     """
     results = analyse_recorded(recorded, settings.method)
     if not settings.sensor:
-        results = judged_as_before(results)
+        results = with_earlier_datasheet(results)
     return results.compared(settings.sensor, settings.baseline, settings.margin)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The curve of one axis and its results: coefficients with units, and the selected model."""
+"""Results of one axis (`AxisResult`, `Quantity`), and the functions `adev` and `fit`."""
 
 from __future__ import annotations
 
@@ -33,19 +33,21 @@ from .format import ShownUnit, interval_text, value_text
 
 @dataclass(frozen=True)
 class Quantity:
-    """One coefficient of one axis with its unit.
+    """One noise coefficient of one axis, with its confidence interval and unit.
 
     Attributes
     ----------
     value : float or None
-        The estimate, or None if the term is not resolved. For the ramp R, the magnitude.
+        The estimate; None if the recording does not resolve the coefficient. For the ramp R, the
+        magnitude.
     ci95 : (low, high) or None
-        95 % confidence interval.
+        95 % confidence interval of the estimate; None if unknown.
     upper95 : float or None
-        95 % upper limit of a term that is not resolved.
+        95 % upper limit of a coefficient that is not resolved; None if unknown.
     unit : str
+        Unit of the numbers.
     sign : int
-        Sign of the ramp R, else 0.
+        Sign of the ramp R, 1 or -1; 0 for other coefficients.
 
     Examples
     --------
@@ -62,12 +64,17 @@ class Quantity:
     sign: int = 0
 
     def to(self, unit: str) -> Quantity:
-        """Return the quantity converted to another unit.
+        """Return the coefficient converted to another unit.
+
+        Parameters
+        ----------
+        unit : str
+            A unit of the same kind, such as 'deg/sqrt(h)' for N of a gyro.
 
         Raises
         ------
         AllanError
-            When the unit is unknown, or of another quantity; the message lists the possible units.
+            When the unit is unknown or of another kind; the message lists the possible units.
         """
         si = UNITS[self.unit].si
         expect(str, unit=unit)
@@ -90,24 +97,28 @@ class Quantity:
 
 @dataclass(frozen=True)
 class AxisResult:
-    """The results of one axis; ``axis.N``, ``.Q``, ``.B``, ``.K`` and ``.R`` are its coefficients.
+    """The results of one axis: coefficients, Allan deviation and fitted noise model.
+
+    The coefficients are the attributes ``Q``, ``N``, ``B``, ``K`` and ``R``, each a `Quantity`.
 
     Attributes
     ----------
     tau0 : float
         Sample period in s.
     fit : AxisFit
+        The fitted coefficients and noise processes, in SI.
     curve : AxisCurve or None
-        None if only the coefficients are known.
+        The measured Allan deviation in SI; None if only the coefficients are known.
     regions : tuple of Region
-        Ranges of tau with the noise that dominates in each.
+        Ranges of averaging times, each with the noise that dominates in it.
     sample_std : float or None
-        Measured standard deviation of the samples about their mean over up to a second.
+        Standard deviation of the samples, measured within periods of up to one second, in SI; None
+        if unknown.
     name : str
-        Name of the axis.
+        Name of the axis, such as 'gyro_z'.
     rounding : float or None
-        Step to which the samples are rounded, if this causes more than a tenth of their white
-        noise; else None.
+        Step to which the samples are rounded, in SI; None if rounding causes less than a tenth of
+        their white noise.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
 
@@ -168,10 +179,11 @@ class AxisResult:
 
     @property
     def processes(self) -> Processes:
-        """Fitted `.gauss_markov` (sigma, correlation_time) and `.sinusoid` (amplitude, frequency).
+        """Gauss-Markov processes and sinusoids that were fitted in addition to the five terms.
 
-        Tuples of the processes in addition to the five terms, in SI, s and Hz. All numbers have
-        95 % intervals, such as ``sigma_ci95``.
+        Each item of ``processes.gauss_markov`` has ``sigma`` and ``correlation_time`` (s), and each
+        item of ``processes.sinusoid`` has ``amplitude`` and ``frequency`` (Hz). Sigma and amplitude
+        are in SI. Each number has a 95 % interval, such as ``sigma_ci95``.
 
         Examples
         --------
@@ -184,9 +196,10 @@ class AxisResult:
         return self.fit.processes
 
     def state_space(self) -> StateSpace:
-        """Return the noise as states of a Kalman filter: Phi, Qd and R at any rate.
+        """Return the noise as a state-space model for a Kalman filter.
 
-        The states are the same as in the export ``state_space``.
+        It gives the transition matrix and the covariance of the process noise for any time step.
+        The export ``state_space`` contains the same model.
 
         Raises
         ------
@@ -205,16 +218,21 @@ class AxisResult:
 
     @property
     def growth(self) -> tuple[Growth, ...]:
-        """Predicted growth of the angle or velocity error without correction, with intervals."""
+        """Predicted standard deviation of the error of the angle (rad) or velocity (m/s) after
+        several times without a correction, with 95 % intervals."""
         return growth_table(self.fit)
 
     @property
     def position_growth(self) -> tuple[Growth, ...]:
-        """Predicted growth of the position error of an accelerometer; empty for a gyro."""
+        """Predicted standard deviation of the error of the position (m) after several times without
+        a correction, with 95 % intervals; empty for a gyro."""
         return growth_table(self.fit, 2) if sensor_of(self.name) == 'accel' else ()
 
     def quantity(self, term: str) -> Quantity:
-        """Return the coefficient of a term (Q, N, B, K or R) in SI."""
+        """Return the coefficient of a term ('Q', 'N', 'B', 'K' or 'R') in SI.
+
+        Raises AllanError for any other term.
+        """
         choose(TERMS, term=term)
         c = self.fit.noise[term]
         value = c.value if c.status == 'estimated' else None
@@ -229,13 +247,20 @@ class AxisResult:
             ) from error
 
     def part_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of each part of the selected model at averaging factors m, in SI."""
+        """Return the Allan deviation of each part of the fitted model: part -> (factors,), in SI.
+
+        ``m`` are averaging factors, which are averaging times in samples. A part is a term, a
+        Gauss-Markov process or a sinusoid.
+        """
         parts = self.fit.selected.parts(self._tau(m), self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the deviation of the terms outside the model, at their 95 % upper limits, in
-        SI."""
+        """Return the Allan deviation of each term that is not resolved, at its 95 % upper limit.
+
+        ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
+        deviations in SI, (factors,).
+        """
         model = self.fit.selected.terms
         limits = {
             term: c.upper95
@@ -246,14 +271,19 @@ class AxisResult:
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def model_line(self) -> ModelLine:
-        """Return the selected model, as drawn, at the points of the curve, in SI."""
+        """Return the Allan deviation of the fitted model at the points of the curve, in SI.
+
+        It is NaN at short averaging times that the fit excludes. ``adev`` is the model itself, and
+        ``upper`` includes the terms that are not resolved, at their 95 % upper limits.
+        """
         curve = self.curve
         if curve is None:
             return ModelLine(np.zeros(0), np.zeros(0))
         return model_line(self.fit, self.tau0, curve.m, curve.adev, curve.ci_high)
 
     def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
-        """Return the deviation of the selected model at averaging factors m, (factors,), in SI."""
+        """Return the Allan deviation of the fitted model at averaging factors ``m``, in SI,
+        (factors,)."""
         total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(self._tau(m), self.tau0))
         return total
 
@@ -261,7 +291,7 @@ class AxisResult:
 def axis_results(
     fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
-    """Yield name and result of each axis from its sums, curve and fit."""
+    """Yield the name and the result of each axis, given the sums, curve and fit of each sensor."""
     for sums, curve, model in fitted:
         means = np.array([one.mean for one in sums.history.recordings])
         for i, name in enumerate(curve.axes):
@@ -282,19 +312,24 @@ def axis_results(
 
 
 def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
-    """Return the overlapping Allan deviation with 68.3 % limits.
+    """Compute the overlapping Allan deviation with its 68.3 % confidence limits.
 
     Parameters
     ----------
     samples : (n,) or (n, columns) array
         Evenly spaced samples of any quantity.
     rate : float
-        Samples per second.
+        Sample rate in Hz.
+
+    Returns
+    -------
+    AxisCurve
+        The deviation in the unit of the samples at averaging times in s.
 
     Raises
     ------
     AllanError
-        When there are fewer than two samples, or some are not finite.
+        When there are fewer than two samples, some are not finite, or the rate is not positive.
 
     Examples
     --------
@@ -333,18 +368,22 @@ def fit(
     axis: str = 'gyro_x',
     record: float | None = None,
 ) -> AxisResult:
-    """Return the coefficients of an Allan curve that was computed elsewhere.
+    """Fit the noise coefficients to an Allan deviation curve, for example of another program.
 
-    `analyze` gives better intervals, because it uses the covariance of the points.
+    `analyze` gives better intervals, because it knows the covariance of the points.
 
     Parameters
     ----------
     curve : AxisCurve or (tau, adev)
         Averaging times in s and Allan deviations in SI.
     axis : str
-        The axis, which determines the units.
+        The axis of the curve, such as 'gyro_z': it determines the units of the coefficients.
     record : float, optional
         Length of the recording in s; by default nine times the longest averaging time.
+
+    Returns
+    -------
+    AxisResult
 
     Raises
     ------

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Results`: the coefficients, curves and findings of one analysis, and their text form."""
+"""`Results`: the coefficients, curves and findings of one analysis, and the fit that gives them."""
 
 from __future__ import annotations
 
@@ -39,30 +39,38 @@ from .verdict import TOO_SHORT_S, Verdict, html_summary, summary_lines, verdict_
 
 @dataclass(frozen=True)
 class Results:
-    """One analysis of one IMU; ``results['gyro_z']`` is the result of an axis.
+    """The results of one analysis of one IMU.
+
+    ``results['gyro_z']`` is the `AxisResult` of an axis, and iteration gives the names of the axes.
+    Printed, the results are a summary; in a notebook, a table.
 
     Attributes
     ----------
     identity : ImuIdentity
+        The frame_id and the serial number of the IMU.
     method : str
-        Method of the fit.
-    tau0, samples, duration_s, segments : float, int, float, int
-        Sample period, number of samples, their total time, and number of segments of the sensor
-        with the most samples; axes of a sensor with another rate have their own tau0.
+        Method of the fit: 'gls', 'relative' or 'paper'.
+    tau0, duration_s : float
+        Sample period, and total time of all used samples, in s. If gyro and accelerometer have
+        different rates, these are of the sensor with more samples.
+    samples, segments : int
+        Number of used samples, and of segments without gaps or motion, of the same sensor.
     axes : mapping of axis name to AxisResult
-        The measured axes, in the order of `AXES`.
+        The measured axes: gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z, if present.
     provenance : Provenance
-        Recordings, segments, counts and settings.
+        The recordings, their segments and counts of samples, and the settings.
     findings : tuple of Finding
-        Findings of the recording, the fit, and the comparison with a datasheet.
+        Messages about the recording, the fit, and the comparison with a datasheet.
     datasheet : DatasheetComparison or None
-        The comparison with a datasheet, if one was named.
+        The comparison with a datasheet; None if no datasheet was given.
     baselines : mapping of name to Results
-        Earlier runs of this IMU with which it is compared.
+        Earlier runs of this IMU to which it is compared.
     margin : float
-        Fraction by which a complete interval must exceed a limit or an earlier run.
+        A coefficient exceeds a limit or an earlier run if its complete 95 % interval lies above it
+        by this fraction.
     recorded : RecordingSums or None
-        The sums that were fitted; None for results that were read from a file.
+        The sums to which the coefficients were fitted; None if they are not known, for example in
+        results that were read from a results.json alone.
 
     Examples
     --------
@@ -105,7 +113,7 @@ class Results:
             object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
 
     def _judged(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
-        """Return the comparisons; none is settled if the record is too short."""
+        """Return the comparisons, all with the verdict 'open' if the recording is too short."""
         short = self.duration_s < TOO_SHORT_S
         return tuple(replace(c, verdict='open') if short else c for c in comparisons)
 
@@ -116,26 +124,25 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict: whether the IMU is healthy, the reasons, and the next steps."""
+        """Whether the IMU is healthy (``level``), with the reasons and the next steps."""
         return verdict_of(self)
 
     @property
     def noise(self) -> dict[str, Mapping[str, Coefficient]]:
-        """The coefficients: axis -> term -> Coefficient."""
+        """The coefficients in SI: axis -> term -> Coefficient."""
         return {name: axis.fit.noise for name, axis in self.axes.items()}
 
     @property
     def measured(self) -> Run:
-        """The coefficients and the curve of each axis, in the form for
-        `core.compare.differences`."""
+        """The coefficients and the curve of each axis, as input of a comparison of recordings."""
         return {name: Measured(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """The comparisons with the datasheet and with the earlier runs.
+        """The comparisons of the coefficients with the datasheet and with the earlier runs.
 
-        The deviations of an axis are also tested. If no coefficient of the axis exceeds the earlier
-        run, but a deviation does, the largest excess is included.
+        Allan deviations are compared with the earlier runs, too. If a deviation of an axis exceeds
+        an earlier run although none of its coefficients does, the largest such excess is included.
         """
         found = list(self.datasheet.comparisons) if self.datasheet else []
         pairs = [(earlier.measured, self.measured) for earlier in self.baselines.values()]
@@ -171,17 +178,18 @@ class Results:
         return html_summary(self)
 
     def table(self, units: str = 'datasheet') -> Any:
-        """Return all coefficients, one row each.
+        """Return all coefficients as a table with one row for each axis and term.
 
         Parameters
         ----------
         units : 'datasheet' or 'si'
+            Units of the numbers.
 
         Returns
         -------
         pandas.DataFrame or list of dict
-            With axis, term, value, ci95_low, ci95_high, upper95, unit. A DataFrame if pandas is
-            installed.
+            The columns axis, term, value, ci95_low, ci95_high, upper95 and unit; a DataFrame if
+            pandas is installed. Unknown numbers are None.
         """
         choose(UNIT_SYSTEMS, units=units)
         rows = [_table_row(axis, term, units) for axis in self.axes.values() for term in TERMS]
@@ -192,7 +200,7 @@ class Results:
         return pandas.DataFrame(rows)
 
     def plot(self, what: str = 'gyro', ax: Any = None, units: str = 'datasheet') -> Any:
-        """Draw the Allan deviation with its limits and the fit.
+        """Draw the Allan deviation with its confidence limits and the fitted model.
 
         Parameters
         ----------
@@ -201,11 +209,17 @@ class Results:
         ax : matplotlib Axes, optional
             Axes to draw into; by default a figure with a panel for each axis is created.
         units : 'datasheet' or 'si'
+            Units of the drawing.
 
         Returns
         -------
         matplotlib Axes or Figure
             The given axes, or the created figure.
+
+        Raises
+        ------
+        AllanError
+            When there is no such sensor or axis, or an argument is invalid.
         """
         from .plots import draw_axes, sensor_figure
 
@@ -224,16 +238,22 @@ class Results:
     def export(
         self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
     ) -> str:
-        """Return the file of a filter or simulator as text, and write it if a path is given.
+        """Return the noise as the text of a file for a filter or simulator.
 
         Parameters
         ----------
         target : str
-            A name of `io.exporters.TARGETS`, such as 'kalibr'.
+            A target that `allan export --list` lists, such as 'kalibr'.
         path : path, optional
-            File to write, or its folder.
+            The text is also written to this file, or into this folder.
         **options
-            Fields of `io.exporters.ExportOptions`, such as ``inflate=2``.
+            Options of `allan export` with underscores, such as ``inflate=2``.
+
+        Raises
+        ------
+        AllanError
+            When the target or an option is unknown, the target needs an axis that was not
+            measured, or the file cannot be written.
         """
         expect(str, target=target)
         text = make_export(self, target, settings_from(ExportOptions, options)).text
@@ -250,17 +270,26 @@ class Results:
         targets: Sequence[str] = (),
         **options: Any,
     ) -> list[Path]:
-        """Write the same files as `allan analyze -o`, and return their paths. `load` reads the
-        folder.
+        """Write the results, the report, pictures and filter files, and return their paths.
+
+        The files are the same as those of `allan analyze -o`. `load` reads the folder again.
 
         Parameters
         ----------
         folder : path
+            Folder for the files; it is created if it is missing.
         units : 'datasheet' or 'si'
+            Units of the report and the pictures.
         targets : sequence of str
-            Names of `io.exporters.TARGETS` whose files are written in addition to Kalibr.
+            Targets that `allan export --list` lists; their files are written in addition to the
+            file of Kalibr.
         **options
-            Fields of `io.plot_style.PictureSettings`: ``plot_format=('svg',)``, ``plot_style``.
+            ``plot_format``, such as ``('svg',)``, and ``plot_style``, a matplotlib style.
+
+        Raises
+        ------
+        AllanError
+            When the sums are not known, an argument is invalid, or a file cannot be written.
         """
         from .plot_style import PictureSettings
         from .result_files import write_result_files
@@ -277,16 +306,24 @@ class Results:
         baseline: Results | str | os.PathLike[str] = '',
         margin: float = MARGIN,
     ) -> Verdict:
-        """Return a verdict on the IMU, compared with its datasheet and with an earlier run.
+        """Return a verdict on the IMU after a comparison with a datasheet or an earlier run.
 
         Parameters
         ----------
         sensor : str or Datasheet
-            A name of `allan sensors`, or the path of a .yaml file.
+            A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
         baseline : Results or path
-            An earlier run: results, a document, or the folder of an analysis.
+            An earlier run: results, or the path of a results.json, a sums.json or the folder of an
+            analysis; '' for none.
         margin : float
-            Fraction by which a complete interval must exceed the datasheet or the earlier run.
+            A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval
+            lies above it by this fraction.
+
+        Returns
+        -------
+        Verdict
+            With ``level`` ('healthy', 'attention', 'unknown' or 'failed'), ``summary``, ``reasons``
+            and ``next_steps``.
 
         Examples
         --------
@@ -306,7 +343,10 @@ class Results:
         baseline: Results | str | os.PathLike[str] = '',
         margin: float = MARGIN,
     ) -> Results:
-        """Return a copy with the comparison with a datasheet and an earlier run, as in `check`."""
+        """Return a copy that is compared with a datasheet, an earlier run, or both.
+
+        The parameters are those of `check`.
+        """
         from .documents import labels_of, load
 
         expect((Results, *PATH), 'results or a path', baseline=baseline)
@@ -324,7 +364,10 @@ class Results:
         return results.against_datasheet(sheet, margin)
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
-        """Return a copy with the comparison with a datasheet, and a finding for each excess."""
+        """Return a copy that is compared with a datasheet.
+
+        Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding.
+        """
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
             beyond_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
@@ -335,11 +378,14 @@ class Results:
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU and return the results; raises AllanError if there are too few
-    data."""
+    """Fit the sums of one IMU and return the results.
+
+    A warm-up is excluded unless the settings of the recordings state a time to skip. Raises
+    AllanError if there are too few data.
+    """
     skip = recorded.provenance.settings.get('skip', AUTO)
-    settle = isinstance(skip, (int, float)) and skip < 0.0
-    fitted = [fit_stationary(s, method, settle) for s in recorded.sums]
+    exclude_warm_up = isinstance(skip, (int, float)) and skip < 0.0
+    fitted = [fit_stationary(s, method, exclude_warm_up) for s in recorded.sums]
     sums = [s for s, _ in fitted]
     curves = [allan_curve(s) for s in sums]
     fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
@@ -365,8 +411,11 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     )
 
 
-def judged_as_before(results: Results) -> Results:
-    """Return the results compared with the datasheet that all recordings share, if there is one."""
+def with_earlier_datasheet(results: Results) -> Results:
+    """Compare the results with the datasheet of earlier comparisons of their recordings.
+
+    If the recordings were compared with different datasheets, a finding states this instead.
+    """
     known = results.recorded.judged if results.recorded is not None else ()
     judged = {comparison.datasheet.name: comparison for comparison in known}
     if len(judged) > 1:
@@ -378,7 +427,10 @@ def judged_as_before(results: Results) -> Results:
 
 
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
-    """Fit sums (one with all axes, or one for each sensor), as in `analyse_recorded`."""
+    """Fit the sums of one IMU and return the results.
+
+    ``sums`` has one item with all axes, or one item for each sensor if their rates differ.
+    """
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
