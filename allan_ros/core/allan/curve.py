@@ -1,12 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Equivalent degrees of freedom of an Allan variance, and the chi-squared limits they give.
+"""Allan deviation curves with chi-squared confidence limits and equivalent degrees of freedom.
 
-An estimate V of M second differences d has edf = 2 V^2 / Var V, and for Gaussian noise
-Var V = (2 V^2 / M^2) sum over pairs of rho^2, rho being the correlation of two d's (Greenhall &
-Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003, eq. 10;
-NIST SP 1065 section 5.4.1). Pooled segments are independent, so their variances add. The sum
-includes all lags at which rho is not negligible; the tables and fits of the source are not used.
+The estimate V of a variance from M second differences d has edf = 2 V^2 / Var V equivalent degrees
+of freedom. For Gaussian noise, Var V = (2 V^2 / M^2) sum of rho^2 over all pairs of differences,
+where rho is the correlation of the pair (Greenhall & Riley, Uncertainty of stability variances
+based on finite differences, 35th PTTI, 2003, eq. 10; NIST SP 1065 section 5.4.1). Pooled segments
+are independent, so their variances add. The sum is computed directly, over all lags at which rho is
+not negligible, instead of with the approximations of the source.
 """
 
 from __future__ import annotations
@@ -26,37 +27,39 @@ CI_LEVEL = 0.683
 """Confidence level of the limits of a curve: one sigma, as in NIST SP 1065 and Stable32."""
 
 WHITE_PHASE, FLICKER_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 1, 0, -1, -2
-"""Noise types by the exponent alpha of their spectrum S_y ~ f^alpha (NIST SP 1065 table 2)."""
+"""Noise types: exponents alpha of the power spectral density ~ f^alpha of the samples (NIST SP 1065
+table 2)."""
 
-REACH = 6
-"""Correlations are summed up to this many m; at larger lags, rho^2 of flicker adds less than
+LONGEST_LAG = 6
+"""Largest lag of the sum of rho^2, in units of m. For flicker noise, larger lags add less than
 1e-4."""
 
-FAR = 100.0
-"""Lag in samples from which the flicker phase autocovariance is its continuous limit to 1e-5."""
+CONTINUOUS_FROM = 100.0
+"""Lag in samples from which the autocovariance of flicker phase noise equals its continuous-time
+limit to 1e-5."""
 
 
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
     """Return the equivalent degrees of freedom of an Allan variance pooled over segments.
 
-    NaN when there are no differences.
+    The result is NaN if all counts are 0.
 
     Parameters
     ----------
     noise_type : int
-        Exponent alpha of S_y ~ f^alpha, 2 .. -2.
+        Exponent alpha of the spectrum ~ f^alpha, from 2 to -2.
     m, stride : int
-        Averaging factor, and samples between the starts of two second differences.
-    counts, number : (segments,) arrays
-        Second differences in a segment, and number of segments with that count.
+        Averaging factor, and number of samples between the starts of two second differences.
+    counts, number : (lengths,) arrays
+        Number of second differences in a segment, and number of segments with this count.
     """
     counts = np.atleast_1d(np.asarray(counts, np.int64))
     number = np.broadcast_to(np.asarray(number), counts.shape)
     number, counts = number[counts > 0], counts[counts > 0]
     if not len(counts):
         return float('nan')
-    # rho^2 summed over lags -j .. j, and |j| rho^2: a pair at lag j occurs M - |j| times.
-    lags = np.arange(1, min(int(counts.max()), REACH * m // stride + 1))
+    # a pair of differences at lag j occurs M - |j| times: sums of rho^2 and of |j| rho^2
+    lags = np.arange(1, min(int(counts.max()), LONGEST_LAG * m // stride + 1))
     squares = correlation(noise_type, m, stride * lags) ** 2
     pairs = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
     missing = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
@@ -67,10 +70,10 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
 
 
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
-    """Return the correlation of two second differences of averaging factor m.
+    """Return the correlation of two second differences at the averaging factor m, (lags,).
 
-    ``lags`` are the samples between their starts. It is the fourth difference, with step m, of the
-    generalised autocovariance of the phase for noise of exponent alpha.
+    ``lags`` are the distances of their starts in samples. The covariance is the fourth difference,
+    with step m, of the generalized autocovariance of the phase.
     """
     steps = np.arange(-2, 3) * m
     weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -81,12 +84,12 @@ def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
 
 
 def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floats:
-    """Return the generalised autocovariance of the phase at t samples, up to a factor.
+    """Return the generalized autocovariance of the phase at lags of t samples, up to a factor.
 
     For sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
     |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, in discrete time).
-    Flicker phase is the second difference of -t^2 ln|t|. Time is in units of m, which only adds
-    multiples of t^2; the fourth difference removes them.
+    For flicker phase, it is the second difference of -t^2 ln|t|. Time is in units of m, which only
+    adds multiples of t^2; the fourth difference removes them.
     """
     if noise_type == WHITE_PHASE:
         return np.asarray(t == 0, float)
@@ -94,7 +97,7 @@ def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floa
     if noise_type == FLICKER_PHASE:
         near: Floats = np.diff(_square_log(t[..., None] + np.array([-1.0, 0.0, 1.0])), 2)[..., 0]
         far = 2.0 * np.log(np.maximum(np.abs(t), 1.0)) + 3.0
-        return -np.where(np.abs(t) < FAR, near, far)
+        return -np.where(np.abs(t) < CONTINUOUS_FROM, near, far)
     if noise_type == WHITE:
         return -u
     if noise_type == FLICKER:
@@ -111,10 +114,10 @@ def _square_log(t: ArrayLike) -> Floats:
 def chi_squared_limits(
     avar: ArrayLike, degrees: ArrayLike, level: float = CI_LEVEL
 ) -> tuple[Floats, Floats]:
-    """Return the confidence limits of the deviation sqrt(avar), NIST SP 1065 section 5.3.1.
+    """Return the lower and upper confidence limits of the deviation sqrt(avar).
 
-    The limits are sqrt(avar edf / chi^2) at the upper and lower quantile, which enclose the
-    probability ``level``. NaN ``degrees`` (of freedom) give NaN.
+    ``degrees`` are its degrees of freedom (NaN gives NaN) and ``level`` is the confidence level.
+    The limits are sqrt(avar edf / chi^2) at two quantiles of chi^2, NIST SP 1065 section 5.3.1.
     """
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
     tail = (1.0 - level) / 2.0
@@ -122,40 +125,44 @@ def chi_squared_limits(
     return low, high
 
 
-SLOPE_SPAN = 4.0
-"""A slope is fitted from m/4 to 4 m, two octaves to each side."""
+SLOPE_RANGE = 4.0
+"""The slope at m is fitted to the points from m/4 to 4 m, two octaves to each side."""
 
-MIN_BLOCKS = 16
-"""Smallest number of averaging times in the record for which a slope is used."""
+MIN_AVERAGES = 16
+"""Shortest record, in averaging times, for which the slope of the curve is reliable."""
 
 QUANTIZATION_SLOPE = -1.5
-"""Slopes of sigma^2 below this count as -2: white or flicker phase, which cannot be
-distinguished."""
+"""Slopes of the Allan variance below this are classified as white phase noise. Flicker phase noise
+has the same slope of -2 and cannot be distinguished."""
 
 
 def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:
-    """Return the exponent alpha at every factor from the slope mu of log sigma^2 on log tau.
+    """Return the noise type at each averaging factor from the slope of the Allan variance.
 
-    alpha = -1 - mu (NIST SP 1065 table 4). It needs no samples. A slope of -2 is classified
-    as white phase, which in an IMU is quantization. If the record contains fewer than 16 averaging
-    times, the slope is not reliable and the type of the previous factor is used, or white (0) if
-    there is none.
+    The type is the exponent alpha = -1 - mu of the spectrum, where mu is the slope of log avar over
+    log tau (NIST SP 1065 table 4). A slope of -2 is classified as white phase noise, which in an
+    IMU is quantization. If the record is shorter than 16 averaging times, the type of the previous
+    factor is used, or white noise (0) if there is none.
 
     Parameters
     ----------
     m : (factors,) int64 array
-        Ascending.
+        Averaging factors, ascending.
     avar : (factors, axes) float64 array
         Allan variance; NaN or 0 without data.
     samples : int
-        Length of the record.
+        Number of samples in the record.
+
+    Returns
+    -------
+    (factors, axes) int64 array
     """
-    slopes = _local_slopes(m, avar, np.where(MIN_BLOCKS * m <= samples, samples / m, 0.0))
+    slopes = _local_slopes(m, avar, np.where(MIN_AVERAGES * m <= samples, samples / m, 0.0))
     out = np.empty(avar.shape, np.int64)
     for axis in range(avar.shape[1]):
         last = WHITE
         for i, slope in enumerate(slopes[:, axis]):
-            if MIN_BLOCKS * m[i] <= samples and np.isfinite(slope):
+            if MIN_AVERAGES * m[i] <= samples and np.isfinite(slope):
                 steep = slope < QUANTIZATION_SLOPE
                 last = WHITE_PHASE if steep else max(round(-1.0 - slope), RANDOM_WALK)
             out[i, axis] = last
@@ -163,19 +170,18 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 
 
 def _local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
-    """Return the weighted least-squares slope of log sigma^2 on log m around every factor.
+    """Return the weighted least-squares slope of log avar over log m near each factor.
 
-    It is NaN if fewer than two points in the range have a weight, (factors,), and a positive
-    variance.
+    It is NaN if fewer than two points in the range have a positive weight and variance.
     """
     x = np.log(m.astype(float))
-    span = np.log(SLOPE_SPAN) * (1.0 + 1e-9)
+    distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
     out = np.full(avar.shape, np.nan)
     for axis in range(avar.shape[1]):
         good = (weights > 0.0) & (avar[:, axis] > 0.0)
         xs, ws, ys = x[good], weights[good], np.log(avar[good, axis])
         for i in range(len(m)):
-            near = np.abs(xs - x[i]) <= span
+            near = np.abs(xs - x[i]) <= distance
             if np.count_nonzero(near) < 2:
                 continue
             w = ws[near] / ws[near].sum()
@@ -221,12 +227,12 @@ class AllanCurve(AxisCurve):
     Attributes
     ----------
     axes : tuple of str
-        The columns of the arrays.
+        Names of the columns of the arrays.
     edf : (factors, axes) float64 array
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
-        Exponent alpha of S ~ f^alpha for which ``edf`` was computed: 2 (Q), 1, 0 (N), -1 (B), -2
-        (K, R).
+        Noise type for which ``edf`` was computed, as exponent alpha of the spectrum ~ f^alpha:
+        2 (Q), 1, 0 (N), -1 (B), -2 (K, R).
     """
 
     axes: tuple[str, ...]
@@ -240,12 +246,12 @@ class AllanCurve(AxisCurve):
 
 
 def sample_period(sums: AllanSums) -> float:
-    """Return tau0 in s.
+    """Return the sample period of the sums in s.
 
     Raises
     ------
     AllanError
-        When there are fewer than two samples.
+        If there are fewer than two samples.
     """
     if sums.tau0 is None:
         raise AllanError('an Allan curve needs at least two samples: record some minutes')
@@ -253,12 +259,12 @@ def sample_period(sums: AllanSums) -> float:
 
 
 def allan_curve(sums: AllanSums) -> AllanCurve:
-    """Return the curve of the factors that have data.
+    """Return the Allan deviation curve of the sums, at the averaging factors that have data.
 
     Raises
     ------
     AllanError
-        As of `sample_period`.
+        If there are fewer than two samples.
     """
     tau0 = sample_period(sums)
     some = sums.count > 0
@@ -274,18 +280,20 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
 def degrees_of_freedom(
     sums: AllanSums, m: NDArray[np.int64], stride: NDArray[np.int64], types: NDArray[np.int64]
 ) -> Floats:
-    """Return the equivalent degrees of freedom of variances pooled over the segments of the sums.
+    """Return the equivalent degrees of freedom of the Allan variances of the sums, (factors, axes).
 
-    NaN if no segment is long enough. Pooled segments have the mean length of their class.
+    It is NaN at factors for which no segment is long enough. For pooled segments, the mean length
+    of their class is used.
 
     Parameters
     ----------
     sums : AllanSums
+        Sums whose segments are used.
     m, stride : (factors,) int64 arrays
-        Averaging factors, and samples between starts: those of the grid, or m itself for groups
-        that do not overlap.
+        Averaging factors, and number of samples between the starts of two second differences (m
+        itself for the non-overlapping Allan variance).
     types : (factors, axes) int64 array
-        Noise type at each.
+        Noise types, as from `noise_types_of_avar`.
     """
     lengths = [round(samples) for samples, _ in sums.length_histogram]
     number = [how_many for _, how_many in sums.length_histogram]

@@ -1,11 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scatter of the noise between parts: sixths of a recording, or several recordings.
+"""Changes of the noise level between parts: sixths of a recording, or several recordings.
 
-The level of white noise is compared by Bartlett's test (Proceedings of the Royal Society A 160,
-1937), the size of the drift by its likelihood, with a normal distribution of its logarithm between
-the parts. Intervals of the coefficients include the scatter: if the noise varies, a recording
-determines only the average, not the coefficient at another time.
+The white noise of the parts is compared by Bartlett's test (Proceedings of the Royal Society A 160,
+1937). The drift of the parts is compared by a likelihood-ratio test, in which the logarithm of its
+level is normally distributed between the parts. If the noise varies, a recording determines only
+its average, not the coefficient at another time, so the intervals of the coefficients are widened
+by the scatter between the parts.
 """
 
 from __future__ import annotations
@@ -31,19 +32,20 @@ PARTS = 6
 """Number of parts of a single recording."""
 
 LEVEL_PROBABILITY = 1e-4
-"""Probability below which the levels of an axis are significantly different."""
+"""Largest p-value at which a change of the white noise of an axis is reported."""
 
 LEVEL_RATIO = 1.02
-"""Smallest ratio of two levels that is reported."""
+"""Smallest ratio of the largest to the smallest deviation of the parts that is reported."""
 
 WHITE_SLOPE = 0.25
-"""Tolerance of the exponent within which the variance falls as 1/m, as for white noise."""
+"""Largest difference between the slope of log variance over log m and -1, the slope of white
+noise."""
 
 LEAST_DIFFERENCES = 200
-"""Smallest number of differences of a part that is used."""
+"""Smallest number of second differences in a part that is used."""
 
 SCATTER_PROBABILITY = 1e-3
-"""Probability above which the scatter between parts or periods is explained by normal noise."""
+"""Largest p-value at which scatter between parts or periods widens the intervals."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +53,18 @@ class Scatter:
     """Scatter of the white noise of one axis between parts."""
 
     parts: int  # number of parts
-    # smallest and largest deviation of a part, relative to the deviation of all parts
-    low: float
-    high: float
-    scatter: float  # standard deviation of the logarithm of the true deviations of the parts
-    probability: float  # the same if the true deviations do not differ
+    low: float  # smallest deviation of a part, relative to the deviation of all data
+    high: float  # largest deviation of a part, relative to the deviation of all data
+    # standard deviation of ln(deviation) of the parts, without the scatter due to estimation errors
+    scatter: float
+    probability: float  # p-value of Bartlett's test that the deviations are equal
 
 
 def level_changes(recordings: Sequence[Recording], age: int = 0) -> dict[int, Scatter]:
-    """Return the axes whose white noise differs between sixths of a recording or recordings.
+    """Return the positions of the axes whose white noise changed significantly, with its scatter.
 
-    The first ``age`` samples of each are left out.
+    A single recording is divided into sixths; several recordings are compared with each other. The
+    first ``age`` samples of each recording are left out.
     """
     scatters = _white_scatters(_white_levels(recordings, age, _parts_of_each(recordings)))
     return {
@@ -76,12 +79,12 @@ def _parts_of_each(recordings: Sequence[Recording]) -> int:
 
 
 def level_scatter(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
-    """Return the standard deviation of ln N, (axes,), in excess of normal noise.
+    """Return the standard deviation of ln N due to changes of the white noise, (axes,).
 
-    It is computed from the parts that `level_changes` compares, even if their differences are not
-    relevant. With heavy tails or bursts, the variances of single periods scatter more than
-    chi-squared. This increases the variance of the mean by the excess scatter over the number of
-    periods. Scatter that is not significant counts as 0.
+    It has two parts, which are 0 if they are not significant: the scatter between the sixths of a
+    recording or between recordings, and the scatter between periods divided by the root of their
+    number. The latter arises from heavy tails or bursts, with which the variances of periods
+    scatter more than chi-squared. The first ``age`` samples of each recording are left out.
     """
     variance = np.zeros(axes)
     for parts in (_parts_of_each(recordings), 0):
@@ -92,14 +95,14 @@ def level_scatter(recordings: Sequence[Recording], axes: int, age: int = 0) -> F
 
 
 WhiteLevel = tuple[int, Floats, Ints]
-"""Averaging factor, variance of each part, and number of its second differences."""
+"""Averaging factor, Allan variance of each part, and number of second differences of each part."""
 
 
 def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
-    """Return the white noise in each part of the recordings, by axis.
+    """Return the white noise in each part of the recordings, by position of the axis.
 
-    ``parts`` is the number of equal parts of a recording; if it is 0, each period is a part. Axes
-    without white noise are left out.
+    ``parts`` is the number of equal parts of each recording; if it is 0, each period is a part. The
+    first ``age`` samples are left out. Axes without a range of white noise are not in the result.
     """
     split = [_level_parts(recording, age, parts) for recording in recordings]
     levels = min((count.shape[1] for count, _ in split), default=0)
@@ -121,7 +124,7 @@ def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict
 
 
 def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floats]:
-    """Return counts (parts, levels) and sums of squares (parts, levels, axes)."""
+    """Return counts, (parts, levels), and sums of squares, (parts, levels, axes)."""
     late = recording.period_begin >= age
     begins = recording.period_begin[late]
     count, sum_sq = recording.level_count[late], recording.level_sum_sq[late]
@@ -135,7 +138,10 @@ def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floa
 
 
 def _white_level(variance: Floats, count: Floats) -> int | None:
-    """Return the first level at which the variance falls as for white noise."""
+    """Return the first level from which the variance falls as for white noise, or None.
+
+    ``variance`` and ``count`` are given at the averaging factors 1, 4, 16 ...
+    """
     with np.errstate(divide='ignore', invalid='ignore'):
         slopes = np.diff(np.log(variance)) / math.log(4.0)
     for i, slope in enumerate(slopes):
@@ -150,8 +156,9 @@ def _white_scatters(levels: dict[int, WhiteLevel]) -> dict[int, Scatter]:
 
 
 def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
-    """Return the scatter of the levels of parts in excess of normal noise; None if there are too
-    few."""
+    """Return the scatter of the variances of parts, or None if fewer than two parts have enough
+    data.
+    """
     some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
     variance, count = variance[some], count[some]
     if len(count) < 2:
@@ -172,39 +179,39 @@ def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
     return Scatter(len(count), low, high, math.sqrt(spread) / 2.0, probability)
 
 
-# --- the size of the drift ------------------------------------------------------------------------
+# --- drift ----------------------------------------------------------------------------------------
 
-LOG_SIZES = np.arange(-8.0, 8.01, 0.2)
-"""Logarithms of the drift variance of a part, relative to all parts, that are tried."""
+LOG_FACTORS = np.arange(-8.0, 8.01, 0.2)
+"""Tried values of the logarithm of the drift variance of a part, relative to all data."""
 
 LOG_SCATTERS = np.arange(0.2, 4.01, 0.2)
-"""Standard deviations of these logarithms that are tried."""
+"""Tried values of the standard deviation of this logarithm between the parts."""
 
-DRIFT_RATIO = 12.0
+DRIFT_THRESHOLD = 12.0
 """Smallest significant value of twice the log likelihood ratio of a scatter, summed over the axes
 of one sensor."""
 
-PART_CELLS = 128
-"""Largest number of cells of a part."""
+PART_INTERVALS = 128
+"""Largest number of intervals into which a part is divided."""
 
 
 def drift_scatter(
     recordings: Sequence[Recording], sensors: Sequence[Sequence[int]], age: int = 0
 ) -> Floats:
-    """Return the standard deviation of ln B and ln K between the parts, (axes,).
+    """Return the standard deviation of ln B and ln K between the parts of the recordings, (axes,).
 
-    The drift of each part is the drift of all parts times a factor. The likelihood of the factor is
-    computed from the means of the cells of the part, with the white noise of the part. The result
-    is 0 for the axes of a sensor whose drift does not differ significantly.
+    The parts are the sixths of a single recording, or the recordings. In the model, the drift
+    variances of a part are those of all data times an unknown factor. The result is 0 for the axes
+    of a sensor whose drift does not change significantly.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        The longest first.
+        Recordings of one IMU, the longest first.
     sensors : sequence of sequences of int
         Positions of the axes of each sensor.
     age : int
-        Samples left out at the start of each.
+        Number of samples that are left out at the start of each recording.
     """
     axes = sum(len(s) for s in sensors)
     scatter = np.zeros(axes)
@@ -213,7 +220,7 @@ def drift_scatter(
     if len(parts) < 2:
         return scatter
     step = recordings[0].step
-    means = CellMeans.of(recordings[0].cells(math.ceil(age / step)))
+    means = CellMeans.growing(recordings[0].cells(math.ceil(age / step)))
     if len(means.begin) < PARTS + 2:
         return scatter
     model = variance_model(means)
@@ -226,40 +233,41 @@ def drift_scatter(
             continue
         level = white[axis][1] if axis in white else np.ones(1)
         ratios = level / level.mean() if len(level) == len(parts) else np.ones(len(parts))
-        sizes = np.array(
+        likelihoods = np.array(
             [
-                _size_likelihood(part.means[:, axis], part, null.variances, ratio, width / step)
+                _factor_likelihoods(part.means[:, axis], part, null.variances, ratio, width / step)
                 for (part, width), ratio in zip(parts, ratios)
             ]
         )
-        gains[axis] = _gains(sizes)
+        gains[axis] = _scatter_ratios(likelihoods)
     for sensor in sensors:
         rows = list(sensor)
-        if gains[rows].sum(axis=0).max() > DRIFT_RATIO:
+        if gains[rows].sum(axis=0).max() > DRIFT_THRESHOLD:
             best = gains[rows].argmax(axis=1)
             scatter[rows] = np.where(gains[rows].max(axis=1) > 0.0, LOG_SCATTERS[best], 0.0) / 2.0
     return scatter
 
 
 def _parts(recording: Recording, age: int, parts: int) -> list[tuple[CellMeans, int]]:
-    """Return the means of each part, and the length of their cells in samples."""
+    """Return the means of each of the ``parts`` of a recording, and the length of a cell."""
     first = math.ceil(age / recording.step)
     edges = np.linspace(first, max(len(recording.cell_samples), first), parts + 1)
     edges = edges.round().astype(int)
     found = [
-        (CellMeans.even(recording.cells(int(a), int(b)), PART_CELLS), recording.step)
+        (CellMeans.even(recording.cells(int(a), int(b)), PART_INTERVALS), recording.step)
         for a, b in pairwise(edges)
     ]
     return [(means, step) for means, step in found if len(means.begin) > PARTS]
 
 
-def _size_likelihood(
+def _factor_likelihoods(
     means: Floats, part: CellMeans, variances: Floats, white_ratio: float, width: float
 ) -> Floats:
-    """Return twice the log likelihood of each size of the drift of a part from its means, (cells,).
+    """Return twice the log likelihood of each of `LOG_FACTORS` for one axis of a part.
 
-    ``variances`` are the variances of all parts for cells of unit length, ``white_ratio`` is the
-    white noise of the part relative to all, and ``width`` is the length of its cells.
+    ``means`` are the means of the axis over the intervals of ``part``, whose cells have the length
+    ``width``. ``variances`` are the variances of the noise of all data for cells of length 1, and
+    ``white_ratio`` is the white noise of the part relative to all data.
     """
     model = variance_model(part)
     values = model.contrasts @ means
@@ -268,22 +276,22 @@ def _size_likelihood(
     white[np.diag_indices_from(white)] += 1e-9 * np.trace(white + drift) / len(values)
     eigenvalues, vectors = linalg.eigh(drift, white)
     power = (vectors.T @ values) ** 2
-    total = 1.0 + np.exp(LOG_SIZES)[:, None] * np.maximum(eigenvalues, 0.0)
+    total = 1.0 + np.exp(LOG_FACTORS)[:, None] * np.maximum(eigenvalues, 0.0)
     return -np.asarray((np.log(total) + power / total).sum(axis=1))
 
 
-def _gains(sizes: Floats) -> Floats:
-    """Return twice the log likelihood ratio of each scatter to no scatter.
+def _scatter_ratios(log_likelihoods: Floats) -> Floats:
+    """Return twice the log likelihood ratio of each of `LOG_SCATTERS` to no scatter.
 
-    ``sizes`` is twice the log likelihood of each size of each part, (parts, sizes).
+    ``log_likelihoods`` is twice the log likelihood of each factor of each part, (parts, factors).
     """
-    best = sizes.max(axis=1, keepdims=True)
-    likelihoods = np.exp((sizes - best) / 2.0)
-    distances = (LOG_SIZES[:, None] - LOG_SIZES) ** 2
+    best = log_likelihoods.max(axis=1, keepdims=True)
+    likelihoods = np.exp((log_likelihoods - best) / 2.0)
+    distances = (LOG_FACTORS[:, None] - LOG_FACTORS) ** 2
     out = []
     for scatter in LOG_SCATTERS:
         weights = np.exp(-distances / (2.0 * scatter**2))
         weights /= weights.sum(axis=1, keepdims=True)
         mean = np.maximum(likelihoods @ weights.T, 1e-300)
         out.append(2.0 * np.log(mean).sum(axis=0).max())
-    return np.array(out) - float((sizes - best).sum(axis=0).max())
+    return np.array(out) - float((log_likelihoods - best).sum(axis=0).max())

@@ -1,10 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Likelihood of the cell means of a recording: noise with or without an effect.
+"""Restricted maximum likelihood of the cell means of a recording, for tests of stationarity.
 
-The model is white noise, bias instability and random walk, plus a constant and a ramp. The three
-variances maximise the likelihood of the contrasts that are free of the constant and the ramp
-(restricted maximum likelihood: Patterson & Thompson, Biometrika 58, 1971).
+The null model of the means is white noise, bias instability and random walk, plus a constant and a
+ramp. The three noise variances maximize the likelihood of the contrasts: linear combinations of the
+means that do not depend on the constant and the ramp (restricted maximum likelihood: Patterson &
+Thompson, Biometrika 58, 1971). A test adds an effect to this model, for example a warm-up.
 """
 
 from __future__ import annotations
@@ -23,29 +24,28 @@ from .history import Recording
 Floats = NDArray[np.float64]
 
 GROWTH = 24
-"""If there are more cells than this, they are pooled in proportion to their age; about 100
-remain."""
+"""Age of an interval divided by its length: 512 cells are pooled to about 100 intervals."""
 
 TOLERANCE = 1e-3
-"""Smallest gain in twice the log likelihood for which a maximisation continues."""
+"""Increase of twice the log likelihood below which an iteration ends."""
 
 
 @dataclass(frozen=True)
 class CellMeans:
-    """Means over consecutive intervals of one recording."""
+    """Means of the samples over consecutive intervals of one recording."""
 
-    # (stretches,) start in cells since the beginning of the recording
+    # (intervals,) first and last edge of each interval, in cells from the start of the recording
     begin: Floats
     end: Floats
-    means: Floats  # (stretches, axes)
+    means: Floats  # (intervals, axes)
 
     @classmethod
-    def of(cls, recording: Recording, growth: int = GROWTH) -> CellMeans:
-        """Return the means over intervals whose length grows in proportion to their age."""
+    def growing(cls, recording: Recording) -> CellMeans:
+        """Return the means over intervals whose length is 1/24 of their age, at least one cell."""
         cells = len(recording.cell_samples)
         edges = [0]
         while edges[-1] < cells:
-            edges.append(min(edges[-1] + max(1, edges[-1] // growth), cells))
+            edges.append(min(edges[-1] + max(1, edges[-1] // GROWTH), cells))
         return cls._between(recording, np.array(edges))
 
     @classmethod
@@ -58,7 +58,9 @@ class CellMeans:
 
     @classmethod
     def _between(cls, recording: Recording, edges: NDArray[np.int64]) -> CellMeans:
-        """Return the means over the intervals that have samples in at least half of their time."""
+        """Return the means over the intervals between edges that have samples in at least half of
+        their time.
+        """
         begin, end, number = edges[:-1], edges[1:], recording.cell_samples[: edges[-1]]
         if not len(begin):
             return cls(np.zeros(0), np.zeros(0), recording.cell_means[:0])
@@ -76,14 +78,16 @@ class CellMeans:
 
 
 class VarianceModel:
-    """Covariance of means under white noise, bias instability and random walk of unit size.
+    """Null model of means over given intervals: white noise, bias instability and random walk.
 
     Attributes
     ----------
-    contrasts : (stretches - 2, stretches) float64 array
-        Orthonormal, free of a constant and a ramp.
-    units : tuple of (stretches - 2, stretches - 2) float64 arrays
-        Covariances of the contrasts.
+    begin, end : (intervals,) float64 arrays
+        Edges of the intervals, in cells.
+    contrasts : (intervals - 2, intervals) float64 array
+        Matrix that maps the means to contrasts: orthonormal, and 0 for a constant or a ramp.
+    units : tuple of (intervals - 2, intervals - 2) float64 arrays
+        Covariance of the contrasts for unit variance of each of the three processes.
     """
 
     def __init__(self, begin: Floats, end: Floats) -> None:
@@ -95,20 +99,21 @@ class VarianceModel:
         self.units = tuple(self._of_contrasts(v) for v in self._covariances())
 
     def exponential(self, decay: float) -> Floats:
-        """Return the contrasts of exp(-age/decay)."""
+        """Return the contrasts of a mean exp(-age/decay), with age and decay in cells."""
         low, high = (np.exp(-age / decay) for age in (self.begin, self.end))
         return np.asarray(self.contrasts @ (decay * (low - high) / (self.end - self.begin)))
 
     def linear(self, duration: float) -> Floats:
-        """Return the contrasts of 1 - age/duration, 0 from ``duration`` on."""
+        """Return the contrasts of a mean 1 - age/duration that is 0 after ``duration`` (cells)."""
         low, high = (np.minimum(age, duration) for age in (self.begin, self.end))
         area = (high - low) - (high**2 - low**2) / (2.0 * duration)
         return np.asarray(self.contrasts @ (area / (self.end - self.begin)))
 
     def steps(self, ages: Floats, samples: NDArray[np.int64]) -> Floats:
-        """Return the contrasts of unit steps at ages in cells, (contrasts, steps).
+        """Return the contrasts of unit steps of the mean at ``ages`` in cells, (contrasts, steps).
 
-        ``samples`` is the number of samples of each cell: those after a step count.
+        ``samples`` is the number of samples in each cell, which determines the share of an interval
+        after a step.
         """
         total = np.concatenate([[0], np.cumsum(samples)])
         begin, end = (edge.astype(int)[:, None] for edge in (self.begin, self.end))
@@ -116,18 +121,22 @@ class VarianceModel:
         return np.asarray(self.contrasts @ (after / (total[end] - total[begin])))
 
     def early_walk(self, age: float) -> Floats:
-        """Return the covariance of the contrasts of a random walk that ends at a given age."""
-        left = np.maximum(age - (self.begin + self.end) / 2.0, 0.0)
-        return self._of_contrasts(np.minimum(left[:, None], left))
+        """Return the covariance of the contrasts of a unit random walk before ``age`` (in cells).
+
+        The walk is measured backwards from its end: it is 0 from ``age`` on.
+        """
+        until_end = np.maximum(age - (self.begin + self.end) / 2.0, 0.0)
+        return self._of_contrasts(np.minimum(until_end[:, None], until_end))
 
     def _of_contrasts(self, covariance: Floats) -> Floats:
+        """Return the covariance of the contrasts from a covariance of the means."""
         return np.asarray(self.contrasts @ covariance @ self.contrasts.T)
 
     def _covariances(self) -> list[Floats]:
-        """Return the covariances of the means, without the part of a constant and a ramp.
+        """Return the covariances of the means for unit processes, up to a constant and a ramp.
 
-        The covariances are second differences of the generalised covariances of the phase: -|t|/2,
-        and t^2 ln|t| / (2 pi), and |t|^3 / 12.
+        They are second differences of the generalized covariances of the phase: -|t|/2 (white
+        noise), t^2 ln|t| / (2 pi) (bias instability) and |t|^3 / 12 (random walk).
         """
         ends = (self.begin, self.end)
         lags = [np.abs(x[:, None] - y) for x in ends for y in ends]
@@ -149,45 +158,47 @@ def _model(begin: tuple[float, ...], end: tuple[float, ...]) -> VarianceModel:
 
 
 def clear_cache() -> None:
-    """Clear the cached models, about 4 MB."""
+    """Free the memory of the cached models, about 4 MB."""
     _model.cache_clear()
     _null_model.cache_clear()
 
 
 def variance_model(means: CellMeans) -> VarianceModel:
-    """Return the model of given intervals; the last four models are cached."""
+    """Return the null model for the intervals of ``means``; the last four models are cached."""
     return _model(tuple(means.begin.tolist()), tuple(means.end.tolist()))
 
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The maximum of the likelihood of normally distributed contrasts."""
+    """Likelihood of normally distributed contrasts for given noise variances."""
 
     value: float  # twice the log likelihood, without constant terms
-    variances: Floats  # (components,)
-    whitening: Floats  # (contrasts, contrasts) W with W C W' = 1
-    residual: Floats  # (contrasts,) whitened contrasts less their mean
-    amplitudes: Floats  # (effects,) amplitudes of the effects on the mean
+    variances: Floats  # (components,) variances of the noise processes
+    whitening: Floats  # (contrasts, contrasts) W with W C W' = 1 for the covariance C
+    residual: Floats  # (contrasts,) whitened contrasts minus their expected value
+    amplitudes: Floats  # (effects,) best amplitudes of the effects on the mean
 
 
 def likelihood(
     values: Floats, units: Sequence[Floats], variances: Floats, effects: Floats | None = None
 ) -> Likelihood:
-    """Return the likelihood of contrasts for given variances and the best amplitudes of effects.
+    """Return the likelihood of contrasts for given variances, with the best amplitudes of effects.
 
     Parameters
     ----------
     values : (contrasts,) float64 array
+        Contrasts of the means of one axis.
     units : sequence of (contrasts, contrasts) float64 arrays
-        Covariance of each variance component.
+        Covariance of the contrasts for unit variance of each process.
     variances : (components,) float64 array
+        Variance of each process.
     effects : (contrasts, effects) float64 array, optional
-        Effects on the mean, of unit size.
+        Contrasts of the effects on the mean, for an amplitude of 1.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When the covariance is not positive definite.
+        If the covariance is not positive definite.
     """
     covariance = sum((v * u for v, u in zip(variances, units)), np.zeros_like(units[0]))
     covariance[np.diag_indices_from(covariance)] += 1e-12 * np.trace(covariance) / len(values)
@@ -208,14 +219,15 @@ def maximum(
     units: Sequence[Floats],
     start: Floats,
     effects: Floats | None = None,
-    rounds: int = 25,
+    iterations: int = 25,
 ) -> Likelihood:
-    """Return the maximum of `likelihood` over nonnegative variances, by Fisher scoring.
+    """Return the maximum of `likelihood` over nonnegative variances, found by Fisher scoring.
 
-    The search begins with the variances ``start`` and takes at most ``rounds`` iterations.
+    The search begins with the variances ``start`` and takes at most ``iterations``; the other
+    parameters are those of `likelihood`.
     """
     best = likelihood(values, units, start, effects)
-    for _ in range(rounds):
+    for _ in range(iterations):
         score, information = _score(best, units)
         free = (best.variances > 0.0) | (score > 0.0)
         if not free.any():
@@ -225,7 +237,7 @@ def maximum(
         scaled[np.diag_indices_from(scaled)] += 1e-9
         change = np.zeros(len(start))
         change[free] = np.linalg.solve(scaled, score[free] / scale) / scale
-        found = _climb(best, values, units, change, effects)
+        found = _line_search(best, values, units, change, effects)
         if found is None:
             break
         gain, best = found.value - best.value, found
@@ -235,7 +247,7 @@ def maximum(
 
 
 def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the derivative of the log likelihood by the variances, and its information."""
+    """Return the derivatives of the log likelihood by the variances, and the Fisher information."""
     inverse = at.whitening.T @ at.whitening
     weighted = at.whitening.T @ at.residual
     products = [inverse @ unit for unit in units]
@@ -244,11 +256,13 @@ def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
     return np.array(score), np.array(information)
 
 
-def _climb(
+def _line_search(
     at: Likelihood, values: Floats, units: Sequence[Floats], change: Floats, effects: Floats | None
 ) -> Likelihood | None:
-    """Return the likelihood after the complete change or a part of it; None if no part improves
-    it."""
+    """Return the likelihood after the largest of the steps 1, 1/2, 1/4 ... that improves it.
+
+    The variances are changed by the step times ``change``. None if none of ten steps improves it.
+    """
     for halvings in range(10):
         new = np.maximum(at.variances + change * 0.5**halvings, 0.0)
         if not new.any():
@@ -263,17 +277,18 @@ def _climb(
 
 
 STARTS = ((0.4, 0.3, 0.3), (0.9, 0.05, 0.05), (0.05, 0.05, 0.9))
-"""Shares of the three components in the variance from which the maximum is searched."""
+"""Fractions of the total variance due to white noise, bias instability and random walk, from which
+the maximum is searched."""
 
-FIRST_ROUNDS = 2
-"""Iterations from each start; only the best one is continued. On simulated records, this loses at
-most 0.005 of twice the log likelihood compared with continuing from all starts."""
+FIRST_ITERATIONS = 2
+"""Number of iterations from each start, after which only the best is continued. On simulated
+records, this lowers twice the log likelihood by at most 0.005 compared with continuing all."""
 
 
 def null_model(values: Floats, model: VarianceModel) -> Likelihood | None:
-    """Return the likelihood of contrasts without any effect, or None if all are 0.
+    """Return the maximum likelihood of the contrasts of one axis under the null model.
 
-    The results of the last axes are cached.
+    It is None if all contrasts are 0. The last 12 results are cached.
     """
     return _null_model(values.tobytes(), model) if float(values @ values) > 0.0 else None
 
@@ -284,6 +299,6 @@ def _null_model(data: bytes, model: VarianceModel) -> Likelihood:
     scale = float(values @ values) / len(values)
     sizes = np.array([np.trace(unit) / len(values) for unit in model.units])
     starts = [scale * np.array(shares) / sizes for shares in STARTS]
-    first = [maximum(values, model.units, start, rounds=FIRST_ROUNDS) for start in starts]
+    first = [maximum(values, model.units, start, iterations=FIRST_ITERATIONS) for start in starts]
     best = max(first, key=lambda found: found.value)
     return maximum(values, model.units, best.variances)

@@ -1,11 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of recordings from their sums by age: the settled part, and recent and earlier noise.
+"""Parts of recordings from their sums by age: the part after the warm-up, recent and earlier data.
 
-If the level of an axis changed within the recent window, the time before the first step is compared
-with the time since the last step; otherwise the window is compared with all earlier data. Steps are
-located by the likelihood ratio of two levels to one: a variance is scaled chi-squared with its
-equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
+Recent noise: if the noise level of an axis changed within the recent window, the data before the
+first change are compared with the data after the last change. Otherwise the window is compared with
+all earlier data. Changes are located by the likelihood ratio of two levels to one. The estimate of
+a variance is assumed to be chi-squared distributed, with its equivalent degrees of freedom (NIST SP
+1065 section 5.3.1).
 """
 
 from __future__ import annotations
@@ -26,24 +27,24 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LEAST_STEPS = 8
-"""Smallest number of remaining phase steps for which a shortened segment is kept."""
+"""Smallest length, in steps of the phase record, of a shortened segment that is kept."""
 
 
 def settled_sums(sums: AllanSums, age: int) -> AllanSums:
-    """Return the sums of all second differences that start at an age in samples or later.
+    """Return the sums without the second differences that start before an age in samples.
 
     Segments that begin earlier are shortened to begin at the next point of their phase record.
-    If this point is not the start of a difference of some factor, or if pooled segments are
-    divided, the sum of squares contains nearly the same differences, scaled to their exact number.
-    Groups that do not overlap and the history are left out.
+    At some averaging factors this point is not the start of a difference, and pooled segments
+    cannot be shortened exactly. The sum of squares then contains nearly the same differences and is
+    scaled to their exact number. The result has no non-overlapping sums and no history.
 
     Raises
     ------
     AllanError
-        When the age is not one of ``sums.history.ages``.
+        If the age is not one of ``sums.history.ages``.
     """
     if age not in sums.history.ages:
-        raise AllanError(f'age {age} is not an edge of the sums by age: {sums.history.ages}')
+        raise AllanError(f'age {age} is not the start of an age bin: {sums.history.ages}')
     late = [b for b in sums.history.bins if edge_age(b.index) >= age]
     early = [b for b in sums.history.bins if edge_age(b.index) < age]
     m, stride, none = sums.m, sums.stride, np.zeros_like(sums.count)
@@ -57,7 +58,7 @@ def settled_sums(sums: AllanSums, age: int) -> AllanSums:
             continue
         segments.append(shorter)
         if shorter is not segment:
-            _replace_long_factors(segment, shorter, age, m, stride, sum_sq, number)
+            _recompute_long_factors(segment, shorter, age, m, stride, sum_sq, number)
     classes = _settled_classes(sums.classes, early)
     exact, kept = (
         sum((counts(s.samples, m, stride) for s in some), none)
@@ -88,7 +89,7 @@ def settled_sums(sums: AllanSums, age: int) -> AllanSums:
 
 
 def _shortened(segment: SegmentRecord, age: int, tau0: float) -> SegmentRecord | None:
-    """Return a segment without its samples before an age; None if too little remains."""
+    """Return a segment without the samples before an age, or None if too few remain."""
     step = segment.phase_step
     points = -((segment.age - age) // step)
     if segment.samples // step - points < LEAST_STEPS:
@@ -107,10 +108,11 @@ def _shortened(segment: SegmentRecord, age: int, tau0: float) -> SegmentRecord |
 
 
 def _signed_sums(phase: Floats, step: int, m: Ints, stride: Ints, count: Ints) -> Floats:
-    """Return the sums of d of a segment from its phase record, (factors, axes).
+    """Return the sums of the second differences of a segment, (factors, axes), from its record.
 
-    The sum telescopes to sums of the phase near both ends; between two points of the record the
-    phase is interpolated, which gives the conditional expectation for white noise.
+    The phase record has one point every ``step`` samples. A sum of differences telescopes to sums
+    of the phase near both ends. Between two points of the record, the phase is interpolated
+    linearly, which is its expected value for white noise.
     """
     out = np.empty((len(m), phase.shape[1]))
     for i, (lag, gap, number) in enumerate(zip(m, stride, count)):
@@ -125,7 +127,7 @@ def _signed_sums(phase: Floats, step: int, m: Ints, stride: Ints, count: Ints) -
     return out
 
 
-def _replace_long_factors(
+def _recompute_long_factors(
     segment: SegmentRecord,
     shorter: SegmentRecord,
     age: int,
@@ -134,9 +136,11 @@ def _replace_long_factors(
     sum_sq: Floats,
     number: Ints,
 ) -> None:
-    """Recompute, in place, the differences of a shortened segment whose stride is a phase step.
+    """Replace, in place, the sums of a shortened segment at factors whose stride is a phase step.
 
-    Counted from the new beginning of the segment, their starts may be different.
+    The starts of differences are multiples of the stride from the beginning of a segment, so they
+    are different in the shortened segment. ``sum_sq`` and ``number`` are the sums of squares and
+    counts to change.
     """
     step = segment.phase_step
     for i in np.flatnonzero(stride % step == 0):
@@ -160,20 +164,20 @@ def _settled_classes(
 ) -> tuple[LengthClass, ...]:
     """Return the length classes without the segments that begin in the early bins.
 
-    Their ramp corrections are subtracted from the longest class, because only the sum matters.
+    Their ramp corrections are subtracted from the longest class; only the sum over classes is used.
     """
-    gone = reduce(operator.add, early)
-    pooled = {index: (count, samples) for index, count, samples in gone.pooled}
-    ramp, rest = gone.ramp, []
+    removed = reduce(operator.add, early)
+    pooled = {index: (count, samples) for index, count, samples in removed.pooled}
+    ramp, kept = removed.ramp, []
     for c in classes:
         count, samples = pooled.get(c.index, (0, 0))
         if c.count > count:
-            rest.append(replace(c, count=c.count - count, samples=c.samples - samples))
+            kept.append(replace(c, count=c.count - count, samples=c.samples - samples))
         else:
             ramp = add_padded(ramp, -c.ramp_correction)
-    if rest:
-        rest[-1] = replace(rest[-1], ramp_correction=add_padded(rest[-1].ramp_correction, -ramp))
-    return tuple(rest)
+    if kept:
+        kept[-1] = replace(kept[-1], ramp_correction=add_padded(kept[-1].ramp_correction, -ramp))
+    return tuple(kept)
 
 
 # --- recent against earlier noise ----------------------------------------------------------------
@@ -182,30 +186,34 @@ LONGEST_TAU_SHARE = 0.25
 """Longest averaging time that is compared, as a fraction of the window."""
 
 MIN_EDF = 30.0
-"""Smallest number of degrees of freedom on each side of a step; the ratio is then accurate to 30
-%."""
+"""Smallest number of degrees of freedom before and after a step; the ratio of the variances is then
+accurate to 30 %."""
 
 LIKELIHOOD_RATIO = 30.0
-"""Twice the log likelihood ratio of a step: chi-squared with one degree of freedom exceeds it once
-in 2e7, which accounts for all tested times and axes."""
+"""Smallest significant value of twice the log likelihood ratio of a step. By chance, chi-squared
+with one degree of freedom exceeds it once in 2e7, so many times and axes can be tested."""
 
 
 @dataclass(frozen=True)
 class RecentNoise:
-    """Deviations of one axis in the recent time and in the time before."""
+    """Allan deviation of one axis in recent and in earlier data."""
 
-    # of this axis, at the same averaging times
-    before: AllanCurve
-    recent: AllanCurve
-    # time since the last step of the level in s; None without a step
-    since_s: float | None
-    tau: float | None  # averaging time in s at which the step is most significant
+    before: AllanCurve  # curve of the earlier data, of this axis only
+    recent: AllanCurve  # curve of the recent data, at the same averaging times
+    since_s: float | None  # time since the last step of the noise level in s; None without a step
+    # averaging time in s at which the first step is most significant; None without a step
+    tau: float | None
 
 
 def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
-    """Return the recent and the earlier noise of each axis; {} if there are too few data.
+    """Return the recent and the earlier noise of each axis, or {} if there are too few data.
 
     The recent window of ``window_s`` seconds ends at the end of the latest recording.
+
+    Raises
+    ------
+    AllanError
+        If the window is not above 0.
     """
     if not window_s > 0.0:
         raise AllanError(f'a recent window of {window_s} s is invalid: give a positive number')
@@ -242,18 +250,19 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
 def _rows(
     recordings: tuple[Recording, ...], latest: Recording, start: float, levels: int
 ) -> tuple[Ints, Floats, Ints]:
-    """Return counts, sums of squares and ages: one row before the window, then its periods.
+    """Return counts, sums of squares and ages of all earlier data (row 0) and of recent periods.
 
-    Without earlier data, the first period is used as the time before.
+    The recent periods are those of ``latest`` that begin at the age ``start`` or later. Without
+    earlier data, row 0 is the first period. Only the first ``levels`` are used.
     """
     begins, count, sum_sq = latest.period_begin, latest.level_count, latest.level_sum_sq
     first = int(np.searchsorted(begins, start))
     counts, squares = count[:first, :levels].sum(axis=0), sum_sq[:first, :levels].sum(axis=0)
-    for former in recordings:
-        if former is not latest:
-            some = min(levels, former.level_count.shape[1])
-            counts[:some] += former.level_count[:, :some].sum(axis=0)
-            squares[:some] += former.level_sum_sq[:, :some].sum(axis=0)
+    for other in recordings:
+        if other is not latest:
+            some = min(levels, other.level_count.shape[1])
+            counts[:some] += other.level_count[:, :some].sum(axis=0)
+            squares[:some] += other.level_sum_sq[:, :some].sum(axis=0)
     if not counts.any():
         return count[:, :levels], sum_sq[:, :levels], begins
     return (
@@ -264,7 +273,10 @@ def _rows(
 
 
 def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
-    """Return the degrees of freedom of one second difference at each factor."""
+    """Return the equivalent degrees of freedom per second difference at each factor m.
+
+    ``total`` is the number of differences of all data, for which they are computed.
+    """
     return np.array(
         [
             edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / int(n)
@@ -273,35 +285,35 @@ def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
     )
 
 
-def _steps(degrees: Floats, power: Floats) -> tuple[int, int, int | None]:
-    """Return the first rows after the first and the last step of the noise level of an axis.
+def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
+    """Return the row after the first step of the noise level, the row after the last, and a factor.
 
-    The third value is the index of the averaging factor at which the first step is most
-    significant. Without a significant step, the result is (1, 1, None): row 0 is the time before
-    the window. ``degrees`` (of freedom) and ``power`` (sums of squares) are (rows, factors).
+    ``degrees`` (of freedom) and ``squares`` (sums of squares) are (rows, factors). The third value
+    is the index of the factor at which the first step is most significant. Without a significant
+    step, the result is (1, 1, None), which separates row 0 (the earlier data) from the window.
     """
-    degrees, power = np.cumsum(degrees, axis=0), np.cumsum(power, axis=0)
-    ratio = _two_levels(degrees, power)
+    degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
+    ratio = _step_ratios(degrees, squares)
     at, level = np.unravel_index(int(ratio.argmax()), ratio.shape)
     if not ratio[at, level] > LIKELIHOOD_RATIO:
         return 1, 1, None
     first = last = int(at)
     while True:
-        rest = [a[last + 1 :, level] - a[last, level] for a in (degrees, power)]
-        ratio = _two_levels(*rest) if len(rest[0]) else np.zeros(1)
+        later = [a[last + 1 :, level] - a[last, level] for a in (degrees, squares)]
+        ratio = _step_ratios(*later) if len(later[0]) else np.zeros(1)
         if not ratio.max() > LIKELIHOOD_RATIO:
             return first + 1, last + 1, int(level)
         last += 1 + int(ratio.argmax())
 
 
-def _two_levels(degrees: Floats, power: Floats) -> Floats:
-    """Return twice the log likelihood ratio of a step after each row to no step.
+def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
+    """Return twice the log likelihood ratio of a step after each row, compared with no step.
 
-    The variances on both sides are chi-squared; -inf if a side has too few degrees of freedom.
-    ``degrees`` and ``power`` are running sums, (rows, ...).
+    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The ratio is -inf if one side of
+    the step has too few degrees of freedom.
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
-    sums = power, power[-1] - power, power[-1]
+    sums = squares, squares[-1] - squares, squares[-1]
     with np.errstate(invalid='ignore', divide='ignore'):
         before, after, both = (n * np.log(p / n) for n, p in zip(nu, sums))
         gain = both - before - after
@@ -312,7 +324,10 @@ def _two_levels(degrees: Floats, power: Floats) -> Floats:
 def _curve(
     axis: str, m: Ints, tau0: float, count: Ints, sum_sq: Floats, share: Floats, types: Ints
 ) -> AllanCurve:
-    """Return the curve of given rows; NaN at factors without data."""
+    """Return the curve of the given rows of an axis; it is NaN at factors without data.
+
+    ``share`` is the number of degrees of freedom per second difference at each factor.
+    """
     number = count.sum(axis=0)
     with np.errstate(invalid='ignore', divide='ignore'):
         avar = sum_sq.sum(axis=0) / (2.0 * m.astype(float) ** 2 * number)

@@ -3,9 +3,8 @@
 """Power spectral density of a stream in one pass and in constant memory.
 
 Welch's method (IEEE Trans. Audio Electroacoustics 15(2), 1967): periodograms of Hann-windowed
-blocks that overlap by half are averaged. For lower frequencies this is repeated with averages of
-`DECIMATION` samples, then with averages of these averages, and so on. Each level costs a quarter of
-the previous one.
+blocks that overlap by half are averaged. Lower frequencies come from decimated samples: each level
+of a cascade averages `DECIMATION` samples of the level before.
 """
 
 from __future__ import annotations
@@ -21,44 +20,45 @@ from .curve import chi_squared_limits
 Floats = NDArray[np.float64]
 
 BLOCK = 1024
-"""Samples per block: frequencies 0.1 % of the sample rate apart are resolved."""
+"""Samples per block; the frequency resolution is 0.1 % of the sample rate."""
 
 DECIMATION = 4
 """Number of samples of one level that are averaged to one sample of the next."""
 
 LEVELS = 12
-"""Number of levels: a sample of the last level is the mean of 4^11 samples, 12 h at 100 Hz."""
+"""Number of levels; a sample of the last level is the mean of 4^11 samples, 12 h at 100 Hz."""
 
 KEPT_BELOW = 1.0 / 16.0
-"""Highest frequency that is used of averaged samples, relative to their rate. Below it, averaging
-removes at most 1.3 % of the power (sinc^2), and aliased white noise has the correct level."""
+"""Highest frequency that is used from decimated samples, relative to their rate. Below it,
+averaging removes at most 1.3 % of the power (sinc^2)."""
 
 LOWEST_BIN = 2
-"""Lowest bin that is used: lower bins contain leakage of the mean."""
+"""Lowest frequency bin that is used; lower bins contain leakage of the mean."""
 
 PER_DECADE = 40
-"""Points per decade of frequency."""
+"""Number of points of the result per decade of frequency."""
 
 OVERLAP_LOSS = 1.0 + 2.0 * (1.0 / 6.0) ** 2
-"""Variance of a mean of Hann blocks that overlap by half, relative to the mean of as many
-independent blocks (Welch 1967, eq. 17; the window correlates them by 1/6)."""
+"""Variance of the mean over half-overlapping Hann blocks, relative to as many independent blocks
+(Welch 1967, eq. 17; the amplitudes of neighbouring blocks have the correlation 1/6)."""
 
 BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
-"""The same for neighbouring bins, whose amplitudes are correlated by 2/3 and 1/6 because of the
-Hann window."""
+"""Variance of the mean over neighbouring frequency bins, relative to as many independent bins
+(their amplitudes have the correlations 2/3 and 1/6 because of the Hann window)."""
 
 
 @dataclass(frozen=True)
 class SpectrumSums:
-    """Sums of periodograms of one sensor; sums can be added."""
+    """Sums of periodograms of one sensor."""
 
-    axes: tuple[str, ...]
-    # (LEVELS, BLOCK/2 + 1, axes) sum of the one-sided periodograms of each level, per sample of the
-    # level
+    axes: tuple[str, ...]  # names of the axes
+    # (LEVELS, BLOCK/2 + 1, axes) sum of the one-sided periodograms of each level, for a sample
+    # period of 1
     power: Floats
-    blocks: NDArray[np.int64]  # (LEVELS,) number of blocks of each level
+    blocks: NDArray[np.int64]  # (LEVELS,) number of blocks in each sum
 
     def __add__(self, other: SpectrumSums) -> SpectrumSums:
+        """Return the sums of both; raise `AllanError` if the axes differ."""
         if self.axes != other.axes:
             raise AllanError(f'spectra of {self.axes} and {other.axes} cannot be added')
         return SpectrumSums(self.axes, self.power + other.power, self.blocks + other.blocks)
@@ -66,19 +66,17 @@ class SpectrumSums:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """One-sided power spectral density of all axes, with 68.3 % limits."""
+    """One-sided power spectral density of all axes, with 68.3 % confidence limits."""
 
-    axes: tuple[str, ...]
-    # (points,) in Hz, evenly spaced on a logarithmic scale if there are enough bins
-    frequency: Floats
-    # (points, axes) in the squared unit of the samples per Hz
-    psd: Floats
-    low: Floats
-    high: Floats
+    axes: tuple[str, ...]  # names of the axes
+    frequency: Floats  # (points,) in Hz, ascending, logarithmically spaced where possible
+    psd: Floats  # (points, axes) density in the squared unit of the samples per Hz
+    low: Floats  # (points, axes) lower limit of ``psd``
+    high: Floats  # (points, axes) upper limit of ``psd``
 
 
 class RunningSpectrum:
-    """Sums of periodograms of one stream of evenly spaced samples.
+    """Running sums of periodograms of one stream of evenly spaced samples.
 
     Examples
     --------
@@ -98,46 +96,48 @@ class RunningSpectrum:
     def update(self, rows: Floats) -> None:
         """Add samples, (axes, n), that directly follow the previous ones."""
         for level in range(LEVELS):
-            waiting = np.concatenate([self._waiting[level], rows], axis=1)
-            self._waiting[level] = self._take_blocks(level, waiting)
+            samples = np.concatenate([self._in_block[level], rows], axis=1)
+            self._in_block[level] = self._add_blocks(level, samples)
             if level + 1 == LEVELS:
                 return
-            odd = np.concatenate([self._odd[level], rows], axis=1)
-            complete = odd.shape[1] // DECIMATION * DECIMATION
-            self._odd[level] = odd[:, complete:].copy()
+            samples = np.concatenate([self._in_mean[level], rows], axis=1)
+            complete = samples.shape[1] // DECIMATION * DECIMATION
+            self._in_mean[level] = samples[:, complete:].copy()
             if not complete:
                 return
-            rows = odd[:, :complete].reshape(len(odd), -1, DECIMATION).mean(axis=2)
+            rows = samples[:, :complete].reshape(len(samples), -1, DECIMATION).mean(axis=2)
 
     def end_segment(self) -> None:
-        """End the segment: no block contains samples before and after this point."""
+        """End the segment; samples of incomplete blocks are dropped."""
         nothing = np.empty((len(self._axes), 0))
-        self._waiting = [nothing] * LEVELS
-        self._odd = [nothing] * LEVELS
+        self._in_block = [nothing] * LEVELS  # samples of each level in its incomplete block
+        self._in_mean = [nothing] * LEVELS  # samples of each level in its incomplete mean
 
     @property
     def sums(self) -> SpectrumSums:
-        """Snapshot of the current sums."""
+        """Copy of the current sums."""
         return SpectrumSums(self._axes, self._power.copy(), self._blocks.copy())
 
-    def _take_blocks(self, level: int, waiting: Floats) -> Floats:
-        """Process the complete blocks, and return the samples that the next block needs."""
+    def _add_blocks(self, level: int, samples: Floats) -> Floats:
+        """Add the complete blocks to the sums; return the samples from the next block on."""
         step = BLOCK // 2
-        count = (waiting.shape[1] - step) // step
+        count = (samples.shape[1] - step) // step
         if count < 1:
-            return waiting.copy()
-        blocks = np.lib.stride_tricks.sliding_window_view(waiting, BLOCK, axis=1)[:, ::step]
+            return samples.copy()
+        blocks = np.lib.stride_tricks.sliding_window_view(samples, BLOCK, axis=1)[:, ::step]
         windowed = (blocks - blocks.mean(axis=2, keepdims=True)) * _WINDOW
         spectrum = np.fft.rfft(windowed, axis=2)
         power = (spectrum.real**2 + spectrum.imag**2).sum(axis=1).T
         self._power[level] += power * _ONE_SIDED[:, None]
         self._blocks[level] += count
-        return waiting[:, count * step :].copy()
+        return samples[:, count * step :].copy()
 
 
 def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
-    """Return the density of the sums with sample period ``tau0`` in s; None without a complete
-    block."""
+    """Return the spectral density of samples with the period ``tau0`` in s.
+
+    It is None if no block is complete.
+    """
     some = np.flatnonzero(sums.blocks)
     if not len(some):
         return None
@@ -155,8 +155,11 @@ def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
 
 
 def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) -> Spectrum:
-    """Return the means of the bins in each of `PER_DECADE` intervals, weighted by number of
-    blocks."""
+    """Return the mean density in each of `PER_DECADE` intervals per decade of frequency.
+
+    ``f``, ``psd`` and ``blocks`` (number of averaged blocks, used as weight) are given for each
+    frequency bin of each level.
+    """
     order = np.argsort(f)
     f, psd, blocks = f[order], psd[order], blocks[order]
     groups = np.floor(np.log10(f) * PER_DECADE).astype(int)
@@ -167,15 +170,15 @@ def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) 
     frequency = np.exp(np.add.reduceat(np.log(f) * blocks, starts) / weight)
     degrees = 2.0 * weight / OVERLAP_LOSS / np.where(number > 1, BIN_LOSS, 1.0)
     spread = np.broadcast_to(degrees[:, None], mean.shape)
-    # the limits are for a deviation; their squares are limits of the density
+    # `chi_squared_limits` returns limits of a deviation; their squares are limits of the density
     low, high = chi_squared_limits(mean, spread)
     return Spectrum(axes, frequency, mean, low**2, high**2)
 
 
 _WINDOW = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(BLOCK) / BLOCK)
-"""Hann's window, periodic."""
+"""Periodic Hann window."""
 
 _ONE_SIDED = np.full(BLOCK // 2 + 1, 2.0 / float(np.sum(_WINDOW**2)))
-"""Scale of |FFT|^2 in a one-sided periodogram, where the mean and the Nyquist bin count once."""
+"""Factor from |FFT|^2 to a one-sided periodogram; it is halved at frequency 0 and at Nyquist."""
 
 _ONE_SIDED[[0, -1]] /= 2.0

@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`AllanSums`: the sums of squared second differences of an IMU's samples, which can be added.
+"""`AllanSums`: sums of squared second differences of an IMU's samples; sums can be added.
 
-All sums are in sample units (sample period 1): the phase theta is the cumulative sum of the samples
-less the first sample of the segment, and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).
+The time unit is the sample period. The phase theta is the cumulative sum of the samples minus the
+first sample of the segment, and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u) is the second
+difference that starts at sample u, at the averaging factor m.
 """
 
 from __future__ import annotations
@@ -24,22 +25,26 @@ FIRST_FACTORS = (1, 2, 3, 4, 6)
 """Averaging factors of level 0 only."""
 
 LEVEL_FACTORS = (8, 10, 12, 14)
-"""Averaging factors of every level, in units of its stride 2^j."""
+"""Averaging factors of every level j, in units of its stride 2^j."""
 
 MAX_LEVELS = 42
-"""Largest number of levels in a document: 2^41 x 14 samples are 970 years at 1 kHz. Lags of a
-covariance then fit into 64-bit search keys."""
+"""Largest accepted number of levels: 2^41 x 14 samples are 970 years at 1 kHz. With more levels,
+the lags of a covariance would not fit into 64-bit search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors and strides of the first levels, (5 + 4 levels,) each."""
+    """Return all averaging factors m and strides of the given number of levels.
+
+    Both arrays have 5 + 4 ``levels`` elements. The stride is the number of samples between the
+    starts of two second differences.
+    """
     m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
     stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
     return np.array(m, np.int64), np.array(stride, np.int64)
 
 
 def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m <= samples/2 of the grid, and their strides."""
+    """Return the averaging factors m <= samples/2 of `grid`, and their strides."""
     levels = max(1, samples.bit_length() - 3)
     m, stride = grid(levels)
     keep = 2 * m <= samples
@@ -47,9 +52,9 @@ def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number of second differences of a segment of ``samples`` samples at each factor.
+    """Return the number of second differences of a segment of n ``samples`` at each factor m.
 
-    n samples make n + 1 phase points; differences start at 0, stride, 2 stride .. n - 2 m.
+    n samples have n + 1 phase points, so differences start at 0, stride, 2 stride ... n - 2 m.
     """
     return np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
 
@@ -57,62 +62,60 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 Floats = NDArray[np.float64]
 
 LONGEST_FILLED = 128
-"""Longest gap of interpolated samples with its own count; longer gaps are included in this
-count."""
+"""Longest gap of interpolated samples that is counted by its length; longer gaps are counted as
+this length."""
 
 KEPT_SEGMENTS = 32
-"""Number of longest segments that keep their own signed sums and phase record."""
+"""Number of longest segments whose signed sums and phase record are kept."""
 
 LENGTH_CLASS_RATIO = 1.1
-"""Length ratio of a class: all other segments are pooled with segments of the same length within 10
-%."""
+"""Ratio of the longest to the shortest segment of a length class, in which all other segments are
+pooled."""
 
 TAU0_TOLERANCE = 1e-3
-"""Sums with sample periods more than 0.1 % apart belong to different streams."""
+"""Sums whose sample periods differ by more than 0.1 % cannot be added."""
 
 LEAST_VARIANCE = 1e-80
-"""Smaller variances count as 0. No sensor has steps of 1e-40, and the cube and the inverse square
-of a variance, which the fit needs, stay within the range of normal numbers."""
+"""Smaller variances are set to 0. No sensor has a resolution of 1e-40. The fit computes the cube
+and the inverse square of variances, which would be outside the range of float64."""
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentRecord(ByValue):
-    """Data of one segment for the estimate of its ramp, in addition to its part of the sums."""
+    """Data of one segment from which the ramp (linear drift) of its samples can be estimated."""
 
-    start_ns: int  # stamp of its first sample
+    start_ns: int  # stamp of the first sample
     samples: int  # number of samples
-    # (factors, axes) sum of d for the first factors of the grid (those with m <= samples/2)
-    signed: Floats
+    signed: Floats  # (factors, axes) sum of d (not squared) at the factors of ``grid_for(samples)``
     # (points, axes) phase at sample 0, ``phase_step``, 2 ``phase_step`` ... : at most 128 points
     phase: Floats
     phase_step: int  # samples between two phase points, a power of two
-    age: int = 0  # sample periods since the first sample of the recording
+    age: int = 0  # sample periods from the first sample of the recording to that of the segment
 
     @cached_property
     def order(self) -> tuple[int, int, int]:
-        """Sort key: longest first, then earliest. It decides which segments are kept."""
+        """Sort key: longest first, then earliest; the first `KEPT_SEGMENTS` are kept."""
         return (-self.samples, self.start_ns, self.phase_step)
 
     @property
     def length_class(self) -> int:
-        """Index of the length class; segments of one class differ by less than 10 %."""
+        """Index of the length class of the segment, floor(log(samples) / log(1.1))."""
         return int(np.log(self.samples) / np.log(LENGTH_CLASS_RATIO))
 
     def ols_ramp(self) -> Floats:
-        """Return the slope of the samples over the segment by least squares, per sample.
+        """Return the least-squares slope of the samples over time, per sample period, (axes,).
 
-        This fixed linear estimator removes the ramp of pooled segments. For the 32 longest
-        segments, the fit uses the efficient estimator. Zero with fewer than three points.
+        It is 0 with fewer than three phase points.
         """
         return np.asarray(ols_ramp_weights(len(self.phase), self.phase_step) @ self.phase)
 
 
 def ols_ramp_weights(points: int, step: int) -> Floats:
-    """Return w such that w @ phase is the least-squares slope of the samples, per sample.
+    """Return weights w, (points,), with w @ phase = least-squares slope of the samples over time.
 
-    The interval means of the samples are (theta_{k+1} - theta_k)/step; w is their least-squares
-    slope over time, expressed by theta. The slope is exact for a pure ramp, and 0 for a constant or
-    fewer than two intervals.
+    ``points`` is the number of phase points and ``step`` the number of samples between two of them.
+    The slope is fitted to the interval means (theta_{k+1} - theta_k)/step of the samples. The
+    weights are 0 with fewer than two intervals.
     """
     k = np.arange(points - 1, dtype=float)
     k -= k.mean() if points > 1 else 0.0
@@ -125,20 +128,19 @@ def ols_ramp_weights(points: int, step: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LengthClass(ByValue):
-    """Pooled segments whose lengths are equal within 10 %."""
+    """Pooled data of segments whose lengths are equal within 10 %."""
 
-    index: int  # floor(log(samples) / log(1.1))
-    # number of segments, and of their samples in total
-    count: int
-    samples: int
-    # (factors, axes) correction that removes the ramps of these segments from the sums of d^2: sum
-    # over segments of -2 m^2 r D + M m^4 r^2, with r = `SegmentRecord.ols_ramp`, D the signed sum
-    # and M the count of the segment (the square of d - r m^2, less d^2)
+    index: int  # `SegmentRecord.length_class`
+    count: int  # number of segments
+    samples: int  # total number of their samples
+    # (factors, axes) change of the sum of d^2 when the ramp of each segment is removed: with the
+    # slope r (`SegmentRecord.ols_ramp`), the sum D of d and the number M of differences of a
+    # segment, sum (d - r m^2)^2 - sum d^2 = -2 m^2 r D + M m^4 r^2
     ramp_correction: Floats
 
     @classmethod
     def of(cls, segment: SegmentRecord) -> LengthClass:
-        """Return the class of a single segment."""
+        """Return a class that contains one segment."""
         n_m = len(segment.signed)
         m, stride = (a[:n_m] for a in grid(_levels(n_m)))
         r = segment.ols_ramp()
@@ -160,34 +162,34 @@ class LengthClass(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class AllanSums(ByValue):
-    """Running Allan sums of one stream; ``+`` adds the sums of another recording of the same IMU.
+    """Allan sums of one stream; ``+`` adds the sums of another recording of the same IMU.
 
-    Sums of floating-point numbers depend on the order of addition in the last bits: sums of the
-    same recordings added in another order agree to 1e-12 of their value.
+    The result depends on the order of additions only by rounding, at most 1e-12 of its value.
 
     Attributes
     ----------
     identity : ImuIdentity
+        Frame and hardware id of the IMU.
     axes : tuple of str
-        Axes that are present, in the order of `AXES`: the last dimension of the arrays.
+        Names of the axes, in the order of `AXES`: the last dimension of the arrays.
     count : (factors,) int64 array
-        Number of second differences at each factor of ``grid(levels)``.
+        Number of second differences at each averaging factor in ``m``.
     sum_sq : (factors, axes) float64 array
-        Sum of d^2, in the unit of the samples squared (theta is a sum of samples).
-    group_count, group_sum_sq : as count and sum_sq
-        The same for groups that do not overlap (starts 0, m, 2m ...).
+        Sum of their squares d^2, in the squared unit of the samples.
+    group_count, group_sum_sq : arrays of the same shapes
+        The same for non-overlapping differences, which start at samples 0, m, 2m ...
     segments : tuple of SegmentRecord
         The 32 longest segments, longest first.
     classes : tuple of LengthClass
-        All other segments by length, shortest first.
+        All other segments pooled by length, shortest first.
     elapsed_ns, intervals : int
-        Time between the first and the last stamp of each segment, and the number of sample
-        periods in it, summed over the segments. Their quotient is tau0.
+        Time from the first to the last stamp of each segment in ns, and number of sample periods
+        in it, summed over the segments. Their quotient is the sample period.
     history : History
         The same sums by the age of each difference; empty if they were read from a document
-        without them.
+        without a history.
     filled : (lengths, axes) int64 array
-        Gaps of 1, 2, ... lost samples that were interpolated, in each axis; may be empty.
+        Number of gaps of 1, 2, ... lost samples that were interpolated, in each axis; may be empty.
     """
 
     identity: ImuIdentity
@@ -207,13 +209,13 @@ class AllanSums(ByValue):
     def empty(
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
-        """Return the sums of zero samples: the neutral element of ``+``."""
+        """Return the sums of zero samples; adding them to other sums changes nothing."""
         none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
         return cls(identity, axes, none, no_sums, none, no_sums)
 
     @property
     def m(self) -> NDArray[np.int64]:
-        """Averaging factors in samples, (factors,)."""
+        """Averaging factors in samples, (factors,), ascending."""
         return grid(_levels(len(self.count)))[0][: len(self.count)]
 
     @property
@@ -238,31 +240,33 @@ class AllanSums(ByValue):
 
     @property
     def length_histogram(self) -> tuple[tuple[float, int], ...]:
-        """(mean samples, number) of each kept segment, then of each length class."""
+        """Pairs (mean length in samples, number of segments), longest first.
+
+        Each kept segment has its own pair, followed by one pair for each length class.
+        """
         kept = [(float(s.samples), 1) for s in self.segments]
         return tuple(kept + [(c.samples / c.count, c.count) for c in reversed(self.classes)])
 
     @property
     def avar(self) -> Floats:
-        """Overlapping Allan variance at ``m``, pooled over segments, (factors, axes).
+        """Overlapping Allan variance at the factors ``m``, pooled over segments, (factors, axes).
 
-        In the squared unit of the samples; NaN without data.
+        The unit is the squared unit of the samples. Factors without data have NaN.
         """
         return allan_variance(self.sum_sq, self.m, self.count)
 
     @property
     def group_avar(self) -> Floats:
-        """Allan variance over groups that do not overlap, (factors, axes)."""
+        """Non-overlapping Allan variance at ``m``, (factors, axes); NaN without data."""
         return allan_variance(self.group_sum_sq, self.m, self.group_count)
 
     @property
-    def _end_slack(self) -> float:
-        """Relative error of tau0 if the stamps at both ends of each segment are wrong by one
-        period."""
+    def _tau0_uncertainty(self) -> float:
+        """Relative error of tau0 if both end stamps of each segment are wrong by one period."""
         return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
 
     def __deepcopy__(self, memo: object) -> AllanSums:
-        """Return itself: the value is immutable."""
+        """Return the object itself, because it is immutable."""
         return self
 
     def __add__(self, other: AllanSums) -> AllanSums:
@@ -271,26 +275,26 @@ class AllanSums(ByValue):
         Raises
         ------
         AllanError
-            When IMU or axes differ, or their sample periods differ by more than 0.1 % and more than
-            the uncertainty of the stamps at the ends of the segments.
+            If the axes differ, or as in `check_addable`.
         """
         self.check_addable(other)
         if self.axes != other.axes:
             raise AllanError(
                 f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} cannot be '
-                'added: '
-                'analyze them separately'
+                'added: analyze them separately'
             )
         return self.extended(other)
 
     def extended(self, other: AllanSums, continues: bool = False) -> AllanSums:
-        """Return the sums of both without checking that they belong to one stream.
+        """Return the sums of both without the checks of ``+``.
 
         Parameters
         ----------
         other : AllanSums
+            Sums with the same axes.
         continues : bool
-            Whether ``other`` is a later segment of the same recording.
+            Whether ``other`` contains a later segment of the same recording, whose ages count from
+            the first sample of this recording.
         """
         segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
         pooled = [(s, LengthClass.of(s)) for s in segments[KEPT_SEGMENTS:]]
@@ -325,12 +329,13 @@ class AllanSums(ByValue):
         return bool(self.history.recordings) or not self.samples
 
     def check_addable(self, other: AllanSums) -> None:
-        """Check that both have the same IMU and rate; their axes may differ.
+        """Check that both have the same IMU and sample period; their axes may differ.
 
         Raises
         ------
         AllanError
-            When IMU or sample period differ, as in ``+``.
+            If the identities differ, or the sample periods differ by more than 0.1 % plus the
+            uncertainty of the stamps at the ends of the segments.
         """
         if self.identity != other.identity:
             raise AllanError(
@@ -338,18 +343,18 @@ class AllanSums(ByValue):
                 'they are different IMUs, analyze them separately'
             )
         a, b = self.tau0, other.tau0
-        if a and b and abs(a - b) > a * (TAU0_TOLERANCE + self._end_slack + other._end_slack):
+        tolerance = TAU0_TOLERANCE + self._tau0_uncertainty + other._tau0_uncertainty
+        if a and b and abs(a - b) > a * tolerance:
             raise AllanError(
                 f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz cannot be added: the rates are '
-                'more than '
-                f'{TAU0_TOLERANCE:.1%} apart, analyze them separately'
+                f'more than {TAU0_TOLERANCE:.1%} apart, analyze them separately'
             )
 
 
 def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
-    """Return sum d^2 / (2 m^2 count), (factors, axes), NIST SP 1065 eq. 11.
+    """Return the Allan variance sum d^2 / (2 m^2 count), (factors, axes), NIST SP 1065 eq. 11.
 
-    NaN without data, 0 below `LEAST_VARIANCE`.
+    It is NaN where ``count`` is 0; values below `LEAST_VARIANCE` are set to 0.
     """
     number = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
@@ -363,15 +368,15 @@ def _levels(factors: int) -> int:
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
-    """Return the sums of two recordings of one IMU; sums of the same axes are added.
+    """Return the sums of two recordings of one IMU, where each has one or more `AllanSums`.
 
     A recording has one `AllanSums` with all axes, or one per sensor if the sensors have different
-    rates. An empty sequence is neutral.
+    rates. Those with equal axes are added. If one sequence is empty, the other is returned.
 
     Raises
     ------
     AllanError
-        When IMUs, rates or axes differ.
+        If IMUs, rates or axes differ.
     """
     if not a or not b:
         return tuple(a or b)
@@ -386,12 +391,12 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
-    """Check that both can belong to one stream; one may have more axes.
+    """Check that the sums of two recordings have the same IMU and rate on their common axes.
 
     Raises
     ------
     AllanError
-        When a common axis has different IMUs or rates.
+        If the IMU or the rate of a common axis differs.
     """
     for x, y in product(a, b):
         if not set(x.axes).isdisjoint(y.axes):

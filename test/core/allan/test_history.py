@@ -165,7 +165,7 @@ def test_the_settled_part_of_many_segments_has_consistent_counts():
 
 
 def test_no_age_but_an_edge_can_be_left_out():
-    with pytest.raises(AllanError, match='not an edge'):
+    with pytest.raises(AllanError, match='not the start'):
         settled_sums(recording(noise(5000)), 1234)
 
 
