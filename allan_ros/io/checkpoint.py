@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The checkpoint: a `sums.json` from which running sums continue after a restart."""
+"""The checkpoint: a `sums.json` with which a node continues its sums after a restart."""
 
 from __future__ import annotations
 
@@ -30,32 +30,35 @@ from .files import (
 from .recorded import Provenance
 
 Total = tuple[tuple[AllanSums, ...], Provenance]
-"""Sums of an IMU over all runs of a node, and their provenance."""
+"""The sums of an IMU over all runs of a node, and the origin of these sums."""
 
 NOTHING: Total = (), Provenance()
 
 
 class Checkpoint:
-    """Adds the sums of earlier runs of a node to the current sums, and saves the total in a file.
+    """A file with the sums of all runs of a node, so that they survive a restart.
 
-    A damaged file is renamed. A file of another version or IMU is never overwritten: nothing is
-    written until it is moved away, or until its IMU is connected again. Only regular files are
-    read, renamed or replaced; a folder, FIFO or device at the path is left unchanged, as is a path
-    that another node has locked. Every problem becomes a finding and is logged once; the node
-    continues.
+    It adds the sums of earlier runs to the sums of the current run, and saves the total. A damaged
+    file is renamed. A file of another version or IMU is never overwritten: nothing is written until
+    it is moved away, or its IMU is connected again. Only regular files are read, renamed or
+    replaced, and only if no other node has locked the path. Problems never stop the node: each is
+    logged once and becomes a finding.
 
     Parameters
     ----------
     path : path
-        Missing folders are created. '' for none: then nothing is loaded or saved.
-    log : object with the methods ``info`` and ``warning``, each of one line
+        The file; missing folders are created. With '', nothing is loaded or saved.
+    log : object
+        Logger with the methods ``info`` and ``warning``.
 
     Attributes
     ----------
-    earlier : Total
-        The content of the file when the run began.
-    loaded, refused : Finding or None
-        The problem of the file when it was loaded, and the reason why nothing is written now.
+    earlier : (sums, provenance)
+        The content of the file when the current run began.
+    loaded : Finding or None
+        The problem that was found when the file was loaded.
+    refused : Finding or None
+        The reason why the file cannot be replaced at present.
     """
 
     def __init__(self, path: str | os.PathLike[str], log: Any) -> None:
@@ -66,19 +69,19 @@ class Checkpoint:
         self._file, self._log = Path(path), log
         self._lock = PathLock(self._file) if self.path else None
         self._owned = False  # whether there is a file that no other node has locked
-        self._content: Total | None = NOTHING  # identity in the file; None if it cannot be read
+        self._content: Total | None = NOTHING  # of the file; None if it cannot be read
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
         self._in_use: Finding | None = None
         self._writer = ThreadPoolExecutor(1)
         self._writing: Future[None] | None = None
-        self._news = False
+        self._has_new_samples = False
         if self.path:
             self._open()
 
     @property
     def last_stamp_ns(self) -> int | None:
-        """Latest stamp of the samples in the file; None if unknown."""
+        """Latest stamp in ns of the samples whose sums are in the file; None if unknown."""
         provenance = self.earlier[1]
         ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
         known = provenance.last_stamp_ns
@@ -86,17 +89,24 @@ class Checkpoint:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Present problems of the file."""
+        """Findings about the current problems of the file."""
         known = (self._in_use, self._unsaved, self.refused, self.loaded)
         return tuple(f for f in known if f is not None)
 
     def age_s(self, now: float) -> float | None:
-        """Return the age of the file in s (steady clock); None before it was written."""
+        """Return the time in s since the file was written; None if this run has not written it.
+
+        ``now`` is the present time of `time.monotonic`.
+        """
         return None if self._saved_s is None else now - self._saved_s
 
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
-        """Return the sums of all runs, or of this run alone if the file has another IMU or axes."""
-        self._news = bool(sums)
+        """Return the sums of all runs, given the sums and the provenance of this run.
+
+        If the file belongs to another IMU or other axes, or is used by another node, these are the
+        sums of this run alone.
+        """
+        self._has_new_samples = bool(sums)
         if self.refused is not None and not os.path.lexists(self.path):
             self._clear()
         if not self._owned or self._content is None:
@@ -113,28 +123,28 @@ class Checkpoint:
         return total, replace(both, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total now if there are new samples; return whether the file contains it."""
+        """Write the total unless it has no new samples; return whether the file contains it."""
         self._collect()
-        return self._writable() and (not self._news or self._done(lambda: self._write(total)))
+        return self._writable() and (
+            not self._has_new_samples or self._completed(lambda: self._write(total))
+        )
 
     def save_in_background(self, total: Total) -> None:
-        """Write the total in a thread; `tick` or the next call collects the outcome."""
+        """Start to write the total in a thread. `tick` reports whether it succeeded."""
         self._collect()
-        if self._news and self._writable():
+        if self._has_new_samples and self._writable():
             self._writing = self._writer.submit(self._write, total)
 
     def tick(self) -> None:
-        """Collect the outcome of a write in the background, if it has ended."""
+        """Record the success or the error of a write in the background that has ended."""
         if self._writing is not None and self._writing.done():
             self._collect()
 
-    def begin_anew(self, total: Total) -> str:
-        """Save the total, rename the file to ``<name>.previous`` and start from zero.
+    def start_over(self, total: Total) -> str:
+        """Save the total, rename the file to ``<name>.previous``, and start with empty sums.
 
-        Returns
-        -------
-        str
-            Path of the renamed file; '' if there is none.
+        Returns the path of the renamed file. If the file cannot be written or renamed, the sums in
+        it are kept and '' is returned.
         """
         previous = f'{self.path}.previous'
         if self.save(total):
@@ -144,7 +154,7 @@ class Checkpoint:
                 self._clear()
                 return previous
             except AllanError as error:
-                self._note(error)
+                self._report_unwritable(error)
         if self._content is not None:  # the file stays where it is
             self.earlier = self._content
         return ''
@@ -161,7 +171,7 @@ class Checkpoint:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            self._note(AllanError(f'{folder} cannot be created ({error.strerror})'))
+            self._report_unwritable(AllanError(f'{folder} cannot be created ({error.strerror})'))
         if not self._locked():
             return
         self._owned = True
@@ -173,7 +183,7 @@ class Checkpoint:
             with contextlib.suppress(OSError):  # an empty file remains
                 trial.unlink(missing_ok=True)
         except AllanError as error:
-            self._note(error)
+            self._report_unwritable(error)
         else:
             for path in (self._file, trial):
                 remove_drafts(path, older_s=0.0)
@@ -194,13 +204,13 @@ class Checkpoint:
                 return
             self.earlier = self._content = sums_file_from_document(document, self.path)
         except (AllanError, UnicodeDecodeError) as error:
-            self._set_corrupt_aside(str(error))
+            self._rename_damaged(str(error))
             return
         if self.earlier[0]:
             samples = max(s.samples for s in self.earlier[0])
             self._log.info(f'continues {self.path} with {samples} samples')
 
-    def _set_corrupt_aside(self, reason: str) -> None:
+    def _rename_damaged(self, reason: str) -> None:
         names = (f'{self.path}.corrupt{i or ""}' for i in range(10**6))
         aside = next(Path(name) for name in names if not os.path.lexists(name))
         try:
@@ -224,7 +234,7 @@ class Checkpoint:
             ) from error
 
     def _clear(self) -> None:
-        """Start with empty sums, because the file is removed."""
+        """Start with empty sums, because there is no file."""
         self.earlier = self._content = NOTHING
         self.refused = None
 
@@ -242,7 +252,7 @@ class Checkpoint:
         try:
             owner = self._lock.acquire() if self._lock is not None else ''
         except AllanError as error:
-            self._note(error)
+            self._report_unwritable(error)
             return unlockable
         if owner:
             self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
@@ -261,22 +271,22 @@ class Checkpoint:
             self._content = total
 
     def _collect(self) -> None:
-        """Wait for the write in the background and collect its outcome."""
+        """Wait for the write in the background, and record its success or error."""
         writing, self._writing = self._writing, None
         if writing is not None:
-            self._done(writing.result)
+            self._completed(writing.result)
 
-    def _done(self, write: Callable[[], None]) -> bool:
-        """Complete a write, record its time or its error, and return whether it succeeded."""
+    def _completed(self, write: Callable[[], None]) -> bool:
+        """Call ``write``, record its time or its error, and return whether it succeeded."""
         try:
             write()
         except AllanError as error:
-            self._note(error)
+            self._report_unwritable(error)
             return False
         self._saved_s, self._unsaved = time.monotonic(), None
         return True
 
-    def _note(self, error: AllanError) -> None:
+    def _report_unwritable(self, error: AllanError) -> None:
         found = finding('checkpoint_unwritable', reason=error)
         if self._unsaved is None:
             self._log.warning(str(found))

@@ -1,15 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Datasheets of IMUs: YAML files with the figures of a sensor, read as limits in SI.
+"""Datasheets of IMUs: YAML files with the figures of a sensor, read as limits of N and B in SI.
 
-A file contains the figures as the datasheet states them, in its units; N and B are computed here. A
-datasheet rarely states which of two customary meanings a number has. Its file states the meaning if
-it is known (``sided``, ``stated_as``). If it is ``unknown``, the limit is the wider of the two and
-has a note, so that an ambiguous datasheet causes no false alarm.
+A file contains the figures in the units of the datasheet. A noise density may be one- or two-sided,
+and a bias instability may be B or the minimum of the curve. The file states which (``sided``,
+``stated_as``). If it is ``unknown``, the larger of the two limits is used, with a note, so that an
+ambiguous datasheet causes no false alarm.
 
-``gyro`` or ``accel`` sets its three axes; a single axis such as ``accel_z`` takes precedence.
-The file of a product that contains a known sensor names this sensor (``carries``) and has no
-figures.
+The keys ``gyro`` and ``accel`` apply to three axes; a single axis such as ``accel_z`` takes
+precedence. The file of a product that contains a known sensor names this sensor (``carries``) and
+has no figures.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ WALK_KEY = {'gyro': 'arw', 'accel': 'vrw'}
 
 
 FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
-"""Ratio of B to the minimum of a curve. The minimum is at least sqrt(2 ln2/pi) B = 0.664 B, because
-white noise and random walk add to it."""
+"""Factor from the minimum of a curve to the largest possible B. The minimum is at least
+sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to it."""
 
 MEANINGS = {
     'sided': {
@@ -59,16 +59,16 @@ MEANINGS = {
         ),
     },
 }
-"""Key of a noise density or bias instability -> possible meaning -> factor that gives N or B, and a
+"""Key that states the meaning of a number -> its value -> factor from the number to N or B, and a
 note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """The source of figures: a document, its number and revision, and the manufacturer's page.
+    """The document that states the figures of a datasheet file.
 
-    ``seen`` is True if the document itself was read, False if only ``via``, which quotes it, was
-    read.
+    ``seen`` is 'datasheet' if the document itself was read, and 'secondary' if the figures come
+    from ``via``, which quotes it; '' if unknown.
     """
 
     title: str
@@ -83,10 +83,11 @@ class Source:
 
 @dataclass(frozen=True)
 class Limit:
-    """The limit of one term in SI, and the number and unit that the datasheet states.
+    """The upper limit of one coefficient, in SI, according to a datasheet.
 
-    ``note`` states how the limit follows from the number, ``condition`` the conditions of the
-    number (typical, range, bandwidth), ``source`` the key of its source; '' if unknown.
+    ``stated`` is the number and unit in the datasheet, and ``note`` tells how the limit was
+    computed from it. ``condition`` is the condition of the number (typical, range, bandwidth), and
+    ``source`` the key of its source. Each is '' if unknown.
     """
 
     value: float
@@ -98,16 +99,22 @@ class Limit:
 
 @dataclass(frozen=True)
 class Datasheet:
-    """The figures of one IMU by its manufacturer.
+    """The figures that the manufacturer of an IMU states.
 
     Attributes
     ----------
+    name, maker : str
+        Name of the IMU, and of its manufacturer.
+    sources : mapping of key to Source
+        The documents that state the figures.
     limits : mapping of axis name to term ('N', 'B') to Limit
-        Limits of the terms that the sources state.
+        Upper limits of the coefficients that the sources state.
     range : mapping of axis name to float
         Largest magnitude that the sensor measures, in rad/s or m/s^2, if stated.
+    remark : str
+        A remark for the user.
     carries : str
-        Name of the sensor that a product contains and whose figures these are; '' for a sensor.
+        Name of the sensor inside a product, such as a camera; '' if the IMU is the sensor itself.
     """
 
     name: str
@@ -127,17 +134,18 @@ class Datasheet:
 
 
 VERDICTS: tuple[Verdict, ...] = ('beyond', 'open', 'within')
-"""Verdicts, the worst first."""
+"""Verdicts of a comparison, the worst first."""
 
 VERDICT_TEXT: dict[Verdict, str] = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
-"""Verdict -> its text in tables; 'open' means that the interval contains the limit."""
+"""Verdict -> its text in tables. 'open' means that the interval contains the limit."""
 
 
 @dataclass(frozen=True)
 class DatasheetComparison:
-    """All coefficients with a limit in a datasheet, by axis, then term.
+    """The comparisons of all coefficients that have a limit in a datasheet, by axis, then term.
 
-    A complete 95 % interval must lie above a limit by the margin, a fraction, to be beyond it.
+    A coefficient is 'beyond' its limit if its complete 95 % interval lies above the limit by the
+    fraction ``margin``.
     """
 
     datasheet: Datasheet
@@ -151,18 +159,22 @@ class DatasheetComparison:
         return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
 
     def of(self, axis: str, term: str) -> Comparison | None:
-        """Return the comparison of a coefficient, if it has a limit."""
+        """Return the comparison of a coefficient; None if it has no limit."""
         return next((c for c in self.comparisons if (c.axis, c.term) == (axis, term)), None)
 
     def limit(self, comparison: Comparison) -> Limit:
-        """Return the limit of one of the comparisons, as stated in the datasheet."""
+        """Return the limit of a comparison, with its number, note and source."""
         return self.datasheet.limits[comparison.axis][comparison.term]
 
 
 def against_datasheet(
     noise: Mapping[str, Mapping[str, Coefficient]], datasheet: Datasheet, margin: float
 ) -> DatasheetComparison:
-    """Return the comparison of axis -> term -> Coefficient with a datasheet."""
+    """Compare the coefficients (axis -> term -> coefficient) with the limits of a datasheet.
+
+    A coefficient is 'beyond' its limit if its complete 95 % interval lies above the limit by the
+    fraction ``margin``.
+    """
     found = compare_with_limits(datasheet.name, datasheet.values(), noise, margin)
     return DatasheetComparison(datasheet, margin, found)
 
@@ -177,7 +189,11 @@ def check_margin(margin: float) -> None:
 def beyond_limit(
     comparison: Comparison, coefficient: Coefficient | None, margin: float, axes: tuple[str, ...]
 ) -> Finding:
-    """Return the finding that a coefficient, or a deviation, lies above a limit."""
+    """Return the finding that a coefficient or an Allan deviation exceeds a limit.
+
+    The comparison contains the limit and the measured ratio. ``coefficient`` is the measured value;
+    None if only the ratio is known. The text states the fraction ``margin``.
+    """
     c = comparison
     unit = shown_unit(c.axis, 'B' if c.tau is not None else c.term, 'datasheet')
     term, interval = c.term, '95 %'
@@ -225,7 +241,10 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
 def comparison_from_document(
     fields: Fields, noise: Mapping[str, Mapping[str, Coefficient]]
 ) -> DatasheetComparison:
-    """Return the comparison of an object of `comparison_to_document` and the coefficients."""
+    """Read the object ``datasheet`` of results.json, and compare the coefficients with its limits.
+
+    ``noise`` are the coefficients of the same document: axis -> term -> coefficient.
+    """
     sources = fields.fields('sources')
     limits: dict[str, dict[str, Limit]] = {}
     axes = fields.fields('axes')
@@ -247,14 +266,17 @@ def sensor_names() -> list[str]:
 
 
 def load_sensor(name: str) -> Datasheet:
-    """Return a datasheet by its name, or by the path of its file."""
+    """Read a datasheet, given its name or the path of its .yaml file.
+
+    Raises AllanError if the name is unknown or the file is invalid.
+    """
     path = config_file('sensors', name, 'datasheet')
     fields = Fields(read_yaml(path), str(path))
     return _product(fields) if 'carries' in fields else _datasheet(fields)
 
 
 def _product(fields: Fields) -> Datasheet:
-    """Return the figures of the sensor in a product, with the sources of both."""
+    """Return the figures of the sensor inside a product, with the sources of both."""
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     name = fields.text('carries')
@@ -340,9 +362,9 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
 
 
 def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
-    """Return a ``{value, unit, condition, source}`` and its key of `MEANINGS` in SI.
+    """Return an object ``{value, unit, condition, source}`` as a limit in SI.
 
-    The source may be omitted if there is only one.
+    ``meaning`` is the further key that states the meaning of the number; '' for none.
     """
     fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
     factor, note = 1.0, ''

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON documents: `results.json` (``allan_ros/results/1``) and `sums.json`.
+"""The JSON documents `results.json` and `sums.json`.
 
 Unknown values are null, never NaN. Reading is strict: another version, a wrong type, or a missing
-field without a default raises an error that names the position.
+field without a default raises AllanError with the position in the document.
 """
 
 from __future__ import annotations
@@ -54,16 +54,20 @@ LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
 SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean')
-"""Keys whose numbers may be negative."""
+"""Keys of numbers that may be negative."""
 
 NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
-"""Field -> key, if they differ."""
+"""Field of a dataclass -> its key in results.json, where these differ."""
 
 
 def results_to_document(
     results: Results, curves: bool = True, units: str = 'datasheet'
 ) -> dict[str, Any]:
-    """Return the results as ``allan_ros/results/1``; without curves it is the noise model."""
+    """Return the results as the document ``allan_ros/results/1`` (results.json).
+
+    Without ``curves``, the curves and the verdict are left out, which gives a short document.
+    ``units`` ('datasheet' or 'si') are the units in the texts of the verdict; numbers are in SI.
+    """
     judged = {'verdict': verdict_of(results, units=units).to_document()} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
@@ -87,7 +91,10 @@ def results_to_document(
 
 
 def results_from_document(document: object, where: str = 'results') -> Results:
-    """Return the results of a document of `results_to_document`."""
+    """Return the results in a document ``allan_ros/results/1``.
+
+    ``where`` names the document in messages. Raises AllanError if the document is invalid.
+    """
     fields = Fields(document, where, SIGNED, NAMES)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
@@ -110,7 +117,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
 
 def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> dict[str, Any]:
-    """Return the document of the sums and their provenance."""
+    """Return sums and their provenance as the document of a sums.json."""
     return {
         'schema': SUMS_SCHEMA,
         'tool': _tool(),
@@ -124,7 +131,10 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
 def sums_file_from_document(
     document: object, where: str = 'sums'
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
-    """Return the sums and provenance of a document of `sums_file_to_document`."""
+    """Return the sums and the provenance in the document of a sums.json.
+
+    ``where`` names the document in messages. Raises AllanError if the document is invalid.
+    """
     fields = Fields(document, where, SIGNED, NAMES)
     fields.schema(SUMS_SCHEMA)
     return (
@@ -134,10 +144,19 @@ def sums_file_from_document(
 
 
 def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
-    """Return the results of a results.json, or of the folder of an analysis.
+    """Read the results of an earlier analysis.
 
-    A sums.json or a checkpoint is fitted first. Results of a folder can be merged and saved, since
-    the folder contains their sums.
+    Parameters
+    ----------
+    path : path
+        The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
+        fitted again. Only results with sums (all but a results.json) can be merged and saved.
+    method : str
+        Method of the fit of sums: 'gls', 'relative' or 'paper', as in `analyze`.
+
+    Returns
+    -------
+    Results
 
     Raises
     ------
@@ -170,21 +189,24 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
 
 
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
-    """Return the sums of a sums.json, a checkpoint, or the folder of an analysis.
+    """Read the sums of a sums.json, a checkpoint, or the folder of an analysis.
 
-    From a folder, the result includes the datasheet with which the analysis was compared.
+    From a folder, the comparison of the analysis with a datasheet is read, too.
     """
     place = file_in(path, SUMS)
     recorded = RecordingSums(place, *sums_file_from_document(read_json(place), place))
-    beside = Path(path) / RESULTS
-    if not beside.is_file():
+    results = Path(path) / RESULTS
+    if not results.is_file():
         return recorded
-    datasheet = results_from_document(read_json(beside), str(beside)).datasheet
+    datasheet = results_from_document(read_json(results), str(results)).datasheet
     return replace(recorded, judged=() if datasheet is None else (datasheet,))
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return the path, or, for a folder, the file ``name`` in it."""
+    """Return the path of a file, or of the file ``name`` if the path is a folder.
+
+    Raises AllanError if the folder does not contain it.
+    """
     if not Path(path).is_dir():
         return str(path)
     inside = Path(path) / name
@@ -196,7 +218,11 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
 
 
 def labels_of(paths: Sequence[str]) -> list[str]:
-    """Return a short name for each path: its folder or its stem, if these differ."""
+    """Return a label for each path.
+
+    The label is the name of the file without its suffix, or the name of the folder for a
+    results.json or sums.json. If two labels are equal, the labels are the paths themselves.
+    """
     short = [
         Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
         for path in paths
@@ -233,7 +259,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
-    """Return the settings of an analysis: plain values, or lists of plain values."""
+    """Return the settings of an analysis, which are plain values or lists of plain values."""
     settings: dict[str, Any] = {}
     for name in fields:
         value = fields.value(name)
@@ -307,7 +333,7 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
 
 
 def _processes_from_document(fields: Fields) -> Processes:
-    """Read all processes; documents of earlier versions have at most one of each kind."""
+    """Return the fitted processes; older documents have at most one of each kind."""
     if 'processes' not in fields:
         process = fields.typed('gauss_markov', GaussMarkov | None)
         line = fields.typed('sinusoid', Sinusoid | None)
@@ -317,7 +343,7 @@ def _processes_from_document(fields: Fields) -> Processes:
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:
-    """Return the value per sample if there is an estimate, else None."""
+    """Return an estimate times a factor; None if there is no estimate."""
     if coefficient.value is None or coefficient.status != 'estimated':
         return None
     found: float | None = plain(coefficient.value * factor)

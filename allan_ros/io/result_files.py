@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of one analysis, all in one folder."""
+"""Write the files of one analysis into a folder."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .results import Results
 
 SIGNAL_BINS = 1000
-"""Number of bins of the raw signal in pictures and page, about the number of pixels of a plot."""
+"""Number of bins of the raw signal in plots, about the width of a plot in pixels."""
 
 FINGERPRINT_DIGITS = 16
 """Number of hexadecimal digits of the fingerprint of the sums: 64 bits."""
@@ -46,13 +46,32 @@ def write_result_files(
     targets: Sequence[str] = (),
     pictures: PictureSettings = PictureSettings(),
 ) -> tuple[Results, list[Path]]:
-    """Write results.json, sums.json, imu.yaml, the pictures, the report, and files of the targets.
+    """Write results.json, sums.json, the report, the pictures, imu.yaml, and further filter files.
 
-    ``command`` is the command that repeats the analysis. Returns the results as written, with a
-    finding for each file that cannot be created from them (imu.yaml without an accelerometer), and
-    the paths.
+    Parameters
+    ----------
+    folder : path
+        Folder for the files; it is created if it is missing.
+    results : Results
+        Results with their sums.
+    command : str
+        Command that repeats the analysis; it is printed in the report.
+    units : 'datasheet' or 'si'
+        Units of the report and the pictures.
+    targets : sequence of str
+        Targets of `allan export` whose files are written in addition to imu.yaml (Kalibr).
+    pictures : PictureSettings
+        Format and style of the pictures.
+
+    Returns
+    -------
+    Results
+        The results with a finding for each filter file that could not be created, such as imu.yaml
+        without an accelerometer.
+    list of Path
+        The paths of the files.
     """
-    # takes 0.3 s to import, and merging sums needs no pictures before
+    # imported here because matplotlib takes 0.3 s
     from .plot_layout import render_figure
     from .plots import sensor_figure
 
@@ -82,7 +101,7 @@ def write_result_files(
     context = ReportContext(
         summary,
         [density for density in densities if density is not None],
-        _repeat(command, to_json({'sums': sums_document['sums']})),
+        _reproduction(command, to_json({'sums': sums_document['sums']})),
         others,
     )
     contents['report.html'] = render_report(results, context, units)
@@ -91,16 +110,15 @@ def write_result_files(
     contents[SUMS] = to_json(sums_document)
     folder = made_folder(Path(folder))
     with _folder_locked(folder):
-        # The filter files are removed first and written last, so no file of another analysis
-        # remains.
-        former_files = _files_of(folder).difference(contents)
+        # Filter files are removed first and written last: one of another analysis never remains.
+        former_files = _files_in(folder).difference(contents)
         write_together(folder, {**contents, **filters}, {*filters, *former_files})
     return results, [folder / name for name in (*filters, *contents)]
 
 
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
-    """Lock the folder when no other process writes to it; raises AllanError after a minute."""
+    """Lock the folder; raise AllanError if another process writes into it for a minute."""
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:
@@ -114,7 +132,7 @@ def _folder_locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def _files_of(folder: Path) -> set[str]:
+def _files_in(folder: Path) -> set[str]:
     """Return the names of the files that an earlier analysis wrote to the folder."""
     try:
         document = read_json(folder / RESULTS)
@@ -127,21 +145,20 @@ def _files_of(folder: Path) -> set[str]:
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
-    """Return file name -> text of Kalibr and the targets, and the results with findings on omitted
-    files.
-    """
+    """Return file name -> text for Kalibr and the targets, and the results with findings on files
+    that cannot be created."""
     files = {}
     for name in dict.fromkeys(('kalibr', *targets)):
         target = target_of(name)
         try:
             files[target.file_name] = make_export(results, name).text
         except AllanError as error:
-            left_out = finding('file_left_out', file=target.file_name, why=str(error))
-            results = replace(results, findings=(*results.findings, left_out))
+            omitted = finding('file_left_out', file=target.file_name, why=str(error))
+            results = replace(results, findings=(*results.findings, omitted))
     return files, results
 
 
-def _repeat(command: str, sums: str) -> dict[str, str]:
+def _reproduction(command: str, sums: str) -> dict[str, str]:
     """Return the command that repeats an analysis, and the fingerprint of its sums."""
     digest = hashlib.sha256(sums.encode()).hexdigest()[:FINGERPRINT_DIGITS]
     fingerprint = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
@@ -149,7 +166,7 @@ def _repeat(command: str, sums: str) -> dict[str, str]:
 
 
 def made_folder(folder: Path) -> Path:
-    """Return the folder; create it if it is missing."""
+    """Create the folder if it is missing, and return it; raises AllanError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

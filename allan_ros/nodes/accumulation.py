@@ -220,7 +220,7 @@ class ImuWatch(Part):
 
     def _begin_pass(self) -> None:
         """Store the sums of the completed pass, and start new ones."""
-        where = self._checkpoint.begin_anew(self._total())
+        where = self._checkpoint.start_over(self._total())
         splitter = self._splitter
         self._begin()
         self._splitter = splitter  # it is in the middle of a batch
@@ -278,7 +278,7 @@ class ImuWatch(Part):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._input.drain()
         self._update()
-        where = self._checkpoint.begin_anew(self._total())
+        where = self._checkpoint.start_over(self._total())
         self._begin()
         self._publish(self._total())
         kept = [f'the previous sums are in {where}'] if where else []

@@ -77,7 +77,7 @@ def test_without_a_path_nothing_is_kept(sums: Sums, opened) -> None:
     checkpoint = opened('')
     total = checkpoint.total(sums, Provenance())
     assert total == (sums, Provenance()) and not checkpoint.save(total)
-    assert checkpoint.begin_anew(total) == '' and checkpoint.findings == ()
+    assert checkpoint.start_over(total) == '' and checkpoint.findings == ()
 
 
 def test_a_locked_path_is_left_alone(tmp_path: Path, sums: Sums, opened) -> None:
@@ -145,7 +145,7 @@ def test_what_this_run_saved_is_left_alone_too(
     assert not save(checkpoint, other)
     assert path.read_bytes() == content and checkpoint.refused is not None
     # a reset leaves the file, whose sums are not of this run any more
-    assert checkpoint.begin_anew(checkpoint.total(other, Provenance())) == ''
+    assert checkpoint.start_over(checkpoint.total(other, Provenance())) == ''
     assert checkpoint.total(sums, Provenance())[0][0].samples == 2 * sums[0].samples
 
 
@@ -173,7 +173,7 @@ def test_a_sensor_that_comes_later_is_no_other_imu(tmp_path: Path, sums: Sums, o
 def test_a_reset_renames_the_file(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     checkpoint = opened(path)
-    previous = checkpoint.begin_anew(checkpoint.total(sums, Provenance()))
+    previous = checkpoint.start_over(checkpoint.total(sums, Provenance()))
     assert previous == f'{path}.previous' and not path.exists()
     assert opened(Path(previous)).earlier[0] == sums
 
@@ -221,7 +221,7 @@ def test_what_is_no_regular_file_is_left_alone(
     checkpoint = opened(path)
     assert 'give a regular file' in str(checkpoint.refused)
     total = checkpoint.total(sums, Provenance())
-    assert total[0] == sums and not checkpoint.save(total) and not checkpoint.begin_anew(total)
+    assert total[0] == sums and not checkpoint.save(total) and not checkpoint.start_over(total)
     assert os.path.samestat(before, os.lstat(path))
     assert not [p for p in tmp_path.iterdir() if 'corrupt' in p.name or 'previous' in p.name]
 
@@ -234,7 +234,7 @@ def test_nothing_is_renamed_onto_what_is_no_regular_file(
     path = tmp_path / 'sums.json'
     checkpoint = opened(path)
     special(kind, tmp_path / 'sums.json.previous')
-    assert checkpoint.begin_anew(checkpoint.total(sums, Provenance())) == ''
+    assert checkpoint.start_over(checkpoint.total(sums, Provenance())) == ''
     assert 'regular file' in str(checkpoint.findings[0])
     assert opened(path).earlier[0] == sums
 
@@ -247,7 +247,7 @@ def test_a_path_that_cannot_be_examined_is_a_finding(
     save(checkpoint, sums)
     loop.unlink(missing_ok=True)
     loop.symlink_to(loop)  # examining it fails for every user
-    assert checkpoint.begin_anew(checkpoint.total((), Provenance())) == ''
+    assert checkpoint.start_over(checkpoint.total((), Provenance())) == ''
     assert 'cannot be renamed' in str(checkpoint.findings[0])
     assert loop.is_symlink()
 
@@ -271,7 +271,7 @@ def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(
     assert path.read_text() == 'damaged'
     path.unlink()
     checkpoint = opened(path)
-    assert checkpoint.begin_anew(checkpoint.total(sums, Provenance())) == ''
+    assert checkpoint.start_over(checkpoint.total(sums, Provenance())) == ''
     assert 'cannot be renamed to sums.json.previous (Permission' in str(checkpoint.findings[0])
 
 
