@@ -60,8 +60,9 @@ class ResultSettings(CheckedSettings):
 
     method: str = parameter(
         'gls',
-        'How the curve is fitted: generalised least squares with intervals, least squares with '
-        'relative weights, or as in the paper.',
+        'Method of the fit: gls (generalised least squares, with confidence intervals), relative '
+        '(least squares on relative residuals) or paper (plain least squares, as in Cong et al. '
+        '2019).',
         choices=tuple(METHODS),
     )
     units: str = parameter(
@@ -82,8 +83,8 @@ class ResultSettings(CheckedSettings):
     )
     margin: float = parameter(
         MARGIN,
-        'Fraction by which a complete interval must exceed the limit of the datasheet, or the '
-        'earlier run.',
+        'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
+        'above it by this fraction.',
         low=0.0,
         high=100.0,
     )
@@ -162,7 +163,8 @@ def analyze(
         rad/s and m/s^2.
     method : str
         Method of the fit: 'gls' (generalised least squares, with confidence intervals), 'relative'
-        (least squares on relative residuals) or 'paper' (plain least squares, as Cong et al. 2019).
+        (least squares on relative residuals) or 'paper' (plain least squares, as in Cong et al.
+        2019).
     sensor : str
         Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml file.
     baseline : Results or path

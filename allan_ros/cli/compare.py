@@ -99,7 +99,7 @@ def inflate(args: argparse.Namespace) -> int:
 
 def fit(args: argparse.Namespace) -> int:
     """Fit all curves of the file, and print coefficients, processes and inconsistencies."""
-    from ..io.user_files import doubts, read_curves, read_published
+    from ..io.user_files import contradictions, read_curves, read_published
 
     console = Console.of(args)
     if args.hours is not None and not 0.0 < args.hours < float('inf'):
@@ -108,7 +108,7 @@ def fit(args: argparse.Namespace) -> int:
     published = read_published(args.published) if args.published else {}
     record = None if args.hours is None else 3600.0 * args.hours
     fits = {axis: fit_curve(curves.tau, adev, record) for axis, adev in curves.adev.items()}
-    warnings = doubts(curves, fits, published)
+    warnings = contradictions(curves, fits, published)
     if console.json:
         console.document(_document(args.curve, fits, warnings))
         return 0
@@ -151,7 +151,12 @@ def _document(source: str, fits: Mapping[str, AxisFit], warnings: list[str]) -> 
         }
         for axis, fit in fits.items()
     }
-    return {'schema': 'allan_ros/curve_fit/1', 'source': source, 'axes': axes, 'doubts': warnings}
+    return {
+        'schema': 'allan_ros/curve_fit/1',
+        'source': source,
+        'axes': axes,
+        'doubts': warnings,
+    }
 
 
 FIT = """

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write files safely: only regular files, bounded, written atomically, and locked.
+"""Read and write files safely: only regular files of limited size, atomic writing, and locks.
 
-JSON and YAML are strict in both directions and bounded when read. A YAML file of a kind (a
-datasheet, a filter mapping) is given by its path, or by its name, which is searched in the user's
-folder (``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``) and then in the package.
+Configuration files, such as datasheets (``sensors``) and filter mappings (``filters``), are given
+by path or by name. A name is searched in the folder of the user (``~/.config/allan_ros/<kind>``, or
+under ``$XDG_CONFIG_HOME``) and then in the package.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ PATH = (str, os.PathLike)
 """Accepted types of a path."""
 
 ABANDONED_S = 3600.0
-"""Age in s after which a draft is removed: its process was killed."""
+"""Age in s after which a temporary file is removed: the process that wrote it was killed."""
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file for reading; links are followed, and opening a FIFO does not block.
+    """Open a regular file for reading; symbolic links are followed.
 
     Raises AllanError when the path is a folder, FIFO, device or socket, and OSError when it is
     missing or unreadable.
@@ -49,7 +49,7 @@ def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
-    """Return the content of a regular file of at most ``limit`` bytes.
+    """Read a regular file of at most ``limit`` bytes.
 
     Raises AllanError when the path is not a regular file, or the file is larger, and OSError when
     it is missing or unreadable.
@@ -65,8 +65,10 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """Return the text of a regular UTF-8 file of at most ``limit`` bytes, with unchanged line
-    ends."""
+    """Read a regular UTF-8 file of at most ``limit`` bytes, without changing its line ends.
+
+    Raises AllanError when it cannot be read, is larger, or is not UTF-8.
+    """
     try:
         return read_bounded(path, limit).decode('utf-8')
     except OSError as error:
@@ -92,9 +94,10 @@ def _not_regular(path: str | os.PathLike[str]) -> AllanError:
 
 
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file atomically: no reader sees, and no crash leaves, an incomplete file.
+    """Write a file so that its path never contains an incomplete file, even after a crash.
 
-    The content is written to a draft in the same folder, synced to the disk and renamed.
+    The content is written to a temporary file in the same folder, synced to the disk and renamed.
+    Raises AllanError when this fails.
     """
     write_together(Path(path).parent, {Path(path).name: content})
 
@@ -104,8 +107,8 @@ def write_together(
 ) -> None:
     """Write several files of one folder; no file is replaced before all are on the disk.
 
-    The files ``remove`` are removed before the first is replaced; ``contents`` (name -> content)
-    are replaced in the given order.
+    ``contents`` maps names to contents, and files are replaced in this order. Before that, the
+    files named ``remove`` are removed.
 
     Raises AllanError when a path is not a regular file, the folder is missing or not writable, or
     the disk is full. Then no file has changed, unless a rename failed.
@@ -146,9 +149,10 @@ def check_replaceable(path: Path) -> None:
 
 
 def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
-    """Remove drafts of this path that killed processes left, if they are older than ``older_s``.
+    """Remove temporary files for this path that are older than ``older_s``, in s.
 
-    0 s is allowed only if no other process writes this path.
+    They remain if a process is killed while it writes. Use 0 s only if no other process writes this
+    path.
     """
     of_this_path = re.compile(rf'\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.part')
     with contextlib.suppress(OSError):
@@ -187,18 +191,22 @@ MAX_DIGITS = 20
 
 
 def to_json(document: Mapping[str, Any]) -> str:
-    """Return the document as text; a NaN in it is a bug and raises ValueError."""
+    """Return a document as JSON text; raises ValueError if it contains NaN or infinity."""
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
 
 
 def parse_json(text: str, where: str) -> object:
-    """Return the value of a JSON text; NaN, infinity and half surrogate pairs are rejected."""
+    """Parse a JSON text; ``where`` names it in messages.
+
+    Raises AllanError if it is too long or invalid, or contains NaN, infinity or half a surrogate
+    pair.
+    """
     if len(text) > MAX_BYTES:
         raise AllanError(
             f'{where}: has more than {MAX_BYTES} bytes: it is not a document of allan_ros'
         )
     try:
-        document: object = json.loads(text, parse_constant=_refuse, parse_int=_integer)
+        document: object = json.loads(text, parse_constant=_reject_constant, parse_int=_integer)
         if '\\ud' in text.lower():  # half a surrogate pair, which no file can contain
             json.dumps(document, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
@@ -207,11 +215,11 @@ def parse_json(text: str, where: str) -> object:
 
 
 def read_json(path: str | os.PathLike[str]) -> object:
-    """Return the value of a JSON file."""
+    """Read a JSON file; raises AllanError as `read_text` and `parse_json` do."""
     return parse_json(read_text(path, MAX_BYTES), str(path))
 
 
-def _refuse(name: str) -> object:
+def _reject_constant(name: str) -> object:
     raise ValueError(f'{name} is not a number')
 
 
@@ -222,7 +230,7 @@ def _integer(digits: str) -> int:
 
 
 MOST_BRACKETS = 50
-"""Largest nesting depth: the time of the scanner increases with the square of the depth."""
+"""Largest nesting depth of brackets: the time to read YAML increases with its square."""
 
 MERGE = 'tag:yaml.org,2002:merge'
 """Tag of the key ``<<``, which is rejected: nested merges are copied, so a short file can fill the
@@ -247,7 +255,7 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a YAML (or JSON) text; raises yaml.YAMLError if it is not accepted."""
+    """Parse a YAML or JSON text; raises yaml.YAMLError if it is invalid or not supported."""
     loader = _Loader(text)
     try:
         return loader.get_single_data()
@@ -261,12 +269,12 @@ MAX_YAML_BYTES = 100_000
 """Largest size of a YAML file in bytes."""
 
 NEAREST, LISTED, CLOSE = 3, 8, 0.8
-"""Number of similar names that are suggested for an unknown one, number of names listed if none is
-similar, and smallest similarity."""
+"""For an unknown name: largest number of similar names that are suggested, number of names that are
+listed if none is similar, and smallest similarity (0 to 1)."""
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the content of a small YAML (or JSON) file."""
+    """Read a YAML or JSON file of at most `MAX_YAML_BYTES`; raises AllanError if it is invalid."""
     try:
         return parse_yaml(read_text(path, MAX_YAML_BYTES))
     except yaml.YAMLError as error:
@@ -275,12 +283,16 @@ def read_yaml(path: Path) -> Any:
 
 
 def config_names(kind: str) -> list[str]:
-    """Return the names of the files of a kind, of the package and of the user."""
+    """Return the names of all configuration files of a kind, such as 'sensors', without suffix."""
     return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
 
 
 def config_file(kind: str, name: str, called: str) -> Path:
-    """Return the file with the given name, or the given path."""
+    """Return the path of a configuration file, given its name or path.
+
+    ``kind`` is the folder ('sensors' or 'filters'), and ``called`` the word for such a file in
+    messages. Raises AllanError, with similar names, if the name is unknown.
+    """
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
         return path.expanduser()
@@ -289,7 +301,11 @@ def config_file(kind: str, name: str, called: str) -> Path:
             found = folder / f'{name.lower()}.yaml'
             if found.is_file():
                 return found
-        same = [known for known in config_names(kind) if _plain(known) == _plain(name)]
+        same = [
+            known
+            for known in config_names(kind)
+            if _letters_and_digits(known) == _letters_and_digits(name)
+        ]
         if len(same) == 1:  # mpu6050 for mpu-6050
             return config_file(kind, same[0], called)
     raise AllanError(
@@ -299,10 +315,10 @@ def config_file(kind: str, name: str, called: str) -> Path:
 
 
 def config_folders(kind: str) -> list[Path]:
-    """Return the search path of a kind of files; the first match wins.
+    """Return the folders in which configuration files of a kind are searched, in this order.
 
-    The user's folder (XDG Base Directory, 0.8), then ``config/<kind>`` of the checkout or of the
-    installed package.
+    They are the folder of the user (XDG Base Directory, 0.8), and ``config/<kind>`` of the source
+    code or of the installed package.
     """
     home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
     here = Path(__file__).resolve()
@@ -312,15 +328,13 @@ def config_folders(kind: str) -> list[Path]:
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    """Return names of which the unknown one may be a misspelling, else names of its family.
-
-    Digits may be missing; different digits are another model.
-    """
-    word = _plain(name)
+    """Return the part of a message that suggests known names instead of an unknown one."""
+    word = _letters_and_digits(name)
     digits = '.*'.join(re.findall(r'\d', name))
-    plain = {_plain(known): known for known in names}
+    plain = {_letters_and_digits(known): known for known in names}
     close = difflib.get_close_matches(word, plain, NEAREST, CLOSE)
     near = [known for key, known in plain.items() if word and key.startswith(word)]
+    # a name with other digits is another model; digits may be missing
     near = near or [plain[key] for key in close if re.search(digits, key)]
     if near:
         return f'did you mean {" or ".join(near[:NEAREST])}'
@@ -332,23 +346,23 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
     return f'choose one of {", ".join(listed[:LISTED])}{more}'
 
 
-def _plain(name: str) -> str:
+def _letters_and_digits(name: str) -> str:
     """Return a name without case, spaces and punctuation."""
     return re.sub(r'[\W_]', '', name.lower())
 
 
 OWNER_BYTES = 20
-"""Largest number of bytes of a process number that are read from a lock file."""
+"""Number of bytes that are read from a lock file, which contains a process number."""
 
 LOCKED_BYTE = 2**30
 """Offset of the byte that is locked on Windows: after the text, which stays readable."""
 
 
 class PathLock:
-    """Marks a path as owned by one process, with a lock on a hidden file next to it.
+    """A lock that lets only one process write a path, which need not exist.
 
-    The path itself cannot be locked, because it is replaced whenever it is written. It does not
-    need to exist.
+    A hidden file next to the path is locked, because the path itself is replaced whenever it is
+    written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -357,7 +371,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Acquire the lock. Return '' on success, else the name of the owner."""
+        """Try to acquire the lock. Return '' on success, else the process that owns it."""
         while self._handle is None:
             handle = self._open_mark()
             if not _try_to_lock(handle):
@@ -365,7 +379,7 @@ class PathLock:
                 owner = os.read(handle, OWNER_BYTES).decode(errors='replace').strip()
                 os.close(handle)
                 return f'process {owner}' if owner.isdigit() else 'another process'
-            if not _is_at(handle, self._mark):
+            if not _is_file_at(handle, self._mark):
                 os.close(handle)  # the lock file was released and removed before it was locked
                 continue
             self._handle = handle
@@ -398,7 +412,7 @@ class PathLock:
 
 
 def _try_to_lock(handle: int) -> bool:
-    """Lock an open file for this process; return False if another process has locked it."""
+    """Lock an open file; return False if another process has locked it."""
     try:
         import fcntl
     except ImportError:
@@ -425,7 +439,7 @@ def _try_to_lock_on_windows(handle: int) -> bool:
     return True
 
 
-def _is_at(handle: int, path: Path) -> bool:
+def _is_file_at(handle: int, path: Path) -> bool:
     """Return whether the open file is the file that is now at the path."""
     try:
         return os.path.samestat(os.fstat(handle), os.stat(path))

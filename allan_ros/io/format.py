@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Format numbers with the selected units and their significant digits only, and format findings."""
+"""Format numbers with units and significant digits, and format findings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ PRETTY = (
     ('um/', 'µm/'),
     ('ug', 'µg'),
 )
-"""Unit in tables, files and terminals -> spelling on pages and plots."""
+"""Part of a unit in plain text -> its spelling in reports and plots."""
 
 NOTHING_KNOWN = '-'
 """Text for a term with neither a value nor a limit."""
@@ -54,8 +54,8 @@ READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
 
 SHARP = 0.02
-"""If an interval is narrower than this fraction of its upper end, its ends are shown with the
-digits of a value."""
+"""If the width of an interval is below this fraction of its upper end, its ends are printed with as
+many digits as a value."""
 
 
 class ShownUnit(NamedTuple):
@@ -102,7 +102,7 @@ def significant(value: float, digits: int) -> str:
 
 
 def value_text(coefficient: Coefficient, unit: ShownUnit) -> str:
-    """Return the value, or ``< limit`` if only an upper limit is known, or '-'."""
+    """Return a coefficient as text: its value, ``< limit`` if it has only a limit, or '-'."""
     if coefficient.status == 'estimated' and coefficient.value is not None:
         sign = '-' if coefficient.sign < 0 else ''
         return sign + significant(coefficient.value * unit.factor, VALUE_DIGITS)
@@ -125,9 +125,10 @@ NUMBER_DIGITS = 6
 
 
 def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return value, both ends of the interval and the limit in a unit; None if unknown.
+    """Return value, lower and upper end of the interval, and upper limit, in a unit.
 
-    For a term that is not resolved, only the limit is given, because its estimate is meaningless.
+    Each is None if unknown. A coefficient that is not resolved has only a limit, and one that is
+    resolved has no limit.
     """
     resolved = c.status == 'estimated'
     low, high = c.ci95 if resolved and c.ci95 is not None else (None, None)
@@ -140,14 +141,17 @@ def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
 
 
 def markdown_rows(rows: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown; the first row is its header."""
+    """Return rows of cells as a Markdown table; the first row is its header."""
     lines = [[cell.replace('|', r'\|') for cell in row] for row in rows]
     lines.insert(1, ['---'] * len(lines[0]))
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
 
 
 def part_text(part: str, likely: Collection[str]) -> str:
-    """Return the name of a part, or several, of the model; '?' marks terms that are only likely.
+    """Return the name of a part of the model, with '?' after each uncertain term.
+
+    ``part`` is a term, a process, or several of them joined by '+'. ``likely`` contains the
+    uncertain terms.
 
     >>> part_text('B+GM 110 s', ['B'])
     'B?+GM 110 s'
@@ -156,27 +160,34 @@ def part_text(part: str, likely: Collection[str]) -> str:
 
 
 def region_text(region: Region, likely: Collection[str] = ()) -> str:
-    """Return the range, the noise that dominates in it, and the slope of the curve."""
+    """Return a region as text: its averaging times, the dominant noise and the slope of the curve.
+
+    ``likely`` contains the terms that are uncertain; they are marked by '?'.
+    """
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}-{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
 
 def deviation_text(deviation: Deviation | None) -> str:
-    """Return the largest deviation of the curve from the model and its tau; '' if there is none."""
+    """Return the largest deviation of the curve from the model as text, with its averaging time.
+
+    The text is '' if there is no deviation.
+    """
     if deviation is None:
         return ''
     return f'{deviation.relative:+.0%} at {significant(deviation.tau, 2)} s'
 
 
 def text_in_units(text: str, units: str, typeset: bool = False) -> str:
-    """Return a message with its quantities converted to the given units.
+    """Convert the coefficients in a message to the given units ('datasheet' or 'si').
 
-    Every number followed by a unit of a coefficient is converted, and the interval after it.
+    Every number that is followed by a unit of a coefficient is converted, as is an interval after
+    it. With ``typeset``, units are spelled as in reports.
 
     >>> text_in_units('N is 0.60 deg/sqrt(h) (0.59..0.61).', 'si')
     'N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774).'
     """
-    text = _QUANTITY.sub(lambda match: _converted(match, units), text)
+    text = _QUANTITY.sub(lambda match: _in_other_units(match, units), text)
     return _UNIT.sub(lambda match: pretty_unit(match[0]), text) if typeset else text
 
 
@@ -189,7 +200,7 @@ _OTHER_UNIT = {
         ('datasheet', SI_UNITS, DATASHEET_UNITS),
     )
 }
-"""Requested units -> unit of the other system -> unit to show."""
+"""Requested units -> unit of the other system -> requested unit."""
 
 _NAMES = '|'.join(sorted(map(re.escape, UNITS), key=len, reverse=True))
 
@@ -202,8 +213,7 @@ _QUANTITY = re.compile(
 )
 
 
-def _converted(match: re.Match[str], units: str) -> str:
-    """Return a quantity of a message in the requested units; unchanged if it is already in them."""
+def _in_other_units(match: re.Match[str], units: str) -> str:
     new = _OTHER_UNIT[units].get(match[3])
     if new is None:
         return match[0]
@@ -224,10 +234,10 @@ NUMBER = re.compile(
 
 
 def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return one finding for each cause, the most severe first.
+    """Merge equal findings of several axes, and sort all findings, the most severe first.
 
-    Findings of several axes whose texts differ only in numbers are merged into one, with the range
-    of each number: "Vibration at 0.573 to 0.579 Hz".
+    The texts of merged findings may differ in numbers, which are replaced by their ranges:
+    "Vibration at 0.573 to 0.579 Hz".
     """
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for each in findings:

@@ -1,14 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that a user gives: known noise, filter mappings, and Allan curves of other tools.
+"""Read files of the user: noise to simulate, filter mappings, and Allan curves of other tools.
 
-Known noise is a YAML or JSON mapping from axes to terms, each a number in the unit of datasheets or
-``{value, unit}``. ``gyro`` or ``accel`` sets its three axes; a single axis takes precedence:
+The noise of an IMU is a YAML or JSON mapping from axes to coefficients. A coefficient is a number
+in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a single
+axis takes precedence:
 
     gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
     gyro_z: {N: 0.4}
 
-The truth file of a simulated recording contains such a mapping, in SI, under the key ``noise``.
+The truth file that is written next to a simulated recording contains such a mapping under the key
+``noise``.
 """
 
 from __future__ import annotations
@@ -40,11 +42,11 @@ TRUTH_SCHEMA, FILTER_SCHEMA = 'allan_ros/truth/1', 'allan_ros/filter/1'
 TRUTH_SUFFIX = '.truth.json'
 """Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
 
-OTHER_TOOL = ('accel_x', 'accel_y', 'accel_z', 'gyro_x', 'gyro_y', 'gyro_z')
-"""Columns of a file without a header, as written by allan_variance_ros: gyros in deg/s."""
+COLUMNS_WITHOUT_HEADER = ('accel_x', 'accel_y', 'accel_z', 'gyro_x', 'gyro_y', 'gyro_z')
+"""Columns after tau of a file without a header, as allan_variance_ros writes it."""
 
 LARGEST_FILE = 64 * 2**20
-"""Largest size in bytes: a curve has about ten thousand lines."""
+"""Largest size of a curve file in bytes."""
 
 PUBLISHED = {
     'accelerometer_noise_density': ('accel', 'N'),
@@ -52,13 +54,13 @@ PUBLISHED = {
     'gyroscope_noise_density': ('gyro', 'N'),
     'gyroscope_random_walk': ('gyro', 'K'),
 }
-"""Key of a Kalibr file -> sensor and term."""
+"""Key of a Kalibr file -> sensor and term of its value."""
 
 PLAUSIBLE = 2.0
-"""A published value that differs from the curve by more than this factor contradicts it."""
+"""Factor between a published value and the curve above which they contradict each other."""
 
 HEALTHY_RISE = 30.0
-"""Rise of a curve from its minimum to its end above which the IMU was not at rest."""
+"""Ratio of the end of a curve to its minimum above which the IMU was not at rest."""
 
 AxesNoise = dict[str, NoiseTerms]
 
@@ -70,9 +72,9 @@ def truth_path(recording: str | os.PathLike[str]) -> Path:
 
 
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
-    """Return axis -> true terms of a specification or truth file, in SI.
+    """Read the noise of a specification or truth file: axis -> coefficients in SI.
 
-    Axes that are not named have no noise. Raises AllanError that names an invalid entry.
+    Axes that are not named have no noise. Raises AllanError with the position of an invalid entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'noise' in fields:
@@ -82,7 +84,7 @@ def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
 
 
 def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
-    """Return the noise with the terms of a specification replaced, in SI."""
+    """Return the noise (axis -> coefficients in SI) with the stated coefficients replaced."""
     stated.only(*SI_UNITS, *AXES)
     return {
         axis: replace(
@@ -104,10 +106,11 @@ def stated_noise(
     spec: str = '',
     changes: Mapping[str, Mapping[str, float]] | None = None,
 ) -> AxesNoise:
-    """Return the noise of a file (``spec``), a preset, or a datasheet, with changes.
+    """Return the noise to simulate: axis -> coefficients in SI.
 
-    The limits of a datasheet are N and B. Changes (axis or sensor -> term -> value) are in
-    datasheet units.
+    It is read from the file ``spec``, else from the preset, else from the datasheet ``sensor``,
+    which states N and B. Then ``changes`` (axis or sensor -> term -> value in datasheet units)
+    replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
     """
     noise = {axis: NoiseTerms() for axis in AXES}
     if spec:
@@ -125,7 +128,7 @@ def stated_noise(
 
 
 def _terms(stated: Fields, sensor: str) -> dict[str, float]:
-    """Return term -> SI value of one axis or sensor."""
+    """Return the stated coefficients of one axis or sensor: term -> value in SI."""
     values: dict[str, float] = {}
     stated.only(*SI_UNITS[sensor])
     for term in stated:
@@ -147,7 +150,11 @@ def write_truth(
     seed: int,
     faults: Faults,
 ) -> Path:
-    """Write the truth file of a recording, atomically, and return its path."""
+    """Write the true noise and faults of a simulated recording next to it, and return the path.
+
+    ``noise`` maps axes to coefficients in SI. The file also contains the duration in s, the sample
+    rate in Hz, the seed, and the faults that differ from their defaults.
+    """
     changed = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
     document: dict[str, Any] = {
         'schema': TRUTH_SCHEMA,
@@ -169,7 +176,10 @@ def write_truth(
 
 
 def load_filter(name: str) -> FilterMapping:
-    """Return a filter mapping by its name, or by the path of its file."""
+    """Read a filter mapping, given its name or the path of its .yaml file.
+
+    Raises AllanError if the name is unknown or the file is invalid.
+    """
     path = config_file('filters', name, 'filter mapping')
     fields = Fields(read_yaml(path), str(path))
     fields.schema(FILTER_SCHEMA)
@@ -198,7 +208,7 @@ def _parameter(name: str, fields: Fields) -> FilterParameter:
 
 
 class Curves(NamedTuple):
-    """Averaging times in s, (points,), and a mapping of axis to Allan deviations in SI,
+    """Allan deviation curves: averaging times in s, (points,), and axis -> deviations in SI,
     (points,)."""
 
     tau: NDArray[np.float64]
@@ -206,14 +216,19 @@ class Curves(NamedTuple):
 
 
 def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
-    """Return the curves of a text file: averaging times in s, then deviations.
+    """Read Allan deviation curves from a text file.
 
-    Columns are separated by commas, semicolons or spaces. With a header, the names are ``tau`` and
-    axes (others are ignored), and gyros are in rad/s unless ``gyro_unit`` is 'deg/s'. Without a
-    header, there are six axes in the order of `OTHER_TOOL`, and gyros are in deg/s by default.
+    Columns are separated by commas, semicolons or spaces. The header names them ``tau`` (s) and
+    axes; other columns are ignored. A file without a header has the columns tau, accel_x, accel_y,
+    accel_z, gyro_x, gyro_y and gyro_z.
+
+    ``gyro_unit`` is 'rad/s' or 'deg/s'. By default it is rad/s with a header and deg/s without.
+    Raises AllanError if the columns are missing or not numeric.
     """
-    rows = [_cells(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()]
-    names = ['tau', *OTHER_TOOL]
+    rows = [
+        _split_line(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()
+    ]
+    names = ['tau', *COLUMNS_WITHOUT_HEADER]
     has_header = bool(rows) and not is_number(rows[0][0])
     if has_header:
         names, rows = [_column_name(cell) for cell in rows[0]], rows[1:]
@@ -237,7 +252,10 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
 
 
 def read_published(path: str | Path) -> dict[tuple[str, str], float]:
-    """Return the values of a Kalibr file by (sensor, term), in SI."""
+    """Read the values of a Kalibr file: (sensor, term) -> value in SI.
+
+    Raises AllanError if it contains none.
+    """
     text, found = read_text(path, LARGEST_FILE), {}
     for key, of in PUBLISHED.items():
         match = re.search(rf'^\s*{key}\s*:\s*([-+.\deE]+)', text, re.MULTILINE)
@@ -248,10 +266,14 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
     return found
 
 
-def doubts(
+def contradictions(
     curves: Curves, fits: Mapping[str, AxisFit], published: Mapping[tuple[str, str], float]
 ) -> list[str]:
-    """Return the inconsistencies of the curves and the published values, one sentence each."""
+    """Return sentences about curves that cannot be at rest, and values that contradict them.
+
+    ``fits`` are the results of the curves by axis, and ``published`` are values in SI by (sensor,
+    term).
+    """
     out = []
     for axis, adev in curves.adev.items():
         least = int(np.argmin(adev))
@@ -280,9 +302,7 @@ def doubts(
     return out
 
 
-def _cells(line: str) -> list[str]:
-    """Return the cells of a line, separated by commas or semicolons if there are any, else by
-    spaces."""
+def _split_line(line: str) -> list[str]:
     line = line.strip().rstrip(',;')
     cells = re.split('[,;]', line) if ',' in line or ';' in line else line.split()
     return [cell.strip() for cell in cells]

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write Imu batches as a recording: rosbag2 (mcap, sqlite3), ROS 1 bag, CSV or npz.
+"""Write samples as a recording: rosbag2 (mcap, sqlite3), ROS 1 bag, CSV or npz.
 
 A recording is written to a temporary folder next to its path and renamed when it is complete. Every
-format stores int64 stamps and float64 samples, so reading returns the same numbers.
+format stores int64 stamps and float64 samples, so reading returns exactly the same numbers.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ COMPRESSIONS: dict[str, tuple[str, ...]] = {
     'csv': ('none',),
     'npz': ('none', 'deflate'),
 }
-"""Storage -> kinds of compression; rosbag2 uses zstd."""
+"""Storage -> possible kinds of compression; those of rosbag2 (mcap, sqlite3) use zstd."""
 STORAGE_OF_SUFFIX = {'.bag': 'ros1', '.csv': 'csv', '.tsv': 'csv', '.npz': 'npz'}
 DEFAULT_STORAGE = 'mcap'
 FILE_SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
@@ -108,7 +108,7 @@ def write_recording(
     topic: str = '/imu/data',
     overwrite: bool = False,
 ) -> int:
-    """Write the batches to a new recording and return the number of samples.
+    """Write samples to a new recording, and return their number.
 
     Parameters
     ----------
@@ -119,7 +119,8 @@ def write_recording(
     storage : 'mcap', 'sqlite3', 'ros1', 'csv' or 'npz', optional
         By default from the suffix: .mcap, .db3, .bag, .csv, .tsv, .npz; otherwise an mcap bag.
     compression : str
-        One of `COMPRESSIONS` for that storage.
+        'none'; also 'chunk' (mcap), 'message', 'file' (mcap, sqlite3), 'bz2', 'lz4' (ros1) or
+        'deflate' (npz).
     topic : str
         Topic name in a bag.
     overwrite : bool
@@ -156,7 +157,7 @@ def _write(
     if storage in ('mcap', 'sqlite3'):
         written = _write_rosbag2(path, batches, storage, compression, topic)
         if path.suffix.lower() in FILE_SUFFIXES and path.is_dir():
-            _only_file(path)
+            _keep_storage_file(path)
         return written
     if storage == 'ros1':
         return _write_ros1(path, batches, compression, topic)
@@ -169,8 +170,8 @@ def _write(
     return write_npz(path, batches, deflate=compression == 'deflate')
 
 
-def _only_file(bag: Path) -> None:
-    """Replace a bag by its storage file, because the given name is the name of a file."""
+def _keep_storage_file(bag: Path) -> None:
+    """Replace the folder of a bag by its storage file, for a path such as ``name.mcap``."""
     (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
     kept = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
@@ -221,7 +222,7 @@ def _write_ros1(path: Path, batches: Iterable[ImuBatch], compression: str, topic
 def _write_rosbag2(
     path: Path, batches: Iterable[ImuBatch], storage: str, compression: str, topic: str
 ) -> int:
-    """Write a bag folder, which must not exist, and return the number of messages."""
+    """Write a bag folder, and return the number of messages."""
     import yaml
 
     compress = None
@@ -230,7 +231,7 @@ def _write_rosbag2(
     path.mkdir()
     file = path / f'{path.name}{".mcap" if storage == "mcap" else ".db3"}'
     stored = file.with_name(f'{file.name}.zstd') if compression == 'file' else file
-    times = _Times()
+    times = _TimeRange()
 
     def messages() -> Iterable[tuple[NDArray[np.int64], NDArray[Any] | list[bytes]]]:
         for batch in batches:
@@ -257,8 +258,8 @@ def _write_rosbag2(
     return times.count
 
 
-class _Times:
-    """Number of messages, and the first and last record time."""
+class _TimeRange:
+    """Number of messages, and the earliest and latest record time in ns."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -274,7 +275,7 @@ class _Times:
 
 
 def _metadata(
-    file: str, storage: str, compression: str, topic: str, times: _Times
+    file: str, storage: str, compression: str, topic: str, times: _TimeRange
 ) -> dict[str, Any]:
     """Return the content of metadata.yaml."""
     first = times.first or 0
@@ -358,7 +359,7 @@ def _write_mcap(
         file.write(MAGIC + _record(HEADER, _text('ros2') + _text('allan_ros')))
         listed: list[bytes] = []
         chunk = _Chunk(schema + channel)
-        times = _Times()
+        times = _TimeRange()
         for record_ns, payloads in messages:
             size = payloads.itemsize if isinstance(payloads, np.ndarray) else len(payloads[0])
             step = CHUNK_BYTES // size + 1
@@ -391,7 +392,7 @@ def _write_mcap(
 
 
 class _Chunk:
-    """The records of a chunk, with the record time and the offset of each message."""
+    """The records of a chunk, and the record time and offset of each of its messages."""
 
     def __init__(self, data: bytes = b'') -> None:
         self.data = bytearray(data)
