@@ -29,7 +29,7 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.fit import AxisFit, fit_noise
-from allan_ros.core.fit.model_selection import LIKELIER
+from allan_ros.core.fit.model_selection import GAUSS_MARKOV_RATIO
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import (
     NoiseTerms,
@@ -104,7 +104,7 @@ def bounds() -> None:
 
         ends = [(s - 30.0, s + 10.0) for s in start]
         twice = 2.0 * minimize(divergence, start, jac=True, method='L-BFGS-B', bounds=ends).fun
-        power = ndtr(math.sqrt(twice) - math.sqrt(LIKELIER))
+        power = ndtr(math.sqrt(twice) - math.sqrt(GAUSS_MARKOV_RATIO))
         print(f'| {time_:g} | {hump:g} | {twice:.1f} | {100 * power:.0f} % |', flush=True)
 
 

@@ -1,10 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Iterated generalised least squares on an Allan table: the best variance coefficients.
+"""Iteratively reweighted generalised least squares on a table of Allan variances.
 
-The covariance of the table depends on the coefficients, so the fit alternates: it computes weights
-from coefficients and coefficients from weights (Davidian & Carroll, JASA 82 (1987)). Minimising
-over the coefficients inside the covariance as well would be biased.
+The covariance of the Allan variances depends on the coefficients. The solver therefore alternates:
+it computes the covariance from the coefficients, and the coefficients with that covariance
+(Davidian & Carroll, JASA 82 (1987)). Maximising the likelihood over the coefficients inside the
+covariance as well would be biased.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from .ramp import Noise
 from .table import EMPTY_ROW, PooledTable, Table
 
 RIDGE = 1e-12
-"""Added to the normal equations of unit columns, so that too few points give a wide interval and no
-failure."""
+"""Added to the diagonal of the normal equations of unit columns. Too few points then give a wide
+interval instead of a singular matrix."""
 
 
 def nonnegative_least_squares(
@@ -35,7 +36,8 @@ def nonnegative_least_squares(
 
     The active set is guessed from the signs of the unconstrained solution, which is usually
     correct. Otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23)
-    finds it. Importing a general solver takes longer than all fits of an IMU.
+    finds it. `scipy.optimize.nnls` is not used, because its import takes longer than all fits of an
+    IMU.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ def nonnegative_least_squares(
             below = active & bound & (wanted <= 0.0)
             if not below.any():
                 break
-            # Go from x towards the solution until the first coefficient becomes 0.
+            # Move from x towards the solution until the first coefficient becomes 0.
             step = np.min(x[below] / (x[below] - wanted[below]))
             x = x + step * (wanted - x)
             active &= ~(bound & (x <= NNLS_TOLERANCE * np.max(np.abs(x))))
@@ -102,33 +104,34 @@ NNLS_GUESSES = 5
 
 
 NNLS_ROUNDS = 3
-"""Largest number of changes of the active set, per column."""
+"""Largest number of iterations of the method of Lawson & Hanson, per column."""
 
 
 NNLS_TOLERANCE = 1e-10
-"""Relative size below which a slope or a coefficient is a rounding error."""
+"""Relative size below which a gradient or a coefficient is a rounding error."""
 
 
 JITTER = 1e-4
-"""Added to the correlation matrix of the table before it is factored: neighbouring factors are
-nearly identical, and the covariance is only accurate to about this."""
+"""Added to the diagonal of the correlation matrix of the table before its Cholesky decomposition.
+Neighbouring averaging factors are nearly identical, and the covariance is only accurate to about
+this value."""
 
 
 TOLERANCE = 1e-3
-"""Relative change of the modelled Allan variance at which the iteration stops. The weights depend
-on it, and their error changes the coefficients only in second order."""
+"""Relative change of the modelled Allan variance below which the iteration stops. The covariance
+depends on this variance, and its error changes the coefficients only in second order."""
 
 
 ROUNDS = 12
-"""Largest number of rounds of a fit, which converges in two to five."""
+"""Largest number of iterations of a fit; two to five are usual."""
 
 
 LONGEST_STEP = 9.0
-"""Largest extrapolation of a round, in units of the change since the previous round."""
+"""Largest extrapolation of an iteration, relative to the change since the previous one."""
 
 
 NOISE_FLOOR = 1e-6
-"""Smallest white noise that is assumed, relative to the smallest that the table could hide."""
+"""Smallest white noise in the covariance, relative to the smallest that affects the table."""
 
 
 Q, N, B, K = range(len(RANDOM_TERMS))
@@ -136,13 +139,16 @@ Q, N, B, K = range(len(RANDOM_TERMS))
 
 @dataclass(frozen=True)
 class Misfit:
-    """Fractional error of the model: ``size`` at averaging factors from ``m_min`` on, else 0."""
+    """Relative model error: ``size`` at averaging factors from ``m_min`` on, 0 below.
+
+    It is added to the covariance of the Allan variances as (size * model)^2 on the diagonal.
+    """
 
     size: float = 0.0
     m_min: int = 1
 
     def at(self, m: NDArray[np.int64]) -> Floats:
-        """Return the fractional error at each averaging factor, (factors,)."""
+        """Return the relative model error at each averaging factor, (factors,)."""
         return np.where(m >= self.m_min, self.size, 0.0)
 
 
@@ -150,7 +156,7 @@ NO_MISFIT = Misfit()
 
 
 def first_guess(table: Table) -> Floats:
-    """Return the first variance coefficients, fitted with the relative weights sqrt(n/m) / V."""
+    """Return initial q, w, b, k, fitted with the approximate relative weights 1/sqrt(m)."""
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
     terms = table.terms[:, : len(RANDOM_TERMS)]
     return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
@@ -158,7 +164,11 @@ def first_guess(table: Table) -> Floats:
 
 @dataclass(frozen=True)
 class Whitening:
-    """The factor L of a covariance D L L' D with deviations D: 1/D and 1/L give unit covariance."""
+    """Transformation of a table to unit covariance.
+
+    The covariance is D L L' D with the standard deviations D (``deviation``) and the Cholesky
+    factor L (``lower``) of the correlation matrix.
+    """
 
     lower: Floats
     deviation: Floats
@@ -173,7 +183,7 @@ class Whitening:
         Raises
         ------
         AllanError
-            When the matrix is not a covariance.
+            If the matrix contains NaN or is far from a covariance.
         """
         deviation = np.sqrt(np.diag(covariance))
         correlation = covariance / deviation / deviation[:, None]
@@ -186,25 +196,25 @@ class Whitening:
             if lower is not None:
                 return cls(lower, deviation)
         raise AllanError(
-            'these sums match no noise model that can be computed: their range is too large, or '
-            'are damaged; accumulate them again'
+            'no noise model can be computed for these sums: their values are damaged or span too '
+            'large a range; accumulate them again'
         )
 
     def apply(self, columns: Floats) -> Floats:
-        """Return columns of table values in units of unit covariance."""
+        """Return columns of table values multiplied by L^-1 D^-1."""
         return np.asarray(lapack.dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
 
     def weights(self, contrast: Floats) -> Floats:
-        """Convert weights on the whitened table to weights on the table."""
+        """Convert weights for whitened values to weights for the values of the table."""
         return np.asarray(lapack.dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
-    def scatter(self, contrast: Floats) -> Floats:
-        """Return the covariance of the table with contrast @ (whitened table)."""
+    def covariance_with(self, contrast: Floats) -> Floats:
+        """Return the covariance of the table values with a weighted sum of the whitened values."""
         return np.asarray(self.lower @ contrast * self.deviation)
 
 
 def _cholesky(correlation: Floats) -> Floats | None:
-    """Return the factor of a matrix with `JITTER` on its diagonal, or None if there is none."""
+    """Return the Cholesky factor with `JITTER` on the diagonal, or None if it does not exist."""
     jittered = correlation.copy()
     jittered.flat[:: len(correlation) + 1] += JITTER
     lower, info = lapack.dpotrf(jittered, lower=1)
@@ -227,22 +237,29 @@ def solve(
     table : Table
     variances : (terms,) float64 array
         Initial coefficients.
-    fixed : mapping of term index to variances, optional
-        Terms that are fixed.
+    fixed : mapping of column to coefficient, optional
+        Columns whose coefficient is fixed.
     columns : tuple of int, optional
-        Terms that may be other than 0; all by default.
+        Columns whose coefficient may differ from 0; all by default.
     signed : bool
         Whether q may be negative (the effect of a low-pass filter).
     misfit : Misfit
-        Fractional error of the model, added to the covariance as (misfit V_model)^2.
+        Relative model error that is added to the covariance.
     """
     return iterate(table, variances, fixed, columns, signed, misfit).variances
 
 
-class Iterated(NamedTuple):
-    """Coefficients of the last round, with the whitening, the columns and the target of the table.
+class Solution(NamedTuple):
+    """Result of the last iteration of `iterate`.
 
-    `white` has the whitened columns of the table and, last, its whitened Allan variances.
+    Attributes
+    ----------
+    variances : (terms,) float64 array
+        Coefficients.
+    whitening : Whitening
+        Whitening with the covariance of this iteration.
+    white : (factors, terms + 1) float64 array
+        Whitened columns of the table and, last, its whitened Allan variances.
     """
 
     variances: Floats
@@ -257,8 +274,8 @@ def iterate(
     columns: Sequence[int] | None = None,
     signed: bool = False,
     misfit: Misfit = NO_MISFIT,
-) -> Iterated:
-    """Return the solution with the weights of its last round; parameters as of `solve`."""
+) -> Solution:
+    """Fit a table like `solve`, and also return the whitened table of the last iteration."""
     held = dict(fixed or {})
     size = table.terms.shape[1]
     columns = range(size) if columns is None else columns
@@ -275,48 +292,50 @@ def iterate(
     before = table.terms @ with_floor(table, now, floor)
     last: tuple[Floats, Floats] | None = None
     for _ in range(ROUNDS):
-        whitening = Whitening.of(weights_at(table, now, misfit, floor))
+        whitening = Whitening.of(covariance_at(table, now, misfit, floor))
         white = whitening.apply(both)
         target = white[:, -1]
         for c, value in held.items():
             target = target - value * white[:, c]
         new = new.copy()
         new[free] = nonnegative_least_squares(white[:, free], target, negative)
-        # A change between two similar terms that does not change the model does not change the
-        # weights.
+        # Only the modelled variance must converge: it determines the covariance, while the
+        # coefficients of two similar terms may still change.
         change = table.terms @ with_floor(table, new, floor) / before - 1.0
         if np.all(np.abs(change) <= TOLERANCE):
             break
         now = new
         if last is not None:
-            # For rounds that converge slowly or oscillate: Anderson (JACM 12, 1965).
+            # Extrapolation for slow convergence or oscillation: Anderson (JACM 12, 1965).
             turn = change - last[1]
             share = float(change @ turn) / max(float(turn @ turn), np.finfo(float).tiny)
             now = new - np.clip(share, -LONGEST_STEP, 1.0) * (new - last[0])
         last = new, change
         before = table.terms @ with_floor(table, now, floor)
-    return Iterated(new, whitening, white)
+    return Solution(new, whitening, white)
 
 
 def white_floor(table: Table) -> float:
-    """Return the w below which white noise has a negligible effect on the table."""
+    """Return the largest w whose white noise has a negligible effect on the table."""
     positive = table.avar > 0.0
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 
 
 def with_floor(table: Table, variances: Floats, floor: float | None = None) -> Floats:
-    """Return nonnegative coefficients with at least `white_floor`, so that each factor has
-    noise."""
+    """Return nonnegative coefficients with w >= `white_floor`, for a regular covariance."""
     p = np.maximum(variances, 0.0)
     p[table.noises + table.lines :] = 0.0
     p[N] = max(p[N], white_floor(table) if floor is None else floor)
     return p
 
 
-def weights_at(
+def covariance_at(
     table: Table, variances: Floats, misfit: Misfit = NO_MISFIT, floor: float | None = None
 ) -> Floats:
-    """Return the covariance of the table at the coefficients `with_floor`."""
+    """Return the covariance of a table with given coefficients and model error, (factors, factors).
+
+    The coefficients are made nonnegative and get a smallest white noise first.
+    """
     p = with_floor(table, variances, floor)
     covariance = table.covariance(p)
     square = (table.terms @ p) ** 2
@@ -328,16 +347,16 @@ def weights_at(
 
 
 RAMP_ROUNDS = 4
-"""Largest number of rounds of ramp and table; the coefficients converge in two or three."""
+"""Largest number of iterations between ramps and coefficients; two or three are usual."""
 
 
 RAMP_TOLERANCE = 1e-2
-"""Relative change of the coefficients that is negligible for the weights of the ramp."""
+"""Relative change of the coefficients that has a negligible effect on the ramps."""
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How the table of an axis is fitted.
+    """Settings of the fit of one axis: range of averaging factors, constraints, processes.
 
     Attributes
     ----------
@@ -346,11 +365,11 @@ class FitOptions:
     signed : bool
         Whether q may be negative, the effect of a low-pass filter.
     misfit : Misfit
-        Fractional error of the model.
+        Relative model error that is added to the covariance.
     extras : tuple of Extra
-        Processes in addition to the five terms.
+        Processes in addition to the five terms, Gauss-Markov processes before sinusoids.
     walk : bool
-        Whether k may be other than 0.
+        Whether k may differ from 0.
     """
 
     m_min: int = 1
@@ -367,26 +386,29 @@ class FitOptions:
         ramps: Floats | None = None,
         tangents: bool = False,
     ) -> Table:
-        """Return the `PooledTable.table` of an axis with these processes and factors."""
+        """Return the table of an axis with these processes and averaging factors.
+
+        ``noise`` is the noise model for which the ramps are estimated; ``ramps`` gives known ramps
+        per sample (NaN: estimate). ``tangents`` adds the derivatives by the logarithms of the
+        shapes.
+        """
         return pooled.table(axis, noise, ramps, self.extras, self.m_min, tangents)
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Columns that may be other than 0."""
+        """Columns whose coefficient may differ from 0."""
         every = range(len(RANDOM_TERMS) + len(self.extras))
         return tuple(c for c in every if self.walk or c != K)
 
     def noise(self, variances: Floats) -> Noise:
-        """Return the noise of the model, without negative coefficients and without sinusoids."""
+        """Return the random noise of the model: nonnegative coefficients without the sinusoids."""
         times = correlation_times(self.extras)
         return Noise(np.maximum(variances[: len(RANDOM_TERMS) + len(times)], 0.0), times)
 
 
 @dataclass(frozen=True)
 class PointFit:
-    """Variance coefficients, the table (with its ramps) to which they were fitted, and the fit
-    options.
-    """
+    """Variance coefficients of one axis, with the table and the options of the fit."""
 
     variances: Floats
     table: Table
@@ -404,7 +426,7 @@ def point_fit(
     options: FitOptions = FitOptions(),
     variances: Floats | None = None,
 ) -> PointFit:
-    """Return the variance coefficients of one axis, iterated with the ramps until both converge.
+    """Fit one axis, alternating between ramps and coefficients until both converge.
 
     Parameters
     ----------
@@ -412,8 +434,8 @@ def point_fit(
     axis : int
         Position among the axes of the sums.
     options : FitOptions
-    variances : (4,) float64 array, optional
-        Initial coefficients.
+    variances : float64 array, optional
+        Initial coefficients; missing ones of processes are 0.
     """
     if variances is None:
         variances = first_guess(pooled.table(axis))

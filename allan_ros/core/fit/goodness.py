@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goodness of a fit, and the model error if the terms do not describe the table."""
+"""Tests of fit, the likelihood of a table, and the model error if no model passes the test."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .gls_solver import (
     N,
     PointFit,
     Whitening,
+    covariance_at,
     point_fit,
     solve,
-    weights_at,
 )
 from .intervals import coefficient_interval, standard_errors
 from .model import RANDOM_TERMS, Floats
@@ -28,39 +28,39 @@ from .processes import GaussMarkovTerm
 from .table import PooledTable, Table
 
 Z_FAIL = 3.0
-"""Normal deviate above which the model is rejected; by chance, one table in several hundred exceeds
-it."""
+"""Normal deviate of chi^2 above which the model is rejected. It is exceeded by chance in one of
+several hundred tables."""
 
-Z_LOOK = 1.0
-
-Z_HOPELESS = 50.0
-"""A table with this deviation is not tested again with another walk."""
+Z_GIVE_UP = 50.0
+"""Normal deviate above which the test is not repeated with a larger random walk."""
 
 DEFICIT_FALSE_ALARM = 1e-3
-"""Probability that the long averages of noise of the model are classified as too low."""
+"""Probability that the test of the long averages rejects a model that is true."""
 
 DEFICIT_LIMIT = -3.090232306167813
-"""Normal deviate below the model at which long averages are significantly too low: the quantile of
+"""Normal deviate below which long averages are significantly lower than the model: the quantile of
 `DEFICIT_FALSE_ALARM`."""
 
 POINTS_PER_TEST = 8.0
-"""Neighbouring long averages are correlated: this number counts as one independent test."""
+"""Number of neighbouring long averages that count as one independent test, because they are
+correlated."""
 
 FEW_AVERAGES = 60.0
-"""Degrees of freedom below which an Allan variance is too skewed for chi^2. Such a variance cannot
-be many standard errors below the model, however unlikely it is."""
+"""Degrees of freedom below which an Allan variance is too skewed for chi^2: it cannot be many
+standard errors below the model, however unlikely it is."""
 
 MISFIT_LIMIT = 10.0
-"""Fractional error above which the terms do not describe the table at all."""
+"""Relative model error above which the terms do not describe the table at all."""
 
 MISFIT_START = 0.1
-"""First value of the search for the misfit, typical of real sensors."""
+"""Initial value of the search for the relative model error, typical of real sensors."""
 
 MISFIT_GROWTH = 2.0
-"""Largest factor by which the misfit may increase when fewer factors have a misfit."""
+"""Largest factor by which the model error may increase when it applies to fewer averaging
+factors."""
 
 MISFIT_TOLERANCE = 0.04
-"""Relative tolerance of chi^2 in this search; the misfit is then accurate to 2 %."""
+"""Relative tolerance of chi^2 in the search for the model error, which is then accurate to 2 %."""
 
 MISFIT_STEPS = 30
 """Largest number of steps of this search, which needs four to eight."""
@@ -70,47 +70,55 @@ MARGIN = 0.05
 
 
 LEAST_FREEDOM = 6.0
-"""Smallest degrees of freedom of the averages that must contribute the rest. The likelihood assumes
-Gaussian averages, which favours a bounded drift if the last few averages happen to be small."""
+"""Degrees of freedom above which averages are used by `precise_rows`. The likelihood assumes
+Gaussian averages and favours a bounded drift if the last few averages happen to be small."""
 
-WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
-"""Random walks for which a likelihood is computed, relative to the largest that the curve
-allows."""
+PROFILE_WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
+"""Values of k for the profile likelihood, relative to the largest k that the curve allows."""
 
-Z_CUT = 6.0
-"""The shortest averages, which determine N, are left out only if the fit is worse than this or the
-samples are filtered. Real disturbances give values of hundreds."""
+Z_EXCLUDE_SHORT = 6.0
+"""Normal deviate above which the shortest averages, which determine N, may be excluded. For
+filtered samples there is no such condition. Real disturbances give values of hundreds."""
 
-FILTER_SHARES = ((1.5, 0.1), (32.0, 0.95))
-"""Correlation time in samples, and fraction of the long-term white level. If Gauss-Markov processes
-up to this time exceed the fraction, they have replaced white noise: the samples are filtered."""
+FILTERED_WHITE = ((1.5, 0.1), (32.0, 0.95))
+"""Pairs of a correlation time in samples and a fraction of the long-term white noise level. The
+samples are filtered if Gauss-Markov processes up to this correlation time exceed the fraction."""
 
 
 @dataclass(frozen=True)
 class Goodness:
-    """chi^2 of the residual, its expectation, and the difference as a normal deviate."""
+    """Chi^2 test of a fit.
+
+    Attributes
+    ----------
+    chi_squared : float
+        Sum of the squared whitened residuals.
+    freedom : float
+        Degrees of freedom nu: the expected value of chi^2.
+    """
 
     chi_squared: float
     freedom: float
 
     @property
     def z(self) -> float:
-        """(chi^2 - nu) / sqrt(2 nu)."""
+        """The test as a normal deviate, (chi^2 - nu) / sqrt(2 nu)."""
         return float((self.chi_squared - self.freedom) / np.sqrt(2.0 * self.freedom))
 
     @property
     def fails(self) -> bool:
-        """Whether the model is rejected."""
+        """Whether the test rejects the model."""
         return self.z >= Z_FAIL
 
 
 def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return the goodness of fit of the active terms at their best fit.
+    """Return the chi^2 test of a model with the same nonzero terms, fitted with a fixed covariance.
 
-    The degrees of freedom are the number of independent points of the table, less the active terms
-    and the shapes of the processes.
+    The covariance is that of the given variance coefficients and model error. The degrees of
+    freedom are the effective number of independent points, minus the number of nonzero terms and of
+    shapes (correlation times and frequencies).
     """
-    covariance = weights_at(table, variances, misfit)
+    covariance = covariance_at(table, variances, misfit)
     active = np.flatnonzero(variances != 0.0)
     white = Whitening.of(covariance).apply(np.column_stack([table.terms[:, active], table.avar]))
     design = white[:, :-1] / np.linalg.norm(white[:, :-1], axis=0)
@@ -122,10 +130,10 @@ def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goo
 
 
 def degrees_of_freedom(covariance: Floats) -> float:
-    """Return the number of independent points of a table with this covariance.
+    """Return the effective number of independent points of a table with this covariance.
 
-    sum lambda/(lambda + jitter) over the eigenvalues of the correlation matrix: the jitter removes
-    directions without information.
+    It is the sum of lambda/(lambda + jitter) over the eigenvalues lambda of the correlation matrix.
+    The jitter removes directions without information.
     """
     deviation = np.sqrt(np.diag(covariance))
     eigenvalues = np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))
@@ -134,39 +142,41 @@ def degrees_of_freedom(covariance: Floats) -> float:
 
 
 def long_tau_deficit(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
-    """Return how far the lowest of the long averages lies below the model, as a normal deviate.
+    """Return the normal deviate of the long average that is lowest relative to the model.
 
-    An Allan variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), with nu = 2
-    V^2 / Var V of the model. Only averages of few degrees of freedom are tested. The deviate
-    corresponds to the smallest probability, corrected for the number of tested averages
-    (Bonferroni), so the limit is `DEFICIT_LIMIT` for any length of the record.
+    Only averages of few degrees of freedom are tested. An Allan variance of nu degrees of freedom
+    is V chi^2_nu / nu (NIST SP 1065 eq. 45), where nu = 2 V^2 / Var V of the model. The smallest
+    probability is multiplied by the number of independent tests (Bonferroni) and converted to a
+    normal deviate. Values below `DEFICIT_LIMIT` are significant for any length of the record. 0 if
+    there are no such averages.
     """
     model = table.terms @ variances
     few = few_averages(table, variances, misfit) & (model > 0.0)
     if not few.any():
         return 0.0
-    half = model[few] ** 2 / np.diag(weights_at(table, variances, misfit))[few]
+    half = model[few] ** 2 / np.diag(covariance_at(table, variances, misfit))[few]
     below = special.gammainc(half, half * np.maximum(table.avar[few], 0.0) / model[few])
     tests = max(1.0, np.count_nonzero(few) / POINTS_PER_TEST)
     return float(special.ndtri(np.clip(tests * below.min(), np.finfo(float).tiny, 0.5)))
 
 
 def few_averages(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> NDArray[np.bool_]:
-    """Return which factors have fewer than `FEW_AVERAGES` degrees of freedom."""
+    """Return which averaging factors have few degrees of freedom (< `FEW_AVERAGES`), (factors,)."""
     model = table.terms @ variances
-    return np.asarray(2.0 * model**2 < FEW_AVERAGES * np.diag(weights_at(table, variances, misfit)))
+    return np.asarray(
+        2.0 * model**2 < FEW_AVERAGES * np.diag(covariance_at(table, variances, misfit))
+    )
 
 
 def best_case_goodness(table: Table, variances: Floats) -> Goodness:
-    """Return the goodness at the fitted coefficients, or with the walk at its upper limit if
-    better.
+    """Return the better of two chi^2 tests: with the fitted random walk and with its upper limit.
 
-    If a random walk dominates the longest averages, k depends on few degrees of freedom. If its
-    estimate is too low by chance, the other averages seem too large. Therefore a table is only
-    rejected if no walk within the interval of k describes it.
+    If a random walk dominates the longest averages, k depends on few degrees of freedom. If it is
+    estimated too low by chance, the other averages seem too large. A table is therefore rejected
+    only if no random walk within the interval of k describes it.
     """
     first = goodness(table, variances)
-    if not first.fails or first.z > Z_HOPELESS:
+    if not first.fails or first.z > Z_GIVE_UP:
         return first
     most = variances.copy()
     most[K] = coefficient_interval(table, K, variances).high
@@ -176,11 +186,14 @@ def best_case_goodness(table: Table, variances: Floats) -> Goodness:
     return other if other.z < first.z else first
 
 
-def misfit_without_deficit(table: Table, variances: Floats, signed: bool, misfit: Misfit) -> Misfit:
-    """Return the smallest fractional error of the long averages for which none of them is too low.
+def misfit_of_long_averages(
+    table: Table, variances: Floats, signed: bool, misfit: Misfit
+) -> Misfit:
+    """Return the smallest relative model error for which no long average is significantly low.
 
-    Without a ``misfit`` of all averages, only those of few degrees of freedom get the error: the
-    terms that the precise part of the curve determines keep their values and intervals.
+    If ``misfit`` is 0, only averages of few degrees of freedom get the error, so that the terms
+    that the precise part of the curve determines keep their values and intervals. ``signed`` allows
+    a negative q.
     """
     m_min = int(table.m[few_averages(table, variances)].min())
     if misfit.size > 0.0:
@@ -189,21 +202,21 @@ def misfit_without_deficit(table: Table, variances: Floats, signed: bool, misfit
     for _ in range(MISFIT_STEPS):
         error = Misfit(eps, m_min)
         variances = solve(table, variances, signed=signed, misfit=error)
-        fits = long_tau_deficit(table, variances, error) > DEFICIT_LIMIT
-        low, high = (low, eps) if fits else (eps, high)
+        large_enough = long_tau_deficit(table, variances, error) > DEFICIT_LIMIT
+        low, high = (low, eps) if large_enough else (eps, high)
         if high - low < MISFIT_TOLERANCE * high:
             break
         eps = min(2.0 * eps, high) if high == MISFIT_LIMIT else (low + high) / 2.0
     return Misfit(high, m_min)
 
 
-def misfit_of(table: Table, variances: Floats, signed: bool) -> Misfit:
-    """Return the fractional error at which chi^2 is as expected, at as few factors as possible.
+def misfit_of_fit(table: Table, variances: Floats, signed: bool) -> Misfit:
+    """Return the relative model error for which chi^2 has its expected value.
 
-    If the terms describe the table up to some factor, only the larger factors get an error, because
-    the cause of deviations of the long averages, such as a daily cycle, does not affect N. The
-    error is at most `MISFIT_GROWTH` times the error of all factors, so that the long averages keep
-    their weight.
+    If the terms describe the table up to some averaging factor, only larger factors get an error:
+    the causes of deviations of the long averages, such as a daily cycle, do not affect N. The error
+    is at most `MISFIT_GROWTH` times the error of all factors, so that the long averages keep their
+    weight. ``variances`` are initial coefficients, and ``signed`` allows a negative q.
     """
     misfit = _misfit_from(table, variances, signed, 1)
     most = MISFIT_GROWTH * misfit.size
@@ -225,11 +238,11 @@ def misfit_of(table: Table, variances: Floats, signed: bool) -> Misfit:
 
 
 def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> Misfit:
-    """Return the fractional error eps, from ``m_min`` on, at which chi^2 is as expected.
+    """Return the relative model error from ``m_min`` on for which chi^2 has its expected value.
 
-    C + eps^2 diag(V_model^2): 0 where the terms describe the table; as eps grows the fit turns
-    into one of relative residuals over the complete curve. chi^2 falls from its value at 0 about
-    as 1/eps^2 does, so the search steps in the logarithms of both.
+    It is 0 if the terms describe the table. As it grows, the fit approaches one of relative
+    residuals over the complete curve. chi^2 decreases about as the inverse square of the error, so
+    the search steps in the logarithms of both.
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
@@ -244,26 +257,26 @@ def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> M
     return Misfit(eps, m_min)
 
 
-def fits(fit: PointFit) -> bool:
-    """Return whether a model describes its table, long averages included."""
-    if deviate(fit) >= Z_FAIL:
+def passes(fit: PointFit) -> bool:
+    """Return whether a model passes the chi^2 test and no long average is significantly low."""
+    if goodness_z(fit) >= Z_FAIL:
         return False
     return long_tau_deficit(fit.table, fit.variances) > DEFICIT_LIMIT
 
 
-def deviate(fit: PointFit) -> float:
-    """Return the goodness of fit as a normal deviate."""
+def goodness_z(fit: PointFit) -> float:
+    """Return the chi^2 test of a fit as a normal deviate; its best case if it nearly passes."""
     z = goodness(fit.table, fit.variances).z
-    return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_CUT else z
+    return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_EXCLUDE_SHORT else z
 
 
-def is_good(fit: PointFit) -> bool:
-    """Return whether a model describes its table without replacing white noise."""
-    return fits(fit) and not replaces_white(fit)
+def passes_unfiltered(fit: PointFit) -> bool:
+    """Return whether a model passes the tests and no process replaces filtered white noise."""
+    return passes(fit) and not looks_filtered(fit)
 
 
-def replaces_white(fit: PointFit) -> bool:
-    """Return whether a short Gauss-Markov process represents filtered white noise."""
+def looks_filtered(fit: PointFit) -> bool:
+    """Return whether short Gauss-Markov processes replace white noise, as in filtered samples."""
     white = max(float(fit.variances[N]), 0.0)
     levels = [
         (e.shape / fit.options.m_min, float(p) * e.white())
@@ -272,58 +285,67 @@ def replaces_white(fit: PointFit) -> bool:
     ]
     return any(
         (level := sum(p for t, p in levels if t < longest)) > share * (white + level)
-        for longest, share in FILTER_SHARES
+        for longest, share in FILTERED_WHITE
     )
 
 
-def criterion(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
-    """Return -2 log likelihood of the table, assumed Gaussian, plus twice the number of
-    parameters."""
+def aic(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
+    """Return the Akaike information criterion of a fit, -2 log likelihood + 2 (parameters).
+
+    The Allan variances are assumed Gaussian, and a constant is omitted.
+    """
     parameters = np.count_nonzero(fit.variances) + len(fit.options.extras)
     return minus_log_likelihood(fit.table, fit.variances, misfit) + 2.0 * parameters
 
 
 def minus_log_likelihood(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
-    """Return -2 log likelihood of the table, assumed Gaussian, less a constant."""
-    whitening = Whitening.of(weights_at(table, variances, misfit))
+    """Return -2 log likelihood of a table for given coefficients, without a constant.
+
+    The Allan variances are assumed Gaussian.
+    """
+    whitening = Whitening.of(covariance_at(table, variances, misfit))
     rest = whitening.apply((table.avar - table.terms @ variances)[:, None])
     size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
     return float(np.sum(rest**2) + 2.0 * size)
 
 
 def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
-    """Return which averages have at least `LEAST_FREEDOM` degrees of freedom."""
-    variance = np.diag(weights_at(fit.table, fit.variances, NO_MISFIT))
+    """Return which averages have at least `LEAST_FREEDOM` degrees of freedom, (factors,)."""
+    variance = np.diag(covariance_at(fit.table, fit.variances, NO_MISFIT))
     return np.asarray(2.0 * (fit.table.terms @ fit.variances) ** 2 >= LEAST_FREEDOM * variance)
 
 
-def surprise(table: Table, fit: PointFit) -> float:
-    """Return -2 log likelihood of the table with the most likely random walk.
+def minus_log_profile(table: Table, fit: PointFit) -> float:
+    """Return -2 log profile likelihood of a table: the smallest value over the random walk k.
 
     If a random walk dominates the longest averages, its estimate depends on few of them. If it is
-    low by chance, the other averages become unlikely (`best_case_goodness`).
+    too low by chance, the other averages seem unlikely.
     """
     signed = fit.options.signed
     fits = [solve(table, fit.variances, columns=fit.options.columns, signed=signed)]
     if fit.options.walk:
         most = float(np.min(table.avar / table.terms[:, K]))
-        fits += [solve(table, fit.variances, fixed={K: most * w}, signed=signed) for w in WALKS]
+        fits += [
+            solve(table, fit.variances, fixed={K: most * w}, signed=signed) for w in PROFILE_WALKS
+        ]
     return min(minus_log_likelihood(table, p) for p in fits)
 
 
-def loosened(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with the fractional model error with which it passes."""
-    misfit = misfit_of(fit.table, fit.variances, fit.options.signed)
+def with_model_error(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Return the fit with the relative model error for which it passes the chi^2 test."""
+    misfit = misfit_of_fit(fit.table, fit.variances, fit.options.signed)
     return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.variances)
 
 
-def white_error(pooled: PooledTable, axis: int, fit: PointFit) -> float:
-    """Return the relative standard error of N, including model error and uncertain shapes."""
+def relative_error_of_n(pooled: PooledTable, axis: int, fit: PointFit) -> float:
+    """Return the relative standard error of N, with model error and uncertain process shapes."""
     options = fit.options
     table = options.table(pooled, axis, options.noise(fit.variances), tangents=True)
     variances = np.concatenate([fit.variances, np.zeros(table.terms.shape[1] - len(fit.variances))])
     if not variances[N] > 0.0:
         return np.inf
     active = (variances != 0.0) | (np.arange(len(variances)) >= len(fit.variances))
-    white = Whitening.of(weights_at(table, variances, options.misfit)).apply(table.terms[:, active])
+    white = Whitening.of(covariance_at(table, variances, options.misfit)).apply(
+        table.terms[:, active]
+    )
     return float(standard_errors(white)[np.count_nonzero(active[:N])] / variances[N] / 2.0)

@@ -1,17 +1,18 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Intervals by inversion of the score test: the values that the test does not reject.
+"""Confidence intervals by inversion of the score test.
 
-To test a value c of one variance coefficient, fix it, refit the others, and compute how many
-standard deviations *at that fit* the free estimate lies from c: z(c) = (p - c)/se(c). The 95 %
-interval is where |z| < 1.96 (Rao 1948). The usual interval, estimate +- 1.96 se, uses se at the
-estimate. For K of a short record, se is too small if the estimate is too small, so these intervals
-miss the truth in 9 to 13 % of records instead of 5.
+To test a value c of one variance coefficient, the coefficient is fixed at c and the others are
+fitted again. z(c) = (p - c)/se(c) compares the free estimate p with c, where the standard error
+se(c) is computed from the covariance of that fit. The 95 % interval contains the values with
+|z| < 1.96 (Rao 1948). The Wald interval, estimate +- 1.96 se, uses se at the estimate. If the
+estimate of K is too small in a short record, so is this se, and the interval misses the true value
+in 9 to 13 % of records instead of 5 %.
 
-An estimate that depends on a few long averages is skewed like a chi^2 of few degrees of freedom.
-The estimate is a sum l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are
-treated as gamma variables of the covariance C. With this skewness, the cube root of Wilson &
-Hilferty (PNAS 17, 1931) transforms z into a normal deviate.
+An estimate that depends on a few long averages is skewed like a chi^2 variable of few degrees of
+freedom. It is a sum of l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are
+treated as gamma variables with the covariance C. With this skewness, the cube root transformation
+of Wilson & Hilferty (PNAS 17, 1931) converts z to a normal deviate.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ from .gls_solver import (
     PointFit,
     Q,
     Whitening,
+    covariance_at,
     iterate,
     solve,
-    weights_at,
     white_floor,
     with_floor,
 )
@@ -42,33 +43,43 @@ from .processes import Extra, GaussMarkovTerm
 from .table import PooledTable, Table
 
 Z_DETECT = 2.33
-"""Normal quantile of 99 %: an absent term is resolved by mistake in 1 % of records."""
+"""Normal quantile of 99 %. Above it a term is resolved; an absent term is resolved by mistake in 1
+% of records."""
 
 
-ENOUGH = 1e-3
-"""Tolerance of z at its target: a twentieth of a percent of the half-width."""
+Z_TOLERANCE = 1e-3
+"""Tolerance of z at the end of an interval, about 0.05 % of the half-width."""
 
 
-SLOW = 2
-"""Number of steps that may leave more than half of the bracket, or find no bracket, before a longer
-step is taken."""
+MAX_SLOW_STEPS = 2
+"""Number of slow steps (bracket not halved, or no bracket found) after which a longer step is
+taken."""
 
 
-FARTHEST = 5.0
+MAX_STEP_RATIO = 5.0
 """Largest factor by which a step increases the distance from the start."""
 
 
-NOWHERE = 1e8
-"""Largest distance, in units of the first guess, at which an end is searched."""
+MAX_DISTANCE = 1e8
+"""Largest distance, relative to the first guess, at which an end of an interval is searched."""
 
 
-LITTLE_SKEW = 1e-3
+NEGLIGIBLE_SKEWNESS = 1e-3
 """Skewness whose effect is negligible."""
 
 
 @dataclass(frozen=True)
 class CoefficientInterval:
-    """The interval of one variance coefficient and z at zero; an unresolved one begins at 0."""
+    """95 % interval of one variance coefficient.
+
+    Attributes
+    ----------
+    z_zero : float
+        Score test of the value 0, as a normal deviate.
+    low, high : float
+        Ends of the interval. ``low`` is 0 and ``high`` is an upper limit if the term is not
+        resolved.
+    """
 
     z_zero: float
     low: float
@@ -76,17 +87,17 @@ class CoefficientInterval:
 
     @property
     def observable(self) -> bool:
-        """Whether zero is rejected."""
+        """Whether the test rejects the value 0."""
         return self.z_zero > Z_DETECT
 
 
 class Score:
-    """Score test of one variance coefficient: z(c) with all other terms refitted.
+    """Score test of one variance coefficient; a call with a value c returns z(c).
 
     Attributes
     ----------
     estimate, deviation : float
-        Estimate of the term in the last fit, and its standard deviation.
+        Estimate of the coefficient and its standard error in the last test.
     """
 
     def __init__(
@@ -100,7 +111,10 @@ class Score:
         self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return z(c) as a normal deviate; estimates below ``at_least`` are replaced by it."""
+        """Return z(c) as a normal deviate.
+
+        An estimate below ``at_least`` is replaced by ``at_least``.
+        """
         variances, whitening, white = iterate(
             self.table,
             self._start,
@@ -114,14 +128,14 @@ class Score:
         self.estimate = float(contrast @ white[:, -1])
         self.deviation = float(np.sqrt(contrast @ contrast))
         model = self.table.terms @ with_floor(self.table, variances)
-        weights, scatter = whitening.weights(contrast), whitening.scatter(contrast)
-        third = 2.0 * float(np.sum(weights * scatter**2 / model))
+        weights, covariance = whitening.weights(contrast), whitening.covariance_with(contrast)
+        third = 2.0 * float(np.sum(weights * covariance**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation
         return normal_deviate(z, third / self.deviation**3)
 
 
 def _inverse(design: Floats) -> tuple[Floats, Floats]:
-    """Return the inverse of the normal equations of unit columns, and the norms of the columns."""
+    """Return the inverse of the information matrix of unit columns, and the column norms."""
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
     unit = design / size
@@ -135,17 +149,17 @@ def _contrast(design: Floats, at: int) -> Floats:
 
 
 def standard_errors(design: Floats) -> Floats:
-    """Return the standard deviations of the estimates of whitened columns, (columns,)."""
+    """Return the standard errors of the least-squares estimates of whitened columns, (columns,)."""
     inverse, size = _inverse(design)
     return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
 
 
 def normal_deviate(z: float, skewness: float) -> float:
-    """Return the normal deviate of a gamma variable's standardised value z.
+    """Convert the standardised value z of a gamma variable of given skewness to a normal deviate.
 
-    Cube root of Wilson & Hilferty: ((1 + g z/2)^(1/3) - 1) 6/g + g/6.
+    Cube root of Wilson & Hilferty with skewness g: ((1 + g z/2)^(1/3) - 1) 6/g + g/6.
     """
-    if abs(skewness) < LITTLE_SKEW:
+    if abs(skewness) < NEGLIGIBLE_SKEWNESS:
         return z
     root = np.cbrt(max(1.0 + skewness * z / 2.0, 0.0))
     return float((root - 1.0) * 6.0 / skewness + skewness / 6.0)
@@ -154,11 +168,22 @@ def normal_deviate(z: float, skewness: float) -> float:
 def coefficient_interval(
     table: Table, term: int, variances: Floats, misfit: Misfit = NO_MISFIT
 ) -> CoefficientInterval:
-    """Return the interval of one variance coefficient about a fit of the table."""
+    """Return the 95 % interval of the coefficient of one term.
+
+    Parameters
+    ----------
+    table : Table
+    term : int
+        Column of the term in the table.
+    variances : (terms,) float64 array
+        Fitted variance coefficients.
+    misfit : Misfit
+        Relative model error of the fit.
+    """
     score = Score(table, term, variances, misfit)
     z_zero = score(0.0)
     deviation = max(score.deviation, white_floor(table))
-    # Not the estimate with the weights at zero, if there is another one: it can be far outside.
+    # The fitted coefficient is preferred: the estimate of the test at 0 can be far off.
     middle = variances[term] if variances[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
         known = [(0.0, z_zero), (middle, score(middle))]
@@ -166,7 +191,7 @@ def coefficient_interval(
         high = cross(score, -Z_95, known, middle + reach, np.inf)
         low = cross(score, Z_95, known, middle - reach, 0.0)
         return CoefficientInterval(z_zero, low, high)
-    # An estimate below zero counts as zero: the limit then depends on the length of the record.
+    # An estimate below zero is replaced by zero, so the limit reflects the length of the record.
     known = [(0.0, max(z_zero, 0.0))]
     reach = middle + Z_95 * deviation
     upper = cross(lambda c: score(c, 0.0), -Z_95, known, reach, np.inf)
@@ -180,59 +205,56 @@ def cross(
     guess: float,
     limit: float,
 ) -> float:
-    """Return the value at which a decreasing z reaches the target, between the last known point and
-    the limit.
+    """Return the value c at which a decreasing function z(c) reaches a target.
 
-    Each step goes to the intersection of the target with the hyperbola (alpha - c) / (beta + gamma
-    c) through the last three points, which equals z if the deviation is linear in c. A step outside
-    the bracket is replaced by half the bracket, or by twice the distance if there is no bracket
-    yet.
+    The search starts at the last known point and moves towards the limit. Each step goes to the
+    intersection of the target with the hyperbola (alpha - c) / (beta + gamma c) through the last
+    three points, which equals z if the standard error is linear in c. A step outside the bracket is
+    replaced by bisection or, without a bracket, by twice the distance.
 
     Parameters
     ----------
     z : callable
     target : float
     known : sequence of (c, z)
-        Points that are known already; the search starts from the last.
+        Points that are already computed.
     guess : float
-        Where to evaluate first.
+        First value at which z is computed.
     limit : float
-        Returned if z does not reach the target before.
+        Returned if z does not reach the target between the start and the limit.
     """
     points = list(known)
     start, value = points[-1]
     side = 1.0 if limit > start else -1.0
     if side * (value - target) <= 0.0 or guess == start:
         return start
-    inner, outer, met = start, limit, False
+    inner, outer, bracketed = start, limit, False
     c, first, steps = side * min(side * guess, side * limit), abs(guess - start), 0
-    while abs(c - start) <= NOWHERE * first:
+    while abs(c - start) <= MAX_DISTANCE * first:
         value = z(c)
         points.append((c, value))
         width = abs(outer - inner)
         if side * (value - target) <= 0.0:
-            outer, met = c, True
+            outer, bracketed = c, True
         elif c == limit:
             return limit
         else:
             inner = c
-        precise = ENOUGH / 2.0 * max(abs(outer - start), ENOUGH * first)
-        if abs(value - target) < ENOUGH or (met and abs(outer - inner) <= precise):
+        precise = Z_TOLERANCE / 2.0 * max(abs(outer - start), Z_TOLERANCE * first)
+        if abs(value - target) < Z_TOLERANCE or (bracketed and abs(outer - inner) <= precise):
             return c
-        # z jumps where another term becomes 0: only bisection is certain to converge there.
-        steps = steps + 1 if not met or abs(outer - inner) > width / 2.0 else 0
+        # z is discontinuous where another term becomes 0. Only bisection converges there.
+        steps = steps + 1 if not bracketed or abs(outer - inner) > width / 2.0 else 0
         c = _hyperbola(points[-3:], target)
-        far = start + side * FARTHEST * (abs(inner - start) or first)
-        ends = (inner, outer if met else side * min(side * outer, side * far))
-        if steps > SLOW or not min(ends) < c < max(ends):
-            c, steps = (inner + outer) / 2.0 if met else ends[1], 0
+        far = start + side * MAX_STEP_RATIO * (abs(inner - start) or first)
+        ends = (inner, outer if bracketed else side * min(side * outer, side * far))
+        if steps > MAX_SLOW_STEPS or not min(ends) < c < max(ends):
+            c, steps = (inner + outer) / 2.0 if bracketed else ends[1], 0
     return limit
 
 
 def _hyperbola(points: Sequence[tuple[float, float]], target: float) -> float:
-    """Return the value at which the hyperbola, or the line, through the last points reaches the
-    target.
-    """
+    """Return c at the target on the hyperbola (or line) through the points, or NaN."""
     c, z = np.array(points).T
     columns = [np.ones_like(c), -z, -c * z][: len(points)]
     try:
@@ -242,19 +264,22 @@ def _hyperbola(points: Sequence[tuple[float, float]], target: float) -> float:
     return float((alpha - beta * target) / (1.0 + sum(gamma) * target))
 
 
-WIDEST_SHAPE = 100.0
+MAX_SHAPE_RATIO = 100.0
 """Largest ratio of a correlation time or frequency to an end of its interval."""
 
 
 def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
-    """Return the processes of a fit in SI units; ``table`` is the table of the fit with
-    tangents."""
+    """Return the processes of a fit with 95 % intervals, in SI units.
+
+    ``table`` is the table of the fit with the derivatives of the columns by the shapes (tangents),
+    and ``tau0`` is the sample period in s.
+    """
     number = len(fit.options.extras)
     if not number:
         return Processes()
     variances = np.concatenate([fit.variances, np.zeros(number)])
     active = np.flatnonzero((variances != 0.0) | (np.arange(len(variances)) >= len(RANDOM_TERMS)))
-    whitening = Whitening.of(weights_at(table, variances, fit.options.misfit))
+    whitening = Whitening.of(covariance_at(table, variances, fit.options.misfit))
     errors = np.zeros(len(variances))
     errors[active] = standard_errors(whitening.apply(table.terms[:, active]))
     return processes_in_si(fit.options.extras, variances, errors, tau0)
@@ -263,16 +288,16 @@ def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
 def processes_in_si(
     extras: Sequence[Extra], variances: Floats, errors: Floats, tau0: float
 ) -> Processes:
-    """Return processes with intervals that are symmetric in the logarithm.
+    """Return processes with 95 % intervals that are symmetric in the logarithm, in SI units.
 
     Parameters
     ----------
     extras : sequence of Extra
+        The processes.
     variances : float64 array
-        Variance coefficients of the four terms and of the processes.
+        Coefficients of the four random terms and of the processes.
     errors : (4 + 2 extras,) float64 array
-        Standard errors of these, and of the factors of the derivatives of the columns of the
-        processes by the logarithms of their shapes.
+        Standard errors of the coefficients, then those of the derivative columns of the processes.
     tau0 : float
         Sample period in s.
     """
@@ -281,10 +306,10 @@ def processes_in_si(
         if not variances[k] > 0.0:
             continue
         reach = Z_95 * errors[[k, k + len(extras)]] / float(variances[k])
-        of_power, of_shape = np.exp(np.minimum(reach, np.log(WIDEST_SHAPE))).tolist()
+        variance_ratio, shape_ratio = np.exp(np.minimum(reach, np.log(MAX_SHAPE_RATIO))).tolist()
         size = math.sqrt(variances[k])
-        ends = (size / math.sqrt(of_power), size * math.sqrt(of_power))
-        low, high = extra.shape / of_shape, extra.shape * of_shape
+        ends = (size / math.sqrt(variance_ratio), size * math.sqrt(variance_ratio))
+        low, high = extra.shape / shape_ratio, extra.shape * shape_ratio
         if isinstance(extra, GaussMarkovTerm):
             times = (low * tau0, high * tau0)
             gauss_markov.append(GaussMarkov(size, ends, extra.shape * tau0, times))
@@ -294,19 +319,27 @@ def processes_in_si(
 
 
 Z_DETECT_RAMP = 2.58
-"""Normal quantile of 99.5 %: R has a sign, so both tails contribute to 1 % false alarms."""
+"""Normal quantile of 99.5 %. R has a sign, so both tails contribute to 1 % false alarms."""
 
 
-AGREE = 0.01
-"""p value of the test that all segments have the same ramp; below it, they have different ramps."""
+SAME_RAMP_P = 0.01
+"""p value below which the test rejects that all segments have the same ramp."""
 
 
 @dataclass(frozen=True)
 class RampInterval:
-    """A ramp per sample, its 95 % interval and verdicts.
+    """Estimate of a ramp per sample, its 95 % interval and the results of two tests.
 
-    ``shared`` is False if the ramps of the segments differ; the ramp is then that of the longest
-    segment.
+    Attributes
+    ----------
+    value : float
+        Weighted mean of the segments; that of the longest segment if they differ.
+    low, high : float
+        Ends of the interval.
+    observable : bool
+        Whether the value 0 is rejected.
+    shared : bool
+        Whether all segments can have the same ramp.
     """
 
     value: float
@@ -319,15 +352,16 @@ class RampInterval:
 def ramp_interval(
     pooled: PooledTable, axis: int, fit: PointFit, walk: float
 ) -> RampInterval | None:
-    """Return the ramp of one axis, or None if no segment determines it.
+    """Return the ramp of one axis with its 95 % interval, or None if no segment determines it.
 
     Parameters
     ----------
     pooled : PooledTable
     axis : int
+        Position among the axes of the sums.
     fit : PointFit
     walk : float
-        The upper limit of k.
+        Upper limit of k, which limits the width of the interval.
     """
     variance = fit.ramp_variance
     counted = np.flatnonzero(variance > 0.0)
@@ -336,31 +370,32 @@ def ramp_interval(
     ramps = fit.table.ramps[counted]
     value, deviation = _mean(ramps, variance[counted])
     spread = float(np.sum((ramps - value) ** 2 / variance[counted]))
-    shared = len(counted) == 1 or bool(special.chdtrc(len(counted) - 1, spread) > AGREE)
+    shared = len(counted) == 1 or bool(special.chdtrc(len(counted) - 1, spread) > SAME_RAMP_P)
     if not shared:
         counted, ramps = counted[:1], ramps[:1]
         value, deviation = _mean(ramps, variance[counted])
 
-    ignored = np.zeros(len(variance))
-    ignored[counted] = np.nan
-    # With known ramps, the Allan variance is quadratic in the ramps, and nothing else depends on
-    # them.
+    known_or_free = np.zeros(len(variance))
+    known_or_free[counted] = np.nan
+    # The Allan variance is quadratic in a known ramp: three values determine it.
     at = value + deviation * np.array([-1.0, 0.0, 1.0])
     tables = []
     for c in at:
-        known = np.where(np.isnan(ignored), c, np.nan)
+        known = np.where(np.isnan(known_or_free), c, np.nan)
         tables.append(fit.options.table(pooled, axis, fit.options.noise(fit.variances), known))
     below, middle, above = (table.avar for table in tables)
-    slope, bend = (above - below) / 2.0, (above + below) / 2.0 - middle
-    held = fit.variances
+    slope, curvature = (above - below) / 2.0, (above + below) / 2.0 - middle
+    start_values = fit.variances
 
     def z(c: float) -> float:
-        nonlocal held
+        nonlocal start_values
         x = (c - value) / deviation
-        less = replace(tables[1], avar=middle + slope * x + bend * x * x)
-        held = solve(less, held, signed=fit.options.signed, misfit=fit.options.misfit)
-        noise = fit.options.noise(with_floor(less, held))
-        free, weights = pooled.ramps(axis, noise, ignored)
+        shifted = replace(tables[1], avar=middle + slope * x + curvature * x * x)
+        start_values = solve(
+            shifted, start_values, signed=fit.options.signed, misfit=fit.options.misfit
+        )
+        noise = fit.options.noise(with_floor(shifted, start_values))
+        free, weights = pooled.ramps(axis, noise, known_or_free)
         of_ramps = pooled.ramp_variance(weights, noise.times) @ noise.variances
         r, sd = _mean(free[counted], of_ramps[counted])
         return (r - c) / sd
@@ -379,6 +414,6 @@ def ramp_interval(
 
 
 def _mean(ramps: Floats, variance: Floats) -> tuple[float, float]:
-    """Return the mean weighted by 1/variance, and its standard deviation."""
+    """Return the mean weighted by 1/variance, and its standard error."""
     weight = 1.0 / variance
     return float(weight @ ramps / weight.sum()), float(1.0 / np.sqrt(weight.sum()))

@@ -1,7 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Model selection of one axis: the five terms if they describe its table, else further
-processes."""
+"""Model selection for one axis: the simplest model that describes its Allan variances."""
 
 from __future__ import annotations
 
@@ -16,28 +15,28 @@ from .gls_solver import (
     K,
     PointFit,
     Q,
+    covariance_at,
     first_guess,
     point_fit,
-    weights_at,
 )
 from .goodness import (
     DEFICIT_LIMIT,
-    Z_CUT,
+    Z_EXCLUDE_SHORT,
     Z_FAIL,
     Goodness,
+    aic,
     best_case_goodness,
-    criterion,
-    deviate,
-    fits,
-    is_good,
+    goodness_z,
     long_tau_deficit,
-    loosened,
-    misfit_of,
-    misfit_without_deficit,
+    looks_filtered,
+    minus_log_profile,
+    misfit_of_fit,
+    misfit_of_long_averages,
+    passes,
+    passes_unfiltered,
     precise_rows,
-    replaces_white,
-    surprise,
-    white_error,
+    relative_error_of_n,
+    with_model_error,
 )
 from .intervals import Score
 from .model import RANDOM_TERMS, Floats
@@ -49,80 +48,85 @@ M_MIN = (2, 4, 8, 16, 64)
 """Smallest averaging factors that are tried if the shortest averages do not fit."""
 
 Z_LOW_PASS = -3.0
-"""A more negative q occurs by chance in one of 700 records, so the samples are filtered."""
+"""Value of q, in standard errors, below which the samples are low-pass filtered. Without a filter,
+one of 700 records has such a q."""
 
-Z_LOOK = 1.0
-"""A fit that is at most this bad (one in six) needs no shorter table."""
+Z_GOOD = 1.0
+"""Normal deviate below which a fit is not compared with fits of fewer averages; exceeded by chance
+in one of six records."""
 
-LEAST_GAIN = 3.5
-"""Decrease of chi^2 above which one more process is compared by likelihood, which is slower."""
+LEAST_DECREASE = 3.5
+"""Decrease of chi^2 above which a model with one more process is fitted and compared by likelihood,
+which is slower."""
 
-LIKELIER = 11.0
-"""Twice the log likelihood ratio for which a model that fits gets one more Gauss-Markov process.
-Records of the five terms exceed it on one of two hundred axes."""
+GAUSS_MARKOV_RATIO = 11.0
+"""Likelihood ratio statistic (twice the log ratio) above which a model that passes the tests gets
+one more Gauss-Markov process. It is exceeded by chance on one of 200 axes."""
 
-LIKELIER_SLACK = 2.0
-"""Largest contribution of the longest averages to this ratio."""
-
-
-LIKELIER_LINE = 21.0
-"""The same for one more sinusoid: one in 2000 records."""
+IMPRECISE_RATIO = 2.0
+"""Largest part of this statistic that may come from averages of few degrees of freedom."""
 
 
-CUT_LOSS = 4.0
-"""The shortest averages are kept if N would otherwise be less certain by more than this factor than
-with a model error on the complete table."""
+SINUSOID_RATIO = 21.0
+"""The same for one more sinusoid; exceeded by chance in one of 2000 records."""
 
-IMITATES = 8.0
-"""Scale of a process, relative to m_min, below which it may imitate a filter."""
 
-IMITATION_LOSS = 2.0
-"""Largest factor by which N may become less certain without such processes."""
+MAX_ERROR_RATIO = 4.0
+"""Largest ratio of the relative error of N without the shortest averages to that of a fit of all
+averages with a model error."""
 
-CUT_ERROR = 1.1
-"""Smallest relative error of N over sqrt(m_min/samples), with free q."""
+FILTER_LIKE_SCALE = 8.0
+"""A process may describe a filter if its scale is below this multiple of m_min."""
+
+FILTER_LIKE_ERROR_RATIO = 2.0
+"""Largest ratio of the relative error of N of the fits that are considered to the smallest one."""
+
+LEAST_ERROR_OF_N = 1.1
+"""Smallest possible relative error of N with free q, divided by sqrt(m_min/samples)."""
 
 ROUNDS = 6
-"""Largest number of rounds of search and covariance; shapes usually converge in two."""
+"""Largest number of alternations between the search and the covariance; two are usual."""
 
 SAME_SHAPE = 0.05
-"""Relative change of a shape that has no effect on the covariance."""
+"""Relative change of a shape that has a negligible effect on the covariance."""
 
 
 Z_SLACK = 1.0
-"""A model with processes may exceed the goodness of fit of an accepted model by this much."""
+"""A model with processes may exceed the normal deviate of an accepted model by this value."""
 
 BOUNDED_MARGIN = 10.0
-"""Decrease of the criterion for which a random walk is replaced by a bounded drift."""
+"""Decrease of the Akaike criterion above which a bounded drift replaces a random walk."""
 
-EXCHANGED_OCTAVES = 4
-"""Octaves of correlation times, from the longest one down, that may take the place of a walk."""
+WALK_LIKE_OCTAVES = 4
+"""Number of octaves of correlation times, from the longest one down, that may replace a random
+walk."""
 
-HOPELESS = 30.0
-"""A search whose goodness of fit is worse than this is not repeated with its own covariance."""
+Z_STOP_SEARCH = 30.0
+"""Normal deviate above which a search is not repeated with the covariance of its own fit."""
 
-CLEAR_OF_CUT = 2.0
-"""If the shortest averages are left out, processes that peak above this many times the smallest
-factor are kept."""
+KEPT_SCALE = 2.0
+"""If the shortest averages are excluded, processes whose scale exceeds this multiple of the
+smallest averaging factor are kept."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The selected fit of an axis and why it was selected.
+    """The selected fit of an axis and the results of the tests that selected it.
 
     Attributes
     ----------
     fit : PointFit
     first : Goodness
-        Goodness of fit of the five terms on the complete table.
+        Chi^2 test of the five terms at all averaging times.
     z_quantization : float
-        q of the five terms divided by its standard deviation; far below 0 with a low-pass filter.
+        q of the five terms divided by its standard error; far below 0 for filtered samples.
     filtered : bool
-        Whether a low-pass filter hides the shortest averaging times.
+        Whether a low-pass filter affects the shortest averaging times.
     hint : float or None
-        Frequency, in cycles per sample, of a sinusoid that resembles the averages below ``m_min``.
+        Frequency, in cycles per sample, of a possible vibration that affects the averages below
+        ``m_min``.
     levels_off : bool
-        Whether the long averages lie below the extrapolation of the precise part of the curve.
+        Whether the long averages are significantly lower than the model.
     """
 
     fit: PointFit
@@ -133,17 +137,17 @@ class Selection:
     levels_off: bool = False
 
     @property
-    def fits(self) -> bool:
-        """Whether the model describes the table."""
-        return fits(self.fit)
+    def passes(self) -> bool:
+        """Whether the model passes the test of fit and the test of the long averages."""
+        return passes(self.fit)
 
 
 def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None) -> Selection:
-    """Return the fit of an axis with the simplest model that describes its table.
+    """Fit one axis with the simplest model that describes its Allan variances.
 
     The models are tried in this order: the five terms; with Gauss-Markov processes and sinusoids;
-    with a negative q, as with a low-pass filter; without the shortest averaging times; with a
-    fractional model error. If fit options are ``known``, only these are used.
+    with a negative q, as for low-pass filtered samples; without the shortest averaging times; with
+    a relative model error. If the fit options are ``known``, only these are used.
     """
     free = point_fit(pooled, axis, FitOptions(signed=True))
     first = best_case_goodness(free.table, free.variances)
@@ -155,8 +159,8 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
     if known is not None:
         fit = point_fit(pooled, axis, known, selected.fit.variances)
         selected = replace(selected, fit=fit, filtered=known.signed)
-        return selected if selected.fits else _with_misfit(pooled, axis, selected)
-    if first.fails or not selected.fits:
+        return selected if selected.passes else _with_needed_misfit(pooled, axis, selected)
+    if first.fails or not selected.passes:
         selected = _with_processes(pooled, axis, selected)
     if selected.fit.options.misfit.size == 0.0:
         selected = replace(selected, fit=_with_likely_processes(pooled, axis, selected.fit))
@@ -164,52 +168,55 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
 
 
 def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Add processes as long as each makes the model much more likely, and return the fit.
+    """Return the fit with further processes, each confirmed by a likelihood ratio test.
 
-    chi^2 of the complete table is a weak test of one process: flicker and a random walk imitate it
-    in all but a few directions, but the test sums over all directions.
+    The chi^2 test of all averages has little power against a single process: flicker and a random
+    walk imitate it in all but a few directions, but chi^2 sums over all directions.
     """
     for _ in range(sum(MOST.values())):
         more = _one_more(pooled, axis, fit, GaussMarkovTerm)
         more = more or _one_more(pooled, axis, fit, SinusoidTerm)
-        if more is None or replaces_white(more):
+        if more is None or looks_filtered(more):
             break
         fit = more
     return fit
 
 
 def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) -> PointFit | None:
-    """Return the fit with one more process of a kind if this is more likely, else None."""
+    """Return the fit with one more process of a kind; None if the likelihood ratio is too small."""
     is_line = kind is SinusoidTerm
-    search = _search_with(pooled, axis, fit)
+    search = _search_with_covariance_of(pooled, axis, fit)
     found = search.fitted(fit.options.extras)
     more = search.with_one_more(found, (kind,))
-    least = LIKELIER_LINE if is_line else LEAST_GAIN
+    least = SINUSOID_RATIO if is_line else LEAST_DECREASE
     if more is None or found.chi_squared - more.chi_squared < least:
         return None
     try:
         new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.variances)
-        search = _search_with(pooled, axis, new)
+        search = _search_with_covariance_of(pooled, axis, new)
         more = search.adjusted(search.fitted(more.extras), 2)
         new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.variances)
         before = fit.options.table(pooled, axis, new.options.noise(new.variances))
         before = before.rows(np.isin(before.m, new.table.m))
-        gain = surprise(before, fit) - surprise(new.table, new)
-        if not is_line and gain > LIKELIER:
+        gain = minus_log_profile(before, fit) - minus_log_profile(new.table, new)
+        if not is_line and gain > GAUSS_MARKOV_RATIO:
             precise = precise_rows(new)
-            without = surprise(before.rows(precise), fit)
-            gain = min(gain, LIKELIER_SLACK + without - surprise(new.table.rows(precise), new))
-    except AllanError:  # below the precision of the covariance: no better description
+            without = minus_log_profile(before.rows(precise), fit)
+            gain = min(
+                gain,
+                IMPRECISE_RATIO + without - minus_log_profile(new.table.rows(precise), new),
+            )
+    except AllanError:  # the covariance is singular within its precision
         return None
-    return new if gain > (LIKELIER_LINE if is_line else LIKELIER) else None
+    return new if gain > (SINUSOID_RATIO if is_line else GAUSS_MARKOV_RATIO) else None
 
 
-def _search_with(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
-    """Return a search with the covariance of a fit."""
+def _search_with_covariance_of(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
+    """Return a search for processes with the covariance of a fit."""
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
     used = fit.table.rows(np.isin(fit.table.m, table.m))
-    covariance = weights_at(used, fit.variances, NO_MISFIT)
+    covariance = covariance_at(used, fit.variances, NO_MISFIT)
     return _search(pooled, table.rows(np.isin(table.m, used.m)), covariance, options)
 
 
@@ -221,96 +228,104 @@ def _search(
 
 
 def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the fit with the processes with which it passes, else the best ones and a model
-    error."""
+    """Return the simplest fit with processes that passes the tests.
+
+    Without one, the result is the best fit with a model error.
+    """
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
-    # Filtered samples usually need a negative q, which the next search allows.
-    best = _searched(pooled, axis, plain, HOPELESS if selected.filtered else np.inf)
-    if is_good(best):
-        best = _bounded(pooled, axis, best)
+    # Filtered samples usually need a negative q, which only the next search allows.
+    best = _with_searched_processes(
+        pooled, axis, plain, Z_STOP_SEARCH if selected.filtered else np.inf
+    )
+    if passes_unfiltered(best):
+        best = _with_bounded_drift(pooled, axis, best)
         return replace(selected, fit=best, filtered=False)
-    filtered = selected.filtered or replaces_white(best)
-    tried = [] if replaces_white(best) else [best]
+    filtered = selected.filtered or looks_filtered(best)
+    tried = [] if looks_filtered(best) else [best]
     if selected.filtered:
-        tried.append(_searched(pooled, axis, selected.fit))
-    good = [fit for fit in tried if is_good(fit)]
-    if not good and (filtered or deviate(best) > Z_CUT):
-        good, tried = _of_a_part(pooled, axis, selected.fit, tried or [best])
+        tried.append(_with_searched_processes(pooled, axis, selected.fit))
+    good = [fit for fit in tried if passes_unfiltered(fit)]
+    if not good and (filtered or goodness_z(best) > Z_EXCLUDE_SHORT):
+        good, tried = _excluding_short_averages(pooled, axis, selected.fit, tried or [best])
     if good:
-        best_fit = next((fit for fit in good if deviate(fit) < Z_LOOK), good[0])
+        best_fit = next((fit for fit in good if goodness_z(fit) < Z_GOOD), good[0])
     else:
-        best_fit = min(tried, key=lambda fit: (replaces_white(fit), deviate(fit)))
-    best_fit = _bounded(pooled, axis, best_fit)
+        best_fit = min(tried, key=lambda fit: (looks_filtered(fit), goodness_z(fit)))
+    best_fit = _with_bounded_drift(pooled, axis, best_fit)
     lines = [e.shape for e in best.options.extras if isinstance(e, SinusoidTerm)]
     hidden = [f for f in lines if 1.0 / f < 2.0 * best_fit.options.m_min]
     hint = hidden[0] if hidden and best_fit.options.m_min > 1 else None
     selected = replace(selected, fit=best_fit, filtered=filtered, hint=hint)
-    if good and deviate(best_fit) < Z_FAIL + Z_SLACK:
+    if good and goodness_z(best_fit) < Z_FAIL + Z_SLACK:
         return selected
-    return _with_misfit(pooled, axis, selected)
+    return _with_needed_misfit(pooled, axis, selected)
 
 
-def _bounded(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with a long Gauss-Markov process in place of the random walk, if more likely.
+def _with_bounded_drift(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Return the fit with a long Gauss-Markov process instead of the random walk, if better.
 
-    Both describe the precise part of the curve equally well. The few long averages decide whether
-    the drift is bounded.
+    It is better if its Akaike criterion is much lower. Both models describe the precise part of the
+    curve equally well, so the few long averages decide.
     """
     if not fit.variances[K] > 0.0:
         return fit
     without = replace(fit, options=replace(fit.options, walk=False))
-    other = _searched(pooled, axis, without)
-    z = deviate(fit)
-    # A model that fails in any case gets a model error, so z is less important.
+    other = _with_searched_processes(pooled, axis, without)
+    z = goodness_z(fit)
+    # A model that fails the test gets a model error anyway, so z is less important.
     most = max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z
-    if deviate(other) <= most and criterion(other) + BOUNDED_MARGIN < criterion(fit):
+    if goodness_z(other) <= most and aic(other) + BOUNDED_MARGIN < aic(fit):
         return other
-    # The search weighs errors of the short averages that a model error is to absorb.
-    others = _exchanged(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
-    other = min([fit, *others], key=lambda each: criterion(each, fit.options.misfit))
-    gain = criterion(fit, fit.options.misfit) - criterion(other, fit.options.misfit)
+    # The search also fits errors of the short averages, which the model error should cover.
+    others = _with_process_for_walk(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
+    other = min([fit, *others], key=lambda each: aic(each, fit.options.misfit))
+    gain = aic(fit, fit.options.misfit) - aic(other, fit.options.misfit)
     return other if gain > BOUNDED_MARGIN else fit
 
 
-def _exchanged(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
-    """Return fits with a long Gauss-Markov process added, and the random walk left out."""
+def _with_process_for_walk(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
+    """Return fits with one more, long Gauss-Markov process and without a random walk."""
     extras = fit.options.extras
     count = sum(isinstance(extra, GaussMarkovTerm) for extra in extras)
     if count == MOST[GaussMarkovTerm]:
         return []
     longest = pooled.segments[0].samples / LONGEST_CORRELATION
     out = []
-    for time in longest / 2.0 ** np.arange(EXCHANGED_OCTAVES):
+    for time in longest / 2.0 ** np.arange(WALK_LIKE_OCTAVES):
         new = (*extras[:count], GaussMarkovTerm(float(time)), *extras[count:])
         try:
             options = replace(fit.options, walk=False, extras=new)
             out.append(point_fit(pooled, axis, options, fit.variances))
-        except AllanError:  # beyond the precision of the covariance: not a better description
+        except AllanError:  # the covariance is singular within its precision
             break
     return out
 
 
-def _with_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the fit with the model error with which it passes, only on the averages that need
-    it."""
+def _with_needed_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
+    """Return the fit with the model error for which it passes the tests.
+
+    The error applies only to the averaging times that need it.
+    """
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
-    if deviate(fit) >= Z_FAIL:
-        misfit = misfit_of(fit.table, fit.variances, signed)
+    if goodness_z(fit) >= Z_FAIL:
+        misfit = misfit_of_fit(fit.table, fit.variances, signed)
     levels_off = long_tau_deficit(fit.table, fit.variances, misfit) <= DEFICIT_LIMIT
     if levels_off:
-        misfit = misfit_without_deficit(fit.table, fit.variances, signed, misfit)
+        misfit = misfit_of_long_averages(fit.table, fit.variances, signed, misfit)
     options = replace(fit.options, misfit=misfit)
-    loose = point_fit(pooled, axis, options, fit.variances)
-    return replace(selected, fit=loose, levels_off=levels_off)
+    with_error = point_fit(pooled, axis, options, fit.variances)
+    return replace(selected, fit=with_error, levels_off=levels_off)
 
 
-def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = np.inf) -> PointFit:
-    """Return the fit with the processes that its table needs, if any.
+def _with_searched_processes(
+    pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = np.inf
+) -> PointFit:
+    """Return the fit with the processes that a search finds, if any.
 
-    The first covariance is computed from the five terms and scaled to the measured curve, because
-    the covariance of a fit is wrong where the fit fails. A search that fails by more than
-    ``hopeless`` ends after the first round.
+    The covariance of a model is wrong where the model fails. The first covariance is therefore that
+    of the five terms, scaled to the measured curve. The search ends after the first round if its
+    normal deviate exceeds ``hopeless``.
     """
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
@@ -324,93 +339,89 @@ def _searched(pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = n
             break
         try:
             fit = point_fit(pooled, axis, replace(options, extras=extras), found.variances)
-        except AllanError:  # below the precision of the covariance: no better description
+        except AllanError:  # the covariance is singular within its precision
             break
         if settled or search.z(found) > hopeless:
             break
-        search = _search_with(pooled, axis, fit)
+        search = _search_with_covariance_of(pooled, axis, fit)
     return fit
 
 
 def _scaled_covariance(table: Table) -> Floats:
-    """Return the covariance of a rough fit, scaled to the measured values."""
+    """Return the covariance of an approximate fit, scaled to the measured values."""
     variances = first_guess(table)
     model = table.terms @ variances
     growth = np.where(table.avar > 0.0, table.avar, model) / model
-    return np.asarray(weights_at(table, variances, NO_MISFIT) * np.outer(growth, growth))
+    return np.asarray(covariance_at(table, variances, NO_MISFIT) * np.outer(growth, growth))
 
 
 def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
-    """Return whether both have the same processes with almost the same shapes."""
+    """Return whether both lists have the same processes with almost the same shapes."""
     return len(new) == len(old) and all(
         type(a) is type(b) and abs(a.shape - b.shape) <= SAME_SHAPE * b.shape
         for a, b in zip(new, old)
     )
 
 
-def _of_a_part(
+def _excluding_short_averages(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
-    """Return the good fits without the shortest averages, best first, and fits to use otherwise.
+    """Return fits without the shortest averages that pass the tests, best first, and alternatives.
 
-    With a small model error, the complete table may determine N far better than a part of it.
-
-    Parameters
-    ----------
-    pooled : PooledTable
-    axis : int
-    fit : PointFit
-        Fit of the five terms.
-    tried : list of PointFit
-        Fits of the complete table, none of them good.
+    ``fit`` is the fit of the five terms, and ``tried`` contains fits of all averages that fail. A
+    fit of all averages with a small model error may determine N far better than a fit of a part.
     """
-    loose = {
-        white_error(pooled, axis, each): each
-        for each in (loosened(pooled, axis, t) for t in tried if not replaces_white(t))
+    with_error = {
+        relative_error_of_n(pooled, axis, each): each
+        for each in (with_model_error(pooled, axis, t) for t in tried if not looks_filtered(t))
     }
-    most = CUT_LOSS * min(loose, default=np.inf)
+    most = MAX_ERROR_RATIO * min(with_error, default=np.inf)
     start = replace(fit, options=replace(tried[0].options, signed=True))
-    cuts = _without_the_shortest(pooled, axis, start, most)
-    good = {white_error(pooled, axis, cut): cut for cut in cuts if is_good(cut)}
-    most = min(most, IMITATION_LOSS * min(good, default=np.inf))
-    best_first = sorted((_imitations(cut), cut.options.m_min, e) for e, cut in good.items())
+    cuts = _fits_excluding_short(pooled, axis, start, most)
+    good = {relative_error_of_n(pooled, axis, cut): cut for cut in cuts if passes_unfiltered(cut)}
+    most = min(most, FILTER_LIKE_ERROR_RATIO * min(good, default=np.inf))
+    best_first = sorted(
+        (_filter_like_processes(cut), cut.options.m_min, e) for e, cut in good.items()
+    )
     usable = [good[e] for _, _, e in best_first if e < most]
-    return usable, [loose[min(loose)]] if loose else [*tried, *cuts]
+    return usable, [with_error[min(with_error)]] if with_error else [*tried, *cuts]
 
 
-def _without_the_shortest(
+def _fits_excluding_short(
     pooled: PooledTable, axis: int, start: PointFit, most: float
 ) -> list[PointFit]:
-    """Return fits with an increasing smallest factor, until one passes well.
+    """Return fits with increasing smallest averaging factor, until one passes the tests well.
 
-    A table that barely passes may still deviate at its short end. ``most`` is the largest relative
-    error of N.
+    A fit that nearly fails may still deviate at its shortest averages. ``most`` is the largest
+    useful relative error of N.
     """
     out: list[PointFit] = []
     for m_min in M_MIN:
         if np.count_nonzero(start.table.m >= m_min) <= 2 * len(RANDOM_TERMS):
             break
-        if CUT_ERROR * np.sqrt(m_min / pooled.sums.samples) > most:
+        if LEAST_ERROR_OF_N * np.sqrt(m_min / pooled.sums.samples) > most:
             break
         options = FitOptions(m_min=m_min, signed=True)
         fit = point_fit(pooled, axis, options, start.variances[: len(RANDOM_TERMS)])
-        if not (fits(fit) or any(is_good(each) for each in out)):
-            kept = tuple(e for e in start.options.extras if e.scale > CLEAR_OF_CUT * m_min)
+        if not (passes(fit) or any(passes_unfiltered(each) for each in out)):
+            kept = tuple(e for e in start.options.extras if e.scale > KEPT_SCALE * m_min)
             known = replace(fit, options=replace(options, extras=kept))
-            fit = _searched(pooled, axis, _resized(known), HOPELESS)
+            fit = _with_searched_processes(
+                pooled, axis, _with_initial_variances(known), Z_STOP_SEARCH
+            )
         out.append(fit)
-        if is_good(fit) and deviate(fit) < Z_LOOK and not _imitations(fit):
+        if passes_unfiltered(fit) and goodness_z(fit) < Z_GOOD and not _filter_like_processes(fit):
             break
     return out
 
 
-def _imitations(fit: PointFit) -> int:
-    """Return the number of processes that may imitate a filter on the shortest averages."""
-    return sum(e.scale < IMITATES * fit.options.m_min for e in fit.options.extras)
+def _filter_like_processes(fit: PointFit) -> int:
+    """Return the number of processes that may describe a filter."""
+    return sum(e.scale < FILTER_LIKE_SCALE * fit.options.m_min for e in fit.options.extras)
 
 
-def _resized(fit: PointFit) -> PointFit:
-    """Return the fit with the variances of all processes in its options set to 0."""
+def _with_initial_variances(fit: PointFit) -> PointFit:
+    """Return the fit with variance 0 for each process in its options."""
     variances = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
     variances[: len(RANDOM_TERMS)] = fit.variances[: len(RANDOM_TERMS)]
     return replace(fit, variances=variances)

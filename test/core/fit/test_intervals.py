@@ -13,8 +13,8 @@ from allan_ros.core.fit.gls_solver import (
     K,
     N,
     Whitening,
+    covariance_at,
     point_fit,
-    weights_at,
 )
 from allan_ros.core.fit.intervals import Score, coefficient_interval, cross, normal_deviate
 from allan_ros.core.fit.table import PooledTable
@@ -115,7 +115,7 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
 def test_a_walk_held_far_off_still_has_a_covariance(fit, factor):
     """The weights of the ramps were computed for another random walk."""
     variances = fit.variances * np.array([1.0, 1.0, 1.0, factor])
-    covariance = weights_at(fit.table, variances, NO_MISFIT)
+    covariance = covariance_at(fit.table, variances, NO_MISFIT)
     deviation = np.sqrt(np.diag(covariance))
     assert np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))[0] > -JITTER
 
