@@ -1,20 +1,21 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Covariance of the points of an Allan table of a finite record under the noise model.
+"""Covariance of Allan variances at different averaging factors, for a record of finite length.
 
-For Gaussian noise the covariance of two Allan variances is a sum over lags (Isserlis 1918):
+For Gaussian noise, the covariance of two Allan variances is a sum over lags (Isserlis 1918):
 
     Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
 
-with C_ij(s) the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i), d_j(u)/(sqrt2 m_j)
-and cnt_ij(s) the number of pairs at lag s in the record. C is linear in (q, w, b, k), so the sum is
-ten matrices, weighted by products of these variance coefficients. The matrices depend only on the
-length of the record.
+where C_ij(s) is the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i) and d_j(u)/(sqrt2
+m_j), and cnt_ij(s) is the number of pairs of differences at lag s in the record. C is linear in (q,
+w, b, k), so the sum consists of ten matrices, weighted by products of these variance coefficients.
+The matrices depend only on the length of the record.
 
-cnt is piecewise linear in s, so only the running sums of C_k C_l and of s C_k C_l at four lags are
-needed. The grid repeats itself every octave: C of the pair (2^a m, 2^a m') at lags 2^a s equals C
-of (m, m') at lags s times a power of 2^a. So one table of running sums, for the pairs whose smaller
-factor is on level 0, is enough for all pairs of all records.
+cnt is piecewise linear in s, so only the cumulative sums of C_k C_l and of s C_k C_l at four lags
+are needed. The grid of averaging factors repeats itself every octave: C of the pair (2^a m, 2^a m')
+at lags 2^a s equals C of (m, m') at lags s times a power of 2^a. Therefore one table of cumulative
+sums, for the pairs whose smaller factor is in the first octaves (level 0), is enough for all pairs
+of all records.
 """
 
 from __future__ import annotations
@@ -35,49 +36,50 @@ TERM_PAIRS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """The ten products of variance coefficients in a covariance: q q, q w, q b, .. k k."""
 
 EXACT_POINTS = 14
-"""Lag panels up to this length are summed point by point, longer ones by quadrature."""
+"""Ranges of lags up to this length are summed point by point, longer ones by quadrature."""
 
 EXACT_PANELS = 5
-"""Number of panels that are summed point by point on each side of the three lags at which C is not
+"""Number of ranges that are summed point by point on each side of the three lags at which C is not
 smooth."""
 
 PANEL_RATIO = 4
-"""Growth of the panels with the distance from those lags."""
+"""Factor by which the length of the ranges grows with the distance from those lags."""
 
 TAIL = 128
-"""Flicker differences are uncorrelated (C^2 < 1e-8) at lags above this many times m_i + m_j."""
+"""Flicker differences are uncorrelated (C^2 < 1e-8) at lags above this multiple of m_i + m_j."""
 
 PANELS_AT_ONCE = 1024
-"""Number of panels that are summed together: a few megabytes of memory."""
+"""Number of ranges that are summed together, which limits the memory to a few megabytes."""
 
 MOST_SAMPLES = 1 << 47
-"""Longest segment in samples, 4000 years at 1 kHz: the search keys of longer ones overflow."""
+"""Longest segment in samples, 4000 years at 1 kHz. The search keys of longer ones would
+overflow."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(EXACT_POINTS + 1)
 _KEY = np.int64(1) << 52
-"""Distance between the search keys of two rows: larger than the panel borders of a row extend."""
+"""Distance between the search keys of two rows, larger than the largest lag of a row."""
 
-_FARTHEST = int(_KEY) // 4
-"""Largest panel border: longer lags do not exist in `MOST_SAMPLES` samples."""
+_MAX_LAG = int(_KEY) // 4
+"""Largest end of a range of lags; longer lags do not occur in `MOST_SAMPLES` samples."""
 
 _SMOOTH_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 PRODUCTS = len(_SMOOTH_PAIRS) + 3
-"""Number of running sums: of the six products C_k C_l and of the three C_k."""
+"""Number of cumulative sums: of the six products C_k C_l and of the three C_k."""
 
 
 @dataclass(frozen=True)
 class PairSums:
-    """Sums over all pairs of differences of one record, in sample units.
+    """Sums over all pairs of differences of one record, with the sample period as unit of time.
 
     Attributes
     ----------
     samples : int
         Length of the record.
     m, count : (factors,) int64 arrays
-        The factors m <= samples/2 and their numbers of differences.
+        The averaging factors m <= samples/2 and their numbers of differences.
     squares : (10, pairs) float64 array
-        2 sum_s cnt C_k C_l for the `TERM_PAIRS`, at the pairs i <= j of `numpy.triu_indices`;
-        pairs with k != l count twice, so that Cov(V_i, V_j) = sum p_k p_l squares_kl / (M_i M_j).
+        2 sum_s cnt C_k C_l for the `TERM_PAIRS`, at the pairs i <= j of `numpy.triu_indices`. Pairs
+        with k != l count twice, so that Cov(V_i, V_j) = sum p_k p_l squares_kl / (M_i M_j).
     singles : (4, pairs) float64 array
         sum_s cnt C_k: the covariance of the sums of d_i/(sqrt2 m_i) and of d_j/(sqrt2 m_j).
     """
@@ -90,9 +92,10 @@ class PairSums:
 
 
 def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return C_ij(s) of unit white noise, flicker and cubic walk, (3, ...).
+    """Return the covariance C_ij(s) of differences of unit white noise, flicker and cubic walk.
 
-    1/(2 m_i m_j) sum_ab c_a c_b G(s + a m_i - b m_j) with G = -|t|/2, t^2 ln|t|/(2 pi), |t|^3/12.
+    It is 1/(2 m_i m_j) sum_ab c_a c_b G(s + a m_i - b m_j) with the generalised covariances
+    G = -|t|/2, t^2 ln|t|/(2 pi) and |t|^3/12 of the phase. Shape (3, ...).
     """
     out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
     for a, ca in enumerate(DIFFERENCE):
@@ -115,19 +118,10 @@ def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return the sums over lags a..b of the products, and of s times the products.
+    """Return the sums over lags a..b of the products, and of s times the products, (2, 9, n).
 
-    The first and the last lag count half. Up to `EXACT_POINTS` lags are summed, more are integrated
-    by Gauss-Legendre quadrature.
-
-    Parameters
-    ----------
-    mi, mj, a, b : (n,) arrays
-        Whole numbers, a <= b.
-
-    Returns
-    -------
-    (2, 9, n) float64 array
+    All arguments are (n,) arrays of whole numbers, a <= b. The first and the last lag count half.
+    Up to `EXACT_POINTS` lags are summed, more are integrated by Gauss-Legendre quadrature.
     """
     width = (b - a)[:, None]
     k = np.arange(EXACT_POINTS + 1)
@@ -140,7 +134,7 @@ def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _edges(mi: int, mj: int) -> Ints:
-    """Return panel borders: dense where C is not smooth (near s = b m_j - a m_i), else sparse."""
+    """Return ends of ranges of lags: dense near s = b m_j - a m_i, where C is not smooth."""
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
     reach = [span]
@@ -150,13 +144,13 @@ def _edges(mi: int, mj: int) -> Ints:
     far = [2 * (mi + mj) * PANEL_RATIO**e for e in range(4)] + [TAIL * (mi + mj)]
     centre = mj - mi
     lags = [around + b * mj - mi for b in range(3)]
-    tail = np.minimum(far, _FARTHEST)
+    tail = np.minimum(far, _MAX_LAG)
     lags.append(centre + np.concatenate([tail, -tail]))
     return np.unique(np.concatenate(lags)).astype(np.int64)
 
 
 class _LagTable:
-    """Running sums over lags for every pair whose smaller factor is on level 0."""
+    """Cumulative sums over lags for every pair whose smaller factor is on level 0."""
 
     def __init__(self, factors: int) -> None:
         first = len(FIRST_FACTORS) + len(LEVEL_FACTORS)
@@ -187,7 +181,7 @@ class _LagTable:
             np.cumsum(self.sums[:, :, a:z], axis=2, out=self.sums[:, :, a:z])
 
     def up_to(self, row: Ints, lag: Ints) -> Floats:
-        """Return the running sums up to each lag (the last lag counts half), (2, 9, n)."""
+        """Return the cumulative sums up to each lag (the last lag counts half), (2, 9, n)."""
         lag = np.clip(lag, self.low[row], self.high[row])
         at = np.searchsorted(self.key, row * _KEY + lag, side='right') - 1
         start = self.edge[at].astype(float)
@@ -217,14 +211,14 @@ def _lag_table(octaves: int) -> _LagTable:
 
 @lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the pair sums of a record of ``samples`` samples; the last 80 are cached.
+    """Return the sums over pairs of a record of ``samples`` samples; the last 80 are cached.
 
-    Above `MOST_SAMPLES` they cannot be computed (AllanError).
+    Raises AllanError for more than `MOST_SAMPLES` samples.
     """
     if samples > MOST_SAMPLES:
         raise AllanError(
-            f'the sums have a segment of {samples} samples, which no recording can have: they are '
-            'damaged; accumulate them again'
+            f'the sums are damaged: a segment has {samples} samples, more than any recording; '
+            'accumulate them again'
         )
     octaves = max(1, samples.bit_length() - 3)
     m, stride = grid(octaves)
@@ -238,7 +232,7 @@ def pair_sums(samples: int) -> PairSums:
 
 
 def clear_pair_sums() -> None:
-    """Clear the cache of `pair_sums` and of the table from which it is computed."""
+    """Free the cache of `pair_sums` and the table from which it is computed."""
     _lag_tables.clear()
     pair_sums.cache_clear()
 
@@ -248,11 +242,10 @@ def _smooth_sums(
 ) -> tuple[Floats, Floats]:
     """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs), without q.
 
-    From the first lag on, cnt increases from 1 by one every s_j samples to M_j at lag 0, remains
+    With increasing lag, cnt increases from 1 by one every s_j samples to M_j at lag 0, remains
     constant, and decreases to 1 at the last lag. The sum over the steps is the sum over a straight
-    line half a step below the edges, plus the terms of the Euler-Maclaurin formula at the two ends
-    of the line: for steps of ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` =
-    (ratio - 1/ratio)/12.
+    line half a step below the edges, plus Euler-Maclaurin terms at both ends of the line: for steps
+    of ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` = (ratio - 1/ratio)/12.
     """
     level = np.maximum(i - len(FIRST_FACTORS), 0) // len(LEVEL_FACTORS)
     row = table.row[i - len(LEVEL_FACTORS) * level, j - len(LEVEL_FACTORS) * level]
@@ -280,8 +273,8 @@ def _smooth_sums(
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Return the sums over C_k C_l and C_k of the four terms from the sums of the smooth parts.
 
-    On level a, lags and factors are 2^a times those of the table. There the white C is multiplied
-    by 2^-a (`scale`), the flicker C by 1 and the cubic C by 2^a.
+    On level a, lags and factors are 2^a times those of the table. The white C is multiplied by 2^-a
+    (``scale``), the flicker C by 1 and the cubic C by 2^a.
     """
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
         [scale**2, scale, np.ones_like(scale), np.ones_like(scale), 1 / scale, scale**-2]
@@ -303,7 +296,7 @@ def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
 def _add_quantization(
     squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
 ) -> None:
-    """Add the contribution of q: white phase is correlated only at the nine lags b m_j - a m_i."""
+    """Add the contribution of q, which is correlated only at the nine lags b m_j - a m_i."""
     mi, mj = m[i], m[j]
     norm = 2.0 * mi.astype(float) * mj
     lags = [
@@ -325,8 +318,7 @@ def _add_quantization(
 
 
 def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
-    """Return how many starts of j have a start of i that is lag samples later (a multiple of
-    s_i)."""
+    """Return how many starts of j have a start of i ``lag`` samples later (a multiple of s_i)."""
     first = np.maximum(0, -lag)
     last = np.minimum(end_j, end_i - lag)
     number = last // stride_j + (-first) // stride_j + 1
@@ -334,15 +326,15 @@ def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
 
 
 def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
-    """Return the increase of the Allan variance of unit white noise due to interpolated gaps.
+    """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
-    Linear interpolation replaces samples by weighted means of the two samples next to a gap. A
-    second difference is a weighted sum of independent samples, so its variance changes from the sum
-    of the squared weights of all samples to that of the recorded samples. At averaging factors m >=
-    k it grows, in the sum over all starts, by 2 (k + k^2/2) for each step of m.
+    Linear interpolation replaces samples by weighted means of the two samples next to a gap. The
+    variance of a second difference is the sum of the squared weights of independent samples, and
+    changes to that of the recorded samples only. At averaging factors m >= k, the sum over all
+    starts of a gap of k samples grows by 2 (k + k^2/2) for each step of m.
 
-    A recorded sample between two gaps has a part of both. Only the numbers of gaps are known, so
-    gaps are assumed to be independent, as random losses are.
+    A recorded sample between two gaps has a larger weight because of both. Only the numbers of gaps
+    are known, so gaps are assumed to be independent, as random losses are.
 
     Parameters
     ----------
@@ -369,23 +361,24 @@ def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
     for k, number in enumerate(filled, start=1):
         for after, others in enumerate(filled, start=1):
             neighbors = number * (others / recorded / samples)
-            if np.any(neighbors > LEAST_NEIGHBORS):
+            if np.any(neighbors > NEGLIGIBLE_NEIGHBORS):
                 both = k + after
                 extra = np.array(
-                    [_common(k, after, min(int(f), both)) + k * after * max(f - both, 0) for f in m]
+                    [_joint(k, after, min(int(f), both)) + k * after * max(f - both, 0) for f in m]
                 )
                 out += np.multiply.outer(extra / scale, neighbors)
     return out
 
 
-LEAST_NEIGHBORS = 1e-5
-"""Fraction of the samples below which the samples between two gaps are negligible."""
+NEGLIGIBLE_NEIGHBORS = 1e-5
+"""Fraction of all samples below which samples between two gaps are neglected."""
 
 
 @lru_cache(maxsize=1024)
-def _common(k: int, after: int, m: int) -> float:
-    """Return the contribution of gaps of k and ``after`` around one sample to `_excess`, over all
-    starts.
+def _joint(k: int, after: int, m: int) -> float:
+    """Return the joint effect of gaps of k and ``after`` samples around one sample.
+
+    Like `_excess`, it is summed over all starts.
     """
     base = _weights(m, k + after + 3)
     left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
@@ -402,7 +395,7 @@ def _weights(m: int, margin: int) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _excess(k: int, m: int) -> float:
-    """Return the change of the squared weights due to one gap, summed over all starts."""
+    """Return the change of the sum of squared weights due to one gap, summed over all starts."""
     length = k + 2
     base = _weights(m, length)
     share = np.arange(1, k + 1) / (k + 1)

@@ -40,7 +40,7 @@ from .goodness import (
 )
 from .intervals import Score
 from .model import RANDOM_TERMS, Floats
-from .process_search import LONGEST_CORRELATION, MOST, ProcessSearch
+from .process_search import LONGEST_CORRELATION, MAX_PROCESSES, ProcessSearch
 from .processes import Extra, GaussMarkovTerm, SinusoidTerm
 from .table import PooledTable, Table
 
@@ -173,7 +173,7 @@ def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> Poi
     The chi^2 test of all averages has little power against a single process: flicker and a random
     walk imitate it in all but a few directions, but chi^2 sums over all directions.
     """
-    for _ in range(sum(MOST.values())):
+    for _ in range(sum(MAX_PROCESSES.values())):
         more = _one_more(pooled, axis, fit, GaussMarkovTerm)
         more = more or _one_more(pooled, axis, fit, SinusoidTerm)
         if more is None or looks_filtered(more):
@@ -287,7 +287,7 @@ def _with_process_for_walk(pooled: PooledTable, axis: int, fit: PointFit) -> lis
     """Return fits with one more, long Gauss-Markov process and without a random walk."""
     extras = fit.options.extras
     count = sum(isinstance(extra, GaussMarkovTerm) for extra in extras)
-    if count == MOST[GaussMarkovTerm]:
+    if count == MAX_PROCESSES[GaussMarkovTerm]:
         return []
     longest = pooled.segments[0].samples / LONGEST_CORRELATION
     out = []

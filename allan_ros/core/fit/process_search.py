@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The search for the fewest Gauss-Markov processes and sinusoids that describe an Allan table.
+"""Search for the fewest Gauss-Markov processes and sinusoids that describe a table.
 
-With the covariance of the table fixed, the best variances for any set of correlation times and
-frequencies are a nonnegative least-squares problem, which is convex. The search adds the process
-that lowers chi^2 most, adjusts all shapes in turn, and stops when one more process is not
-significant.
+With a fixed covariance, the best variances for given correlation times and frequencies (shapes) are
+a nonnegative least-squares problem, which is convex. The search adds the process that decreases
+chi^2 most, adjusts all shapes in turn, and stops when one more process is not significant.
 """
 
 from __future__ import annotations
@@ -22,72 +21,76 @@ from .processes import Extra, GaussMarkovTerm, SinusoidTerm
 from .table import Table
 
 SHAPES_PER_OCTAVE = 6
-"""Number of shapes per octave in the first search."""
+"""Number of shapes per octave on the grid of the first search."""
 
 SHORTEST_CORRELATION = 0.3
-"""In samples. White noise after a first-order filter is such a process, so that fitting it reveals
-the filter."""
+"""Shortest correlation time in samples. White noise after a first-order filter is a process with a
+short correlation time, so such a process reveals the filter."""
 
-SHORTEST_BEYOND_CUT = 4.0
-"""The same in units of the smallest averaging factor, if shorter averages are left out."""
+SHORTEST_IN_M_MIN = 4.0
+"""Shortest correlation time, as a multiple of the smallest averaging factor, if shorter averages
+are excluded."""
 
 LONGEST_CORRELATION = 8
-"""Longest correlation time, as a fraction of the longest segment. Longer ones cannot be
-distinguished from a random walk and a ramp."""
+"""Length of the longest segment divided by the longest correlation time. Processes with longer ones
+cannot be distinguished from a random walk and a ramp."""
 
-FASTEST_LINE = 0.45
-"""Highest frequency of a sinusoid, as a fraction of the sample rate."""
+FASTEST_SINUSOID = 0.45
+"""Highest frequency of a sinusoid, in cycles per smallest averaging time."""
 
-LINE_CYCLES = 10
+SINUSOID_PERIODS = 10
 """Smallest number of periods of a sinusoid in the longest segment."""
 
-MOST = {GaussMarkovTerm: 3, SinusoidTerm: 3}
+MAX_PROCESSES = {GaussMarkovTerm: 3, SinusoidTerm: 3}
 """Largest number of processes of each kind."""
 
-NEEDED_GAIN = 12.0
-"""Smallest decrease of chi^2 for one more process while the model is rejected. By chance it does
-not occur among some hundred shapes (3.5 standard deviations)."""
+REJECTED_GAIN = 12.0
+"""Smallest decrease of chi^2 for which one more process is added while the model is rejected. By
+chance it does not occur among some hundred shapes (3.5 standard deviations)."""
 
-SURE_GAIN = 21.0
-"""The same for one more process in a model that is not rejected: one in 2000 records."""
+ACCEPTED_GAIN = 21.0
+"""The same if the model is not rejected; it occurs by chance in one of 2000 records."""
 
-COMPARED_GAIN = 6.0
-"""The same in a model without a walk, which is then compared as a whole with a model with a
-walk."""
+NO_WALK_GAIN = 6.0
+"""The same for a model without a random walk, which is later compared with a model that has one."""
 
-LITTLE_WHITE = 0.05
-"""Fraction of the Allan variance below which white noise is ignored while a process is selected."""
+NEGLIGIBLE_WHITE = 0.05
+"""Fraction of the Allan variance below which white noise may be omitted while a process is
+selected."""
 
 SWEEPS = 4
 """Largest number of rounds in which all shapes are adjusted in turn."""
 
 FINE = 8
-"""Number of shapes tried between two neighbours of the first search when a shape is refined."""
+"""Number of shapes between two neighbours of the grid when the shape of a Gauss-Markov process is
+refined."""
 
-LINE_FINE = 32
-"""The same for a sinusoid: near a strong sinusoid, chi^2 has many minima."""
+SINUSOID_FINE = 32
+"""The same for a sinusoid. Near the frequency of a strong sinusoid, chi^2 has many minima."""
 
 ZOOM = 4.0
 """Factor by which the resolution increases in each round of a refinement."""
 
-LINE_ZOOMS = 9
-"""Largest number of these rounds for a sinusoid. If it is far above the noise, the curve determines
-its frequency to one part in a million."""
+SINUSOID_ZOOMS = 9
+"""Largest number of these rounds for a sinusoid. The data determine the frequency of a strong
+sinusoid to one part in a million."""
 
-LITTLE_GAIN = 0.05
-"""Change of chi^2 below which shapes are no longer adjusted."""
+NEGLIGIBLE_GAIN = 0.05
+"""Change of chi^2 below which the adjustment of shapes stops."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """The best fit of given processes with a given covariance.
+class ProcessFit:
+    """The best fit of given processes and the four random terms with a fixed covariance.
 
     Attributes
     ----------
     extras : tuple of Extra
         Gauss-Markov processes before sinusoids.
     variances : (4 + extras,) float64 array
+        Variance coefficients of the terms and the processes.
     chi_squared : float
+        Sum of the squared whitened residuals.
     """
 
     extras: tuple[Extra, ...]
@@ -96,19 +99,20 @@ class Found:
 
 
 class ProcessSearch:
-    """Searches the processes that describe a table with a fixed covariance.
+    """Search for the processes that describe a table with a fixed covariance.
 
     Parameters
     ----------
     table : Table
-        Table of the four terms.
+        Table of the four random terms.
     covariance : (factors, factors) float64 array
+        Covariance of the Allan variances.
     samples : int
-        Length of the longest segment.
+        Length of the longest segment in samples.
     signed : bool
         Whether q may be negative.
     walk : bool
-        Whether k may be other than 0.
+        Whether k may differ from 0.
     """
 
     def __init__(
@@ -127,10 +131,10 @@ class ProcessSearch:
         if not walk:
             self._terms[:, K] = 0.0
         self._walk = walk
-        shortest = SHORTEST_CORRELATION if table.m[0] == 1 else SHORTEST_BEYOND_CUT
+        shortest = SHORTEST_CORRELATION if table.m[0] == 1 else SHORTEST_IN_M_MIN
         least = shortest * float(table.m[0])
         drifts = _spaced(least, samples / LONGEST_CORRELATION)
-        lines = _spaced(LINE_CYCLES / samples, FASTEST_LINE / float(table.m[0]))
+        lines = _spaced(SINUSOID_PERIODS / samples, FASTEST_SINUSOID / float(table.m[0]))
         self._grid: list[Extra] = [GaussMarkovTerm(float(t)) for t in drifts]
         self._grid += [SinusoidTerm(float(f)) for f in lines]
         self._columns = self._white(self._grid)
@@ -140,47 +144,43 @@ class ProcessSearch:
         }
 
     def _white(self, extras: Sequence[Extra]) -> Floats:
-        """Return the whitened columns of given processes, (rows, processes)."""
+        """Return the whitened columns of processes, (rows, processes)."""
         if not extras:
             return np.zeros((len(self._target), 0))
         return self._to_white @ self.table.columns(extras)
 
-    def fitted(self, extras: Sequence[Extra]) -> Found:
-        """Return the fit of given processes together with the four terms."""
+    def fitted(self, extras: Sequence[Extra]) -> ProcessFit:
+        """Return the fit of given processes and the four random terms."""
         design = np.column_stack([self._terms, self._white(extras)])
         variances = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
         rest = self._target - design @ variances
-        return Found(tuple(extras), variances, float(rest @ rest))
+        return ProcessFit(tuple(extras), variances, float(rest @ rest))
 
-    def search(self, start: Sequence[Extra] = ()) -> Found:
-        """Return the fewest processes that describe the table.
+    def search(self, start: Sequence[Extra] = ()) -> ProcessFit:
+        """Return the fit with the fewest processes that describe the table.
 
-        Parameters
-        ----------
-        start : sequence of Extra
-            Processes to begin with; those that are no longer significant are removed.
+        The search begins with the processes ``start``; those that are not significant are removed.
         """
         found = self._pruned(self.adjusted(self.fitted(start)))
         while True:
             more = self.with_one_more(found)
             if more is None or found.chi_squared - more.chi_squared < self._needed(found):
-                return self.adjusted(self._with_a_drift(found), SWEEPS)
+                return self.adjusted(self._with_drift_process(found), SWEEPS)
             found = more
 
-    def _pruned(self, found: Found) -> Found:
+    def _pruned(self, found: ProcessFit) -> ProcessFit:
         """Return the fit without the processes that are not significant."""
         while found.extras:
             without = [self._without(found, out) for out in range(len(found.extras))]
             best = min(without, key=lambda f: f.chi_squared)
-            needed = self._needed(best) if self._walk else COMPARED_GAIN
+            needed = self._needed(best) if self._walk else NO_WALK_GAIN
             if best.chi_squared - found.chi_squared > needed:
                 break
             found = self.adjusted(best)
         return found
 
-    def _without(self, found: Found, out: int) -> Found:
-        """Return the fit without a process; if it has an adjacent sinusoid, this moves to their
-        mean."""
+    def _without(self, found: ProcessFit, out: int) -> ProcessFit:
+        """Return the fit without one process; a sinusoid close to a removed one is adjusted."""
         kept = [e for k, e in enumerate(found.extras) if k != out]
         less = self.fitted(kept)
         gone = found.extras[out]
@@ -190,102 +190,106 @@ class ProcessSearch:
                 less = self._with_best_shape(less, k, everywhere=False)
         return less
 
-    def _with_a_drift(self, found: Found) -> Found:
-        """Return the fit with another Gauss-Markov process if the model has no walk and chi^2
-        decreases by more than `COMPARED_GAIN`, else the fit itself.
+    def _with_drift_process(self, found: ProcessFit) -> ProcessFit:
+        """Return the fit with one more Gauss-Markov process if the model has no random walk.
+
+        The process is added only if chi^2 decreases by more than `NO_WALK_GAIN`.
         """
         if self._walk:
             return found
         more = self.with_one_more(found, (GaussMarkovTerm,))
-        pays = more is not None and found.chi_squared - more.chi_squared > COMPARED_GAIN
+        pays = more is not None and found.chi_squared - more.chi_squared > NO_WALK_GAIN
         return more if more is not None and pays else found
 
-    def z(self, found: Found) -> float:
-        """Return the goodness of fit as a normal deviate."""
+    def z(self, found: ProcessFit) -> float:
+        """Return the chi^2 test of a fit as a normal deviate."""
         freedom = max(self.freedom - np.count_nonzero(found.variances) - len(found.extras), 1.0)
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
-    def _needed(self, found: Found) -> float:
-        return NEEDED_GAIN if self.z(found) >= Z_FAIL else SURE_GAIN
+    def _needed(self, found: ProcessFit) -> float:
+        return REJECTED_GAIN if self.z(found) >= Z_FAIL else ACCEPTED_GAIN
 
     def with_one_more(
-        self, found: Found, kinds: Sequence[type[Extra]] = (GaussMarkovTerm, SinusoidTerm)
-    ) -> Found | None:
-        """Return the best fit with one more process and all shapes adjusted, if chi^2 decreases."""
+        self, found: ProcessFit, kinds: Sequence[type[Extra]] = (GaussMarkovTerm, SinusoidTerm)
+    ) -> ProcessFit | None:
+        """Return the best fit with one more process of the given kinds, with all shapes adjusted.
+
+        None if no process decreases chi^2.
+        """
         allowed = np.zeros(len(self._grid), bool)
         for kind in kinds:
-            if sum(isinstance(e, kind) for e in found.extras) < MOST[kind]:
+            if sum(isinstance(e, kind) for e in found.extras) < MAX_PROCESSES[kind]:
                 allowed |= self._of_kind[kind]
         at = np.flatnonzero(allowed)
         if not len(at):
             return None
-        chi_squared = self._tried(found.extras, found.variances, self._columns[:, at])
+        chi_squared = self._chi_squared_with(found.extras, found.variances, self._columns[:, at])
         best = int(np.argmin(chi_squared))
         if not np.isfinite(chi_squared[best]):
             return None
         return self.adjusted(self.fitted(_sorted([*found.extras, self._grid[at[best]]])))
 
-    def adjusted(self, found: Found, sweeps: int = 1) -> Found:
-        """Return the fit with the shapes of all processes adjusted in turn."""
+    def adjusted(self, found: ProcessFit, sweeps: int = 1) -> ProcessFit:
+        """Return the fit with the shapes of all processes adjusted in turn, for some sweeps."""
         for sweep in range(sweeps):
             before = found.chi_squared
             for k in range(len(found.extras)):
                 found = self._with_best_shape(found, k, everywhere=sweep == 0)
-            if before - found.chi_squared < LITTLE_GAIN:
+            if before - found.chi_squared < NEGLIGIBLE_GAIN:
                 break
         return found
 
-    def _with_best_shape(self, found: Found, k: int, everywhere: bool) -> Found:
-        """Return the fit with the best shape of one process: first on the grid, then refined."""
+    def _with_best_shape(self, found: ProcessFit, k: int, everywhere: bool) -> ProcessFit:
+        """Return the fit with the best shape of process k; try the whole grid if ``everywhere``."""
         best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
         variances = np.delete(found.variances, len(RANDOM_TERMS) + k)
         kind = self._of_kind[type(best)]
         grid = [e for e, here in zip(self._grid, kind) if here]
-        if not grid:  # too few averages remain to adjust the shape
+        if not grid:  # too few averages to adjust the shape
             return found
         if everywhere:
-            coarse = self._tried(others, variances, self._columns[:, kind])
-            if coarse.min() < found.chi_squared - LITTLE_GAIN:
+            coarse = self._chi_squared_with(others, variances, self._columns[:, kind])
+            if coarse.min() < found.chi_squared - NEGLIGIBLE_GAIN:
                 best = grid[int(np.argmin(coarse))]
         active = tuple(c for c in (B, K) if found.variances[c] > 0.0)
         step = 2.0 ** (1.0 / SHAPES_PER_OCTAVE)
         low, high = grid[0].shape, grid[-1].shape
-        points, zooms = (LINE_FINE, LINE_ZOOMS) if isinstance(best, SinusoidTerm) else (FINE, 2)
+        points, zooms = (
+            (SINUSOID_FINE, SINUSOID_ZOOMS) if isinstance(best, SinusoidTerm) else (FINE, 2)
+        )
         last = np.inf
         for zoom in range(zooms):
             reach = step ** (ZOOM**-zoom)
             shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * points + 1)
             fine = [replace(best, shape=float(s)) for s in np.clip(shapes, low, high)]
-            chi_squared = self._tried(others, variances, self._white(fine), (active,))
+            chi_squared = self._chi_squared_with(others, variances, self._white(fine), (active,))
             least = float(chi_squared.min())
             if not np.isfinite(least):
                 break
             best = fine[int(np.argmin(chi_squared))]
-            if zoom > 0 and last - least < LITTLE_GAIN:
+            if zoom > 0 and last - least < NEGLIGIBLE_GAIN:
                 break
             last = least
         changed = self.fitted(_sorted([*others, best]))
         return changed if changed.chi_squared < found.chi_squared else found
 
-    def _tried(
+    def _chi_squared_with(
         self,
         extras: Sequence[Extra],
         variances: Floats,
         candidates: Floats,
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
     ) -> Floats:
-        """Return chi^2 of the fit with each candidate column added; infinite if its coefficient is
-        negative.
+        """Return chi^2 with each candidate column added; inf if a coefficient becomes negative.
 
-        Flicker and walk are present in each combination of ``actives``, so that no other
-        coefficient becomes negative.
+        It is the smallest over the given combinations of flicker and random walk (``actives``).
         """
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
-        # White noise with a small contribution could become negative next to any other process.
+        # A small white noise coefficient could become negative next to another process.
         white = float(np.max(self.table.terms[:, N] * variances[N] / self.table.avar))
-        optional = (Q, N, B, K) if white < LITTLE_WHITE else (Q, B, K)
+        optional = (Q, N, B, K) if white < NEGLIGIBLE_WHITE else (Q, B, K)
         certain = [c for c in range(known.shape[1]) if c not in optional]
         if self.signed or variances[Q] != 0.0:
             certain.append(Q)
@@ -312,7 +316,7 @@ class ProcessSearch:
 
 
 def _spaced(low: float, high: float) -> Floats:
-    """Return shapes evenly spaced in their logarithm; none if low > high."""
+    """Return shapes that are evenly spaced in their logarithm; none if low >= high."""
     if low >= high:
         return np.zeros(0)
     return np.geomspace(low, high, int(np.log2(high / low) * SHAPES_PER_OCTAVE) + 2)

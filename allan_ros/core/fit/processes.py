@@ -1,23 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gauss-Markov processes and sinusoids in an Allan table, and their part of its covariance.
+"""Gauss-Markov processes and sinusoids in a table of Allan variances, and their covariance.
 
-Both are linear in their variance and have one more parameter, their shape: a correlation time or a
-frequency.
+Their expected Allan variances are linear in the variance (or squared amplitude) and depend on a
+shape: a correlation time or a frequency.
 
 The covariance of two Allan variances is a sum of squared covariances of differences over all lags
-(module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to that sum,
-where g and h are processes and k is one of the four terms. A correlation time breaks the scaling
-between octaves that `covariance` relies on, so these sums are computed for each table. Three facts
-reduce this to about 50 ms:
+(module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to this sum,
+where g and h are processes and k is one of the four random terms. The scaling between octaves that
+`covariance` uses does not hold for a correlation time, so these sums are computed for each table.
+Three facts reduce the effort to about 50 ms:
 
 - A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u), where E is a sum of nine exponentials.
-- C(u) and the number of pairs of differences are even in the lag u counted from m_j - m_i, so
-  half of the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j + u) and
-  decreases linearly until the segment ends, so all segments share the values of C.
-- Between its corners at u = 0, m_i, m_j - m_i, m_j, m_i + m_j, C is smooth and is integrated by
-  Gauss-Legendre quadrature. The Euler-Maclaurin formula turns the integral into the sum over the
-  lattice of lags: every corner adds a twelfth of its change of slope.
+- C(u) and the number of pairs of differences are even functions of the lag u, counted from
+  m_j - m_i, so half of the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j
+  + u) and decreases linearly until the segment ends, so all segments share the values of C.
+- C is smooth between the lags u = 0, m_i, m_j - m_i, m_j and m_i + m_j (called corners), and is
+  integrated there by Gauss-Legendre quadrature. The Euler-Maclaurin formula converts the integral
+  to the sum over lags: it adds 1/12 of the change of slope at each corner.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from .model import RANDOM_TERMS, Floats, Ints, walk_from_cubic
 
 Q = RANDOM_TERMS.index('Q')
 
-LINE_PEAK = 0.371
-"""f m at the maximum of sin^4(pi f m)/(pi f m)^2."""
+SINUSOID_PEAK = 0.371
+"""Value of f m at which the Allan variance of a sinusoid, sin^4(pi f m)/(pi f m)^2, is largest."""
 
 
 @dataclass(frozen=True)
@@ -50,35 +50,47 @@ class GaussMarkovTerm:
         return 1.89 * self.shape
 
     def white(self) -> float:
-        """Return the variance per sample of white noise with the same long-term level."""
+        """Return the variance per sample of white noise with the same low-frequency level."""
         return float(gauss_markov_sums(self.shape)[0][0])
 
 
 @dataclass(frozen=True)
 class SinusoidTerm:
-    """A sinusoid of random phase; its shape is the frequency in cycles per sample."""
+    """Sinusoid of random phase; its shape is the frequency in cycles per sample."""
 
     shape: float
 
     @property
     def scale(self) -> float:
-        """Averaging factor at which the sinusoid is largest in the Allan variance."""
-        return LINE_PEAK / self.shape
+        """Averaging factor at which the Allan variance of the sinusoid is largest."""
+        return SINUSOID_PEAK / self.shape
 
 
 Extra = GaussMarkovTerm | SinusoidTerm
 
 
 def correlation_times(extras: Sequence[Extra]) -> tuple[float, ...]:
-    """Return the correlation times of the Gauss-Markov processes among the given processes."""
+    """Return the correlation times in samples of the Gauss-Markov processes in a list."""
     return tuple(e.shape for e in extras if isinstance(e, GaussMarkovTerm))
 
 
-def line_scatter(samples: int, times: Sequence[float], lines: Sequence[Extra]) -> Floats:
-    """Return the variances of squared amplitudes for `Table.line_scatter`.
+def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Extra]) -> Floats:
+    """Return the variance of the estimated squared amplitude of each sinusoid due to noise.
 
-    Noise of the two-sided density S adds 8 A^2 S / n to the variance of the squared amplitude of a
-    sinusoid of n samples.
+    White noise of two-sided density S adds 8 A^2 S / n to this variance for an amplitude A and n
+    samples. The result is relative to A^2 and per unit of each variance coefficient.
+
+    Parameters
+    ----------
+    samples : int
+        Number of samples n.
+    times : sequence of float
+        Correlation times in samples of the Gauss-Markov processes.
+    lines : sequence of SinusoidTerm
+
+    Returns
+    -------
+    (sinusoids, 4 + processes) float64 array
     """
     rows = []
     for line in lines:
@@ -94,15 +106,29 @@ def line_scatter(samples: int, times: Sequence[float], lines: Sequence[Extra]) -
     return np.array(rows).reshape(len(lines), len(RANDOM_TERMS) + len(times))
 
 
-def line_rest(
+def independent_variance(
     m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Extra]
 ) -> Floats:
-    """Return `Table.line_rest` of ``segments`` segments with ``samples`` samples in total.
+    """Return the variance of Allan variances due to sinusoids that is independent at each factor.
 
-    Differences at every s-th start also contain the noise at the aliases of the sinusoid. With C
-    differences l_j of the sinusoid and d_j of white noise, the variance of mean(l d) is E[l^2]/C
-    sum_k (1 - |k|/C) cos(omega s k) R_d(s k). The mean of l^2 itself depends on the phase by 1/(C
-    sin(omega s)), or entirely if the phase is equal at all starts.
+    A sinusoid and white noise multiply in the squared differences. At every s-th start, the
+    differences also contain the noise at the aliases of the sinusoid. With C differences l_j of the
+    sinusoid and d_j of the noise, the variance of mean(l d) is E[l^2]/C sum_k (1 - |k|/C) cos(omega
+    s k) R_d(s k). The mean of l^2 itself depends on the phase, relatively by 1/(C sin(omega s)), or
+    entirely if the phase is the same at all starts.
+
+    Parameters
+    ----------
+    m, stride, count : (factors,) int64 arrays
+        Averaging factors, samples between two starts, and numbers of differences.
+    samples, segments : int
+        Total number of samples, and number of segments.
+    lines : sequence of SinusoidTerm
+
+    Returns
+    -------
+    (2, sinusoids, factors) float64 array
+        Relative to the squared amplitude times w, and to the square of the squared amplitude.
     """
     out = np.zeros((2, len(lines), len(m)))
     if not lines:
@@ -130,14 +156,16 @@ NODES = 14
 """Number of quadrature points between two corners."""
 
 TAIL = (1.5, 9.0)
-"""End of the quadrature after the last corner, in units of the longest correlation time."""
+"""Distances of the last two ends of the quadrature from the last corner, in units of the longest
+correlation time."""
 
 PAIRS_AT_ONCE = 512
-"""Number of pairs of factors that are summed together: a few megabytes of memory."""
+"""Number of pairs of factors that are computed together, which limits the memory to a few
+megabytes."""
 
 CORNER_WEIGHTS = np.array([4.0, -4.0, -4.0, 2.0, 2.0])
-"""Weights of C at the corners, for both signs of u together: products of (1, -2, 1) and (1, -2,
-1)."""
+"""Weights of C at the corners, for both signs of u together: products of the coefficients (1, -2,
+1) of two differences."""
 
 _GAUSS, _GAUSS_WEIGHTS = legendre.leggauss(NODES)
 _EVEN, _WEIGHTS = (1.0 + _GAUSS) / 2.0, _GAUSS_WEIGHTS / 2.0
@@ -148,9 +176,10 @@ time."""
 _SLOPES = 2.0 * _EVEN * (1.0 - _EVEN) / _DENSITY**2
 _POLYNOMIALS = (_WEIGHTS[:, None] * legendre.legvander(_GAUSS, NODES - 1)).T
 _UP_TO = 0.5 * _POLYNOMIALS
-"""Maps P_k+1 - P_k-1 of Legendre at a point to the weights of an integral from 0 to this point."""
+"""Maps P_k+1 - P_k-1 of Legendre polynomials at a point to the weights of an integral from 0 to
+this point."""
 _AT = (2.0 * np.arange(NODES) + 1.0)[:, None] * _POLYNOMIALS
-"""Maps P_k of Legendre at a point to the weights of a value at this point."""
+"""Maps Legendre polynomials P_k at a point to the weights of a value at this point."""
 
 
 def process_pairs(processes: int) -> list[tuple[int, int]]:
@@ -168,25 +197,25 @@ def process_squares(
     lengths: Sequence[tuple[float, int]],
     times: Sequence[float],
 ) -> Floats:
-    """Return what Gauss-Markov processes of unit variance add to the covariance of Allan variances.
+    """Return the covariance of Allan variances due to Gauss-Markov processes of unit variance.
 
-    It is the sum of the products of their covariances with those of the four terms and with each
-    other, over all pairs of second differences.
+    It is the sum over all pairs of differences of the products of their covariances with those of
+    the four random terms and with each other.
 
     Parameters
     ----------
     m, stride : (factors,) int64 arrays
         Averaging factors and samples between two starts.
     lengths : sequence of (samples, number)
-        Segments by length.
+        Segment lengths and the number of segments of each.
     times : sequence of float
         Correlation times in samples.
 
     Returns
     -------
     (products, pairs) float64 array
-        For the `process_pairs`, at the pairs i <= j of `numpy.triu_indices`, in the convention of
-        `covariance.PairSums.squares`: products of two different processes count twice.
+        For the `process_pairs`, at the pairs i <= j of `numpy.triu_indices`. Products of two
+        different processes count twice.
     """
     i, j = np.triu_indices(len(m))
     segments = _Segments(lengths)
@@ -200,7 +229,7 @@ def process_squares(
 
 
 class _Segments:
-    """Number of segments of at least a given length, and their samples."""
+    """Numbers and total lengths of the segments that are longer than given lengths."""
 
     def __init__(self, lengths: Sequence[tuple[float, int]]) -> None:
         by_length = sorted(lengths)
@@ -216,15 +245,14 @@ class _Segments:
         return self._number[at], self._total[at]
 
     def differences(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences over ``reach`` samples, with one start every ``stride``
-        samples.
-        """
+        """Return the number of differences over ``reach`` samples, one every ``stride`` samples."""
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 
     def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
-        """Return the mean number of samples after the last difference, of segments of at least a
-        given length.
+        """Return the mean number of samples after the last difference.
+
+        Only segments of at least ``least`` samples are counted.
         """
         enough = (self.samples >= least[:, None]) * self.number
         rest = np.mod(self.samples - reach[:, None], stride[:, None])
@@ -232,7 +260,7 @@ class _Segments:
 
 
 class _Lags:
-    """Quadrature over the lags of given pairs of factors."""
+    """Quadrature over the lags of given pairs of averaging factors."""
 
     def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
         self.mi, self.mj = mi.astype(float), mj.astype(float)
@@ -245,9 +273,8 @@ class _Lags:
         self.segments, self.stride_j = segments, stride_j
         self.plateau = segments.differences(2.0 * self.mj, stride_j)
         self.dense = self.mj < NODES * self.stride
-        # A segment has pairs of differences up to a lag of its samples less this. For one sign the
-        # lags end with the last difference at m_i, for the other sign with the last difference at
-        # m_j.
+        # Largest lag of a pair of differences = samples of the segment - self.less. The last
+        # difference is one of m_i for positive lags, and one of m_j for negative lags.
         unused = [
             segments.unused(2.0 * m, s, 2.0 * self.mj)
             for m, s in ((self.mi, self.stride), (self.mj, stride_j))
@@ -297,13 +324,13 @@ class _Lags:
         at_corners = self.pairs_at(corners) * CORNER_WEIGHTS * self.norm[:, None]
         c_corners = self.covariances(corners, times)
         near = 3
-        inner, _ = self._staircase()
+        inner, _ = self._step_corrections()
         longer, _ = self.segments.longer(2.0 * self.mj - 0.5)
         at_near = np.where(self.dense, 0.0, 2.0 * longer * inner)
-        kink = [1.0, 0.0, 1.0 / 6.0]  # change of slope of C at a corner: for w, b, k
+        slope_change = [1.0, 0.0, 1.0 / 6.0]  # of C of w, b and k at a corner
         for time in times:
             slope, step = (float(x[0]) for x in gauss_markov_sums(time))
-            kink.append(slope - step / time)
+            slope_change.append(slope - step / time)
         twelfth = np.where(self.dense, 0.0, self.stride / 12.0)[:, None]
         out = np.empty((len(products), len(self.mi)))
         for row, (a, b) in enumerate(products):
@@ -312,16 +339,18 @@ class _Lags:
                 continue
             total = np.einsum('pu,pu,pu->p', weight, c[a - 1], c[b - 1])
             total += at_near * c_corners[a - 1, :, near] * c_corners[b - 1, :, near]
-            bent = kink[a - 1] * c_corners[b - 1] + kink[b - 1] * c_corners[a - 1]
-            total += (at_corners * bent * twelfth).sum(axis=1)
+            slope_part = (
+                slope_change[a - 1] * c_corners[b - 1] + slope_change[b - 1] * c_corners[a - 1]
+            )
+            total += (at_corners * slope_part * twelfth).sum(axis=1)
             out[row] = (2.0 if a == b else 4.0) * total
         return out
 
     def _weights(self, longest: float) -> tuple[Floats, Floats]:
         """Return lags, (pairs, nodes), and the weights of the products of C at these lags.
 
-        The number of pairs has a bend where a segment ends. A segment that ends between two
-        corners is integrated up to its end, by the polynomial through the nodes.
+        The slope of the number of pairs changes where a segment ends. A segment that ends between
+        two corners is integrated up to its end, with the polynomial through the nodes.
         """
         lags, weights = [], []
         for low, high in pairwise(self._bounds(longest)):
@@ -337,15 +366,15 @@ class _Lags:
             lags.append(u)
             weights.append(weight)
         u, weight = np.concatenate(lags, axis=1), np.concatenate(weights, axis=1)
-        # Corners a few samples apart: sum over all lags, where lag 0 counts half.
+        # If corners are a few samples apart, all lags are summed; lag 0 counts half.
         each, dense = np.arange(u.shape[1]), self.dense
         u[dense] = each * self.stride[dense, None]
         weight[dense] = np.where(each == 0, 1.0, 2.0) * self.pairs_at(u)[dense]
         return u, weight
 
     def _add_ends(self, weight: Floats, low: Floats, high: Floats, u: Floats) -> None:
-        """Add the weights of the segments whose last lag lies in low..high."""
-        _, outer = self._staircase()
+        """Add the weights of the segments whose last lag lies between low and high."""
+        _, outer = self._step_corrections()
         width = (high - low)[:, None]
         first = np.maximum(np.maximum(low, self.near) + self.less, 2.0 * self.mj - 1.0)
         for samples, number in zip(self.segments.samples, self.segments.number):
@@ -370,11 +399,12 @@ class _Lags:
         tail = [self.far + end * longest for end in TAIL]
         return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
 
-    def _staircase(self) -> tuple[Floats, Floats]:
-        """Return the difference between sum and integral at the lag where the number of pairs
-        begins to decrease, and at its end, in units of C squared.
+    def _step_corrections(self) -> tuple[Floats, Floats]:
+        """Return corrections of the sum over lags at both ends of the decrease of the pairs.
 
-        The number of pairs is a staircase whose steps are ``ratio`` lags wide (`covariance`).
+        The number of pairs is a step function whose steps are ``ratio`` lags wide. The corrections
+        are the differences between its sum and the integral of a straight line, in units of C
+        squared.
         """
         ratio, lost = self.ratio, self.lost
         bend = np.where(ratio <= self.mi / self.stride, (ratio - 1.0 / ratio) / 12.0, lost / 2.0)

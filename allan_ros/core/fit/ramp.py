@@ -1,24 +1,25 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ramp of a segment, estimated from its coarse phase record, and the effect of removing it.
+"""The ramp of a segment, estimated from points of its phase, and the effect of removing it.
 
-The second differences of the coarse phase over the square of its step are estimates of the ramp r
-(in sample units) with stationary noise. Their best linear unbiased combination (Aitken 1935) is
+The second differences z of equally spaced phase points, divided by the square of their distance,
+are estimates of the ramp r (per sample) with stationary noise. The best linear unbiased estimate
+(Aitken 1935) is
 
     r = 1' S^-1 z / 1' S^-1 1        var r = 1 / 1' S^-1 1
 
-with S the Toeplitz covariance of z under the noise model. Any such r is linear in the phase,
-``weights @ phase``. If r m^2 is subtracted from every difference d, the expectation of the table is
-still linear in the variance coefficients. For any fixed weights this is exact:
+where S is the Toeplitz covariance of z under the noise model. It is linear in the phase, r =
+weights @ phase. If r m^2 is subtracted from every difference d, the expectation of the Allan
+variances is still linear in the variance coefficients. For any fixed weights this is exact:
 
     E V'_i = E V_i - sqrt2 m_i Cov(S_i, r) + m_i^2 Var(r) / 2
 
 where S_i is the mean of d/(sqrt2 m_i). `RampEffect` contains Cov(S_i, r) and Var(r) per unit
 coefficient.
 
-The phase of a Gauss-Markov process of unit variance has the generalised covariance
--A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times the covariance of white
-noise, plus an exponential part.
+The phase of a Gauss-Markov process of unit variance and correlation time T has the generalised
+covariance -A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times the covariance
+of white noise, plus an exponential part.
 """
 
 from __future__ import annotations
@@ -48,29 +49,33 @@ from .model import (
 N = RANDOM_TERMS.index('N')
 
 SHIFTS_PER_OCTAVE = 4
-"""Number of correlation times per octave at which `DriftShift` is computed; interpolation is
-accurate to 1e-4."""
+"""Number of correlation times per octave at which `DriftShift` is computed; interpolation between
+them is accurate to 1e-4."""
 
 SHORTEST_SHIFT = 0.25
 """Shortest of these correlation times, in samples."""
 
 _FOURTH_DIFFERENCE = np.convolve(DIFFERENCE, DIFFERENCE)
-"""Coefficients of the fourth difference: the covariance of second differences of theta is the
-fourth difference of its covariance."""
+"""Coefficients of the fourth difference: the covariance of second differences of the phase is the
+fourth difference of the covariance of the phase."""
 
 
 class Noise(NamedTuple):
-    """Variance coefficients of a noise model and the correlation times of its processes.
+    """Random noise model: variance coefficients and correlation times.
 
-    ``variances`` contains q, w, b, k and the variance of each Gauss-Markov process,
-    (4 + processes,). ``times`` contains the correlation times in samples.
+    Attributes
+    ----------
+    variances : (4 + processes,) float64 array
+        q, w, b, k and the variance of each Gauss-Markov process.
+    times : tuple of float
+        Correlation times of the processes in samples.
     """
 
     variances: Floats = WHITE
     times: tuple[float, ...] = ()
 
     def white(self) -> Floats:
-        """Return nonnegative q, w, b, k of noise with the same level at long times."""
+        """Return nonnegative q, w, b, k of noise with the same low-frequency level."""
         variances = np.maximum(self.variances, 0.0)
         four = variances[: len(RANDOM_TERMS)].copy()
         if self.times:
@@ -80,15 +85,21 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class RampEffect:
-    """Covariance of a ramp estimate with the signed means S_i, (noises, factors), and its variance,
-    (noises,), both per unit coefficient of the four terms and of the processes."""
+    """Moments of a ramp estimate, per unit coefficient of the four terms and of the processes.
+
+    Attributes
+    ----------
+    cross : (noises, factors) float64 array
+        Covariance of the ramp with the means S_i of d_i/(sqrt2 m_i).
+    variance : (noises,) float64 array
+        Variance of the ramp.
+    """
 
     cross: Floats
     variance: Floats
 
     def shift(self, m: Ints) -> Floats:
-        """Return the change of the expected d^2/(2 m^2) when the ramp is removed, (factors,
-        noises).
+        """Return the change of E d^2/(2 m^2) due to the removal of the ramp, (factors, noises).
 
         -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
         """
@@ -99,24 +110,27 @@ class RampEffect:
 
 @dataclass(frozen=True)
 class RampGeometry:
-    """Covariances that determine the best ramp estimate of a segment of some length.
+    """Covariances that determine the best ramp estimate of a segment of a given length.
 
     Attributes
     ----------
     points, step : int
-        Number of points and step of its coarse phase record.
+        Number of phase points and their distance in samples.
     m : (factors,) int64 array
+        Averaging factors.
     second_differences : (4, points - 2) float64 array
         Covariance at lag 0, 1, .. of the second differences of the phase, per unit coefficient.
     cross : (4, factors, points) float64 array
         Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit coefficient.
     ends, shares : (factors, 6) float64 arrays
-        The covariance of S_i with a point at x is sum_e share_e F(end_e - x), where F is the
-        integral of the covariance of the phase: the mean over the starts is replaced by an
-        integral.
-    kinks : (factors, points) float64 array
-        Difference of the covariance with white noise, which has a kink at lag 0, from that
-        integral.
+        The covariance of S_i with a phase point at x is approximately sum_e share_e F(end_e - x),
+        where F is the integral of the covariance of the phase. The mean over the starts is replaced
+        by an integral.
+    excess : (factors, points) float64 array
+        Exact covariance with white noise minus that integral. White noise has a discontinuous slope
+        of the covariance at lag 0.
+    stride : (factors,) int64 array
+        Samples between two starts.
     """
 
     points: int
@@ -126,12 +140,13 @@ class RampGeometry:
     cross: Floats
     ends: Floats
     shares: Floats
-    kinks: Floats
+    excess: Floats
     stride: Ints
 
     def best_weights(self, noise: Noise) -> Floats | None:
-        """Return the weights of the phase for the best estimate of r; None for fewer than three
-        points.
+        """Return the weights of the phase for the best estimate of the ramp, (points,).
+
+        None if there are fewer than three points or no noise.
         """
         z = self.points - 2
         if z < 1:
@@ -145,11 +160,12 @@ class RampGeometry:
         return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
     def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
-        """Return the effect on the table when the ramp, estimated with these weights, is removed.
+        """Return the covariance of a ramp estimate with the Allan table, and its variance.
 
         Parameters
         ----------
         weights : (points,) float64 array
+            Weights of the phase points in the estimate.
         times : sequence of float
             Correlation times, in samples, of processes that follow the four terms in the result.
         """
@@ -159,7 +175,7 @@ class RampGeometry:
         return RampEffect(cross, self.variance(weights, times))
 
     def variance(self, weights: Floats, times: Sequence[float] | Floats = ()) -> Floats:
-        """Return the variance of the ramp estimated with these weights, (noises,)."""
+        """Return the variance of a ramp estimate with these weights, (noises,)."""
         on_second = np.cumsum(np.cumsum(weights))[:-2]
         # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
         lags = np.correlate(on_second, on_second, 'full')[len(on_second) - 1 :]
@@ -184,11 +200,12 @@ class RampGeometry:
     def _decay_cross(
         self, weights: Floats, times: Sequence[float] | Floats, white: Floats
     ) -> Floats:
-        """Return the covariances of S_i with a ramp estimate, (processes, factors).
+        """Return the covariances of S_i with a ramp estimate for Gauss-Markov processes.
 
         The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
-        over the points x follows from the sums over the points before and after t, of the weights
-        and of the weights times an exponential, which are computed as convolutions.
+        over the points x follows from the sums over the points before and after t of the weights,
+        with and without an exponential factor. These are computed as convolutions. Shape
+        (processes, factors).
         """
         slope, size = gauss_markov_sums(times)
         time = np.reshape(times, (-1, 1))
@@ -202,22 +219,19 @@ class RampGeometry:
         ahead = np.maximum((cell + 1) * self.step - t, 0.0)
         value = np.pad(after, ((0, 0), (0, 1)))[:, cell + 1] * np.exp(-ahead / time)
         value -= np.pad(before, ((0, 0), (1, 0)))[:, cell + 1] * np.exp(-past / time)
-        value *= np.repeat(_lattice_decay(time, self.stride), self.ends.shape[1], axis=1)
+        value *= np.repeat(_sum_over_integral(time, self.stride), self.ends.shape[1], axis=1)
         value += 2.0 * np.concatenate([[0.0], np.cumsum(weights)])[cell + 1]
         part = (value.reshape(-1, *self.ends.shape) * self.shares).sum(axis=2)
-        smooth = np.outer(slope, white - self.kinks @ weights) - size[:, None] / 2.0 * time * part
-        return np.asarray(smooth + _kink_level(time, self.stride) * (self.kinks @ weights))
+        smooth = np.outer(slope, white - self.excess @ weights) - size[:, None] / 2.0 * time * part
+        return np.asarray(smooth + _slope_correction(time, self.stride) * (self.excess @ weights))
 
 
 @lru_cache(maxsize=80)
 def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     """Return the geometry of a segment of ``samples`` samples; the last 80 are cached.
 
-    Parameters
-    ----------
-    samples : int
-    step : int
-        Samples between two points of its phase record; 0 selects the step of a complete segment.
+    ``step`` is the number of samples between two phase points; 0 selects that of a complete
+    segment.
     """
     if not step:
         step = cell_step(samples, PHASE_POINTS)
@@ -234,8 +248,8 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     exact = np.zeros((len(m), points))
     for a, c in enumerate(DIFFERENCE):
         start = at - (a * m)[:, None]
-        met = (start >= 0) & (start <= ((count - 1) * stride)[:, None])
-        cross[0] += c * (met & (start % stride[:, None] == 0))
+        is_start = (start >= 0) & (start <= ((count - 1) * stride)[:, None])
+        cross[0] += c * (is_start & (start % stride[:, None] == 0))
         # sum_k |k s - start| over 0 <= k < M
         below = np.clip(start // stride[:, None] + 1, 0, count[:, None])
         exact -= (
@@ -247,16 +261,17 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     cross[0] /= norm
     for end, share in zip(ends.T, shares.T):
         cross[1:] += share[:, None] * _integral(end[:, None] - at, at[-1], stride[:, None])
-    kinks = exact / norm - cross[N]
-    cross[N:] += np.multiply.outer([1.0, 0.0, 1.0 / 6.0], kinks)
-    return RampGeometry(points, step, m, second_differences, cross, ends, shares, kinks, stride)
+    excess = exact / norm - cross[N]
+    cross[N:] += np.multiply.outer([1.0, 0.0, 1.0 / 6.0], excess)
+    return RampGeometry(points, step, m, second_differences, cross, ends, shares, excess, stride)
 
 
-def _kink_level(time: Floats, stride: Ints) -> Floats:
-    """Return the kink of a process in sums over a lattice, relative to white noise.
+def _slope_correction(time: Floats, stride: Ints) -> Floats:
+    """Return the correction for a discontinuous slope of a process, relative to white noise.
 
-    The sum of exp(-|t|/T) over a lattice of step s is coth(s/2T), its integral 2T/s; for -|t|/2
-    they differ by s/12.
+    Sums over starts at a distance of s samples differ from integrals where the slope of the
+    covariance is discontinuous. The sum of exp(-|t|/T) is coth(s/2T), its integral 2T/s. For white
+    noise, -|t|/2, sum and integral differ by s/12.
     """
     slope, size = (x.reshape(np.shape(time)) for x in gauss_markov_sums(np.ravel(time)))
     half = stride / (2.0 * time)
@@ -265,8 +280,8 @@ def _kink_level(time: Floats, stride: Ints) -> Floats:
     return np.asarray(slope - 6.0 * size / stride * excess)
 
 
-def _lattice_decay(time: Floats, stride: Ints) -> Floats:
-    """Return the sum of exp(-t/T) over the lattice after t, relative to its integral."""
+def _sum_over_integral(time: Floats, stride: Ints) -> Floats:
+    """Return the sum of exp(-t/T) over starts at t > 0, relative to its integral."""
     half = np.minimum(stride / (2.0 * time), 300.0)
     return np.asarray(half / np.sinh(half))
 
@@ -275,7 +290,7 @@ def _ends(samples: int) -> tuple[Floats, Floats]:
     """Return `RampGeometry.ends` and `RampGeometry.shares` of a segment.
 
     The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the integral
-    over the step s around each start.
+    from -s/2 to (M - 1/2) s.
     """
     m, stride = grid_for(samples)
     count = counts(samples, m, stride)
@@ -288,9 +303,9 @@ def _ends(samples: int) -> tuple[Floats, Floats]:
 def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
     """Return the integrals from 0 to t of the generalised covariances of w, b and k, (3, ...).
 
-    They are reduced by s^2/24 times their second derivative, which converts the integral into the
-    sum over starts (Euler-Maclaurin). The unit of lags in the logarithm adds a multiple of t^2 to
-    G, which has no effect.
+    They are reduced by s^2/24 times their second derivative, which converts the integral to the sum
+    over starts (Euler-Maclaurin). ``unit`` scales the lags in the logarithm: it adds a multiple of
+    t^2, which has no effect on the result.
     """
     size, end = np.abs(t), stride**2 / 24.0
     white = -t * size / 4.0 + end * np.where(t < 0.0, -0.5, 0.5)
@@ -303,18 +318,19 @@ def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
 
 @lru_cache(maxsize=256)
 def mean_covariances(samples: int, time: float) -> Floats:
-    """Return the covariances of S_i and S_j of a Gauss-Markov process of unit variance, (pairs,).
+    """Return the covariances of S_i and S_j for a Gauss-Markov process of unit variance, (pairs,).
 
-    For the pairs i <= j of `numpy.triu_indices`. The double sum over starts is replaced by a double
-    integral, which is minus the second antiderivative of the covariance of the phase between the
-    ends: -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T |t|).
+    For the pairs i <= j of `numpy.triu_indices`; ``time`` is the correlation time in samples. The
+    double sum over starts is replaced by a double integral, which is minus the second
+    antiderivative of the covariance of the phase between the ends: -A |t|^3/12 - B/2 (T^2
+    exp(-|t|/T) + T |t|).
     """
     slope, size = (float(x[0]) for x in gauss_markov_sums(time))
     ends, shares = _ends(samples)
     t = np.abs(ends.reshape(-1, 1) - ends.ravel())
     stride = grid_for(samples)[1]
     end = np.repeat(stride**2 / 24.0, ends.shape[1])
-    less = np.repeat(_lattice_decay(np.array(time), stride), ends.shape[1])
+    less = np.repeat(_sum_over_integral(np.array(time), stride), ends.shape[1])
     decay = time * np.exp(-t / time) * np.outer(less, less) + t
     second = np.stack([t**3 / 12.0 - np.add.outer(end, end) * t / 2.0, size / 2.0 * time * decay])
     full = (second.reshape(2, -1, *ends.shape) * shares).sum(axis=3)
@@ -323,7 +339,7 @@ def mean_covariances(samples: int, time: float) -> Floats:
     white, decay = full[:, i, j]
     pairs = pair_sums(samples)
     exact = pairs.singles[N] / (pairs.count[i].astype(float) * pairs.count[j])
-    level = _kink_level(np.array(time), stride)[i]
+    level = _slope_correction(np.array(time), stride)[i]
     return np.asarray(slope * white + decay + level * (exact - white))
 
 
@@ -331,7 +347,10 @@ def mean_covariances(samples: int, time: float) -> Floats:
 
 
 def fixed_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
-    """Return the effect of the least-squares ramp of a pooled segment; None without such a ramp."""
+    """Return the effect of removing the least-squares ramp of a pooled segment.
+
+    None for segments too short for a ramp. ``times`` are correlation times of processes in samples.
+    """
     geometry = ramp_geometry(samples)
     if geometry.points < 3:
         return None
@@ -350,6 +369,7 @@ def pooled_shift(
     Parameters
     ----------
     classes : sequence of LengthClass
+        Pooled segments by length.
     m, stride, count : (factors,) int64 arrays
         Averaging factors, samples between two starts, and differences of all pooled segments.
     times : sequence of float
@@ -360,7 +380,7 @@ def pooled_shift(
     (factors, 4 + processes) float64 array
         Per unit coefficient, for sums of d^2/(2 m^2).
     """
-    taken = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
+    change = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
     number = np.zeros(len(m))
     partly = np.zeros(len(m), np.int64)
     for pool in classes:
@@ -368,13 +388,13 @@ def pooled_shift(
         whole = np.flatnonzero(2 * m <= low)
         here = pool.count * _differences(pool, mean, m[whole], stride[whole])
         number[whole] += here
-        taken[whole] += here[:, None] * _shift(round(mean), times)[whole]
+        change[whole] += here[:, None] * _shift(round(mean), times)[whole]
         partly[(2 * m > low) & (2 * m < high)] = round(mean)
     for i in np.flatnonzero(partly):
         rest = max(count[i] - number[i], 0.0)
         number[i] += rest
-        taken[i] += rest * _shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
-    return np.asarray(taken * (count / np.maximum(number, 1.0))[:, None])
+        change[i] += rest * _shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
+    return np.asarray(change * (count / np.maximum(number, 1.0))[:, None])
 
 
 def _lengths(pool: LengthClass) -> tuple[float, float, float]:
@@ -395,25 +415,25 @@ def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Float
 
 
 def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
-    """Return the change of each difference when the ramp of a segment is removed, (factors,
-    noises)."""
+    """Return the change of E d^2/(2 m^2) due to a removed ramp, (factors, noises)."""
     effect = fixed_effect(samples, times)
     m = ramp_geometry(samples).m
     return np.zeros((len(m), len(RANDOM_TERMS) + len(times))) if effect is None else effect.shift(m)
 
 
 class DriftShift:
-    """Change of the expected table of Gauss-Markov processes when the ramps are removed.
+    """Change of the Allan variances of Gauss-Markov processes due to the removal of ramps.
 
-    Relative to the long-term level of the process, it is a smooth function of the logarithm of the
-    correlation time. It is computed once at `SHIFTS_PER_OCTAVE` points and interpolated by cubics.
+    Relative to the low-frequency level of the process, it is a smooth function of the logarithm of
+    the correlation time. It is computed once at `SHIFTS_PER_OCTAVE` points and interpolated by
+    cubics.
 
     Parameters
     ----------
     samples : int
         Length of the longest segment, which is also the longest correlation time.
     compute : callable
-        Returns the change at given correlation times, (factors, processes).
+        Returns the change for given correlation times, (factors, processes).
     """
 
     def __init__(self, samples: int, compute: Callable[[Floats], Floats]) -> None:

@@ -1,24 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares without the covariance of the sums: two simple methods, and curves computed
-elsewhere.
+"""Least squares without the covariance of the sums: simple methods, curves of other tools.
 
 The methods 'relative' and 'paper' exist for comparison and give no intervals.
 
-'relative' minimises the relative residuals of the overlapped curve without negative terms, as
-several open tools do. No decade of tau dominates, but N is less precise than with method gls,
+'relative' minimises the relative residuals of the overlapped curve with nonnegative coefficients,
+as several open tools do. No decade of tau dominates. N is less precise than with method 'gls',
 because the short averaging times, which are the most precise, have no larger weight.
 
-'paper' is Cong, Wang, Yan, Industry and Mine Automation 45(10), 2019: sigma^2(tau) = sum A_p tau^p,
-p = -2..2, fitted without weights up to 1300 s over groups that do not overlap, and each coefficient
-from its A_p. Long averaging times, which scatter most, have the largest weight, so Q, K and R are
-often negative. A finding reports the same fit on overlapping groups, which the paper names as
-future work.
+'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits
+sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages up to 1300 s over groups that
+do not overlap, and computes each coefficient from its A_p. The long averaging times, which are the
+least precise, have the largest weight, so Q, K and R are often negative. A finding reports the same
+fit with overlapping groups, which the paper names as future work.
 
-`fit_curve` fits a curve that was computed elsewhere. Without the samples its covariance is unknown:
+`fit_curve` fits a curve that another tool computed. Its covariance is unknown without the samples:
 the points are decimated to four per octave and treated as independent, each with the degrees of
-freedom of an overlapping estimate. Intervals are therefore approximate, and the ramp, which needs
-signed sums, is not estimated.
+freedom of an overlapping estimate. The intervals are therefore approximate, and the ramp, which
+requires signed sums, is not estimated.
 """
 
 from __future__ import annotations
@@ -50,26 +49,26 @@ from .model import (
     avar_terms,
     coefficient_to_si,
 )
-from .process_search import Found, ProcessSearch
+from .process_search import ProcessFit, ProcessSearch
 from .table import Table
 
 MIN_GROUPS = 9
-"""Smallest number of averaging times in the record for method 'relative'. At longer averaging
-times, a point may be several times too low by chance, and its relative residual would dominate."""
+"""Smallest number of averaging times in the record for method 'relative'. With fewer, a point may
+be several times too low by chance, and its relative residual would dominate the fit."""
 
 LONGEST_TAU = 1300.0
-"""End of the paper's curves in s."""
+"""Longest averaging time of method 'paper' in s."""
 
 POWERS = (-2, -1, 0, 1, 2)
 """Exponents of tau, in the order of `TERMS`."""
 
-SQUARE_OF = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
-"""A_p over the squared coefficient: 3 Q^2, N^2, (2 ln2/pi) B^2, K^2/3, R^2/2 (the paper's eq. 3;
-IEEE Std 952-1997 annex C)."""
+PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
+"""A_p divided by the squared coefficient, in the order of `TERMS`: 3 Q^2, N^2, (2 ln2/pi) B^2,
+K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
 
 
 def fit_relative(sums: AllanSums) -> NoiseModel:
-    """Return the coefficients by relative least squares; a term that is 0 is not resolved."""
+    """Fit all axes by relative least squares; a term whose estimate is 0 is not resolved."""
     findings: list[Finding] = []
     axes: dict[str, AxisFit] = {}
     tau0, signs = sample_period(sums), _signs_of_ramps(sums)
@@ -89,10 +88,10 @@ def fit_relative(sums: AllanSums) -> NoiseModel:
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:
-    """Return the coefficients as the paper computed them.
+    """Fit all axes by the method of Cong et al. 2019.
 
-    A term whose A_p is negative has no value and is reported as a finding. Another finding states
-    the fit on overlapping groups and the reduction of its standard errors.
+    A term whose A_p is negative has no value; a finding reports it. Another finding reports the fit
+    with overlapping groups and the reduction of its standard errors.
     """
     groups, overlapped = fit_polynomials(sums)
     findings: list[Finding] = []
@@ -102,34 +101,36 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
         findings.append(_too_few(sums.axes, points))
     for i, (axis, sign) in enumerate(zip(sums.axes, _signs_of_ramps(sums))):
         a = groups.value[:, i]
-        axes[axis] = _axis_fit(a / SQUARE_OF, sign)
+        axes[axis] = _axis_fit(a / PAPER_FACTORS, sign)
         negative = ', '.join(term for term, value in zip(TERMS, a) if value < 0.0)
         if negative:
             findings.append(finding('negative_coefficient', (axis,), terms=negative))
-        findings += _gain(axis, groups.error[:, i], overlapped.value[:, i], overlapped.error[:, i])
+        findings += _overlap_finding(
+            axis, groups.error[:, i], overlapped.value[:, i], overlapped.error[:, i]
+        )
     return NoiseModel('paper', sample_period(sums), axes, tuple(findings))
 
 
 class Polynomial(NamedTuple):
-    """A_-2 .. A_2 and their standard errors, (5, axes) each."""
+    """Coefficients A_-2 .. A_2 of sigma^2(tau) and their standard errors, (5, axes) each."""
 
     value: Floats
     error: Floats
 
 
 def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
-    """Return the indices of the factors that the paper's fit uses: up to 1300 s, at least one
-    group."""
+    """Return the indices of the averaging factors up to 1300 s that have at least one group."""
     tau = sums.m * sample_period(sums)
     return np.flatnonzero((tau <= LONGEST_TAU) & (sums.group_count > 0))
 
 
 def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
-    """Return the fits on separate groups and on overlapping groups, at the same factors.
+    """Return the fits of sigma^2(tau) to groups that do not overlap, and to overlapping groups.
 
-    A = P sigma^2 is linear, so its standard error follows from the variances of the points, 2
-    sigma^4/edf, with edf from the noise type and sigma^2 from the overlapped curve, which is more
-    precise; their correlation is ignored. NaN with fewer than five points.
+    The estimates A = P sigma^2 are linear in the Allan variances. Their standard errors follow from
+    the variances 2 sigma^4/edf of the points, with the degrees of freedom edf of the noise type and
+    sigma^2 of the overlapped curve; correlations of points are ignored. All values are NaN with
+    fewer than five points.
     """
     some = fitted_factors(sums)
     m, stride = sums.m[some], sums.stride[some]
@@ -158,8 +159,7 @@ def _signs_of_ramps(sums: AllanSums) -> list[int]:
 
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:
-    """Return the fit of an axis from the squares of its coefficients; none for squares of 0 or
-    below."""
+    """Return the fit of an axis from the squares of its coefficients; none for squares <= 0."""
     noise = {term: Coefficient(None, status='not_observable') for term in TERMS}
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
@@ -171,12 +171,14 @@ def _too_few(axes: tuple[str, ...], points: int) -> Finding:
     return finding('too_few_points', axes, points=points, needed=len(TERMS))
 
 
-def _gain(axis: str, error: Floats, a: Floats, error_overlapped: Floats) -> list[Finding]:
-    """Return the finding of the fit on overlapping groups, if it resolves a term of this axis."""
+def _overlap_finding(
+    axis: str, error: Floats, a: Floats, error_overlapped: Floats
+) -> list[Finding]:
+    """Return the finding about the fit with overlapping groups, if it has any value."""
     values, gains = [], []
     for k, term in enumerate(TERMS):
         if a[k] > 0.0:
-            value = math.sqrt(a[k] / SQUARE_OF[k])
+            value = math.sqrt(a[k] / PAPER_FACTORS[k])
             shown, unit = to_datasheet(term, sensor_of(axis), value)
             values.append(f'{term} {shown:.4g} {unit}')
             gains.append(f'{term} {error[k] / error_overlapped[k]:.2f}')
@@ -186,41 +188,49 @@ def _gain(axis: str, error: Floats, a: Floats, error_overlapped: Floats) -> list
 
 
 POINTS_PER_OCTAVE = 4
-"""Number of points per octave that are kept of a denser curve."""
+"""Largest number of points per octave that are used of a curve from another tool."""
 
 DEFAULT_RECORD = 9.0
-"""Length of the record, relative to the longest averaging time, if it is unknown: most tools end
-there."""
+"""Assumed length of the record divided by the longest averaging time, if the length is unknown:
+most tools end their curves there."""
 
-OVERLAPPING = 0.75
-"""Degrees of freedom of an average over tau, times tau divided by the record."""
+FREEDOM_PER_AVERAGE = 0.75
+"""Degrees of freedom of an overlapping average over tau, divided by record/tau - 1."""
 
 LEAST_ERROR = 0.05
-"""Smallest relative error of a variance; accounts for errors that correlated points do not show."""
+"""Smallest relative standard error of an Allan variance. It includes errors that the scatter of
+correlated points does not show."""
 
-FINE = 1000
-"""Units of time in the shortest averaging time: large enough that sampling has no effect."""
+SUBDIVISION = 1000
+"""Number of sample periods assumed in the shortest averaging time, large enough that the sampling
+has no effect."""
 
 LEAST_POINTS = 6
-"""Smallest number of points of a curve that is fitted: one more than there are terms."""
+"""Smallest number of points of a curve: one more than there are terms."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
-    """Return the coefficients and, where these do not fit, the processes of one Allan curve.
+    """Fit the coefficients and, if these do not describe the curve, processes to one Allan curve.
 
     Parameters
     ----------
     tau : (points,) array
         Averaging times in s.
     adev : (points,) array
-        Allan deviations in SI.
+        Allan deviations in SI units.
     record : float, optional
         Length of the recording in s; nine times the longest averaging time by default.
+
+    Returns
+    -------
+    AxisFit
+        Its intervals are approximate, and R has no value.
 
     Raises
     ------
     AllanError
-        When there are too few points.
+        If there are too few points, or the recording is shorter than twice the longest averaging
+        time.
 
     Examples
     --------
@@ -236,17 +246,17 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
             f'a recording of {record:g} s has no average over {tau[-1]:g} s: give its length, '
             'at least twice the longest averaging time'
         )
-    unit = float(tau[0]) / FINE
+    unit = float(tau[0]) / SUBDIVISION
     m = np.round(tau / unit).astype(np.int64)
     seconds = record or DEFAULT_RECORD * float(tau[-1])
-    freedom = np.maximum(OVERLAPPING * (seconds / tau - 1.0), 1.0)
+    freedom = np.maximum(FREEDOM_PER_AVERAGE * (seconds / tau - 1.0), 1.0)
     relative = np.sqrt(2.0 / freedom + LEAST_ERROR**2)
     pairs = np.zeros((10, len(m) * (len(m) + 1) // 2))
     table = Table(m, np.round(freedom).astype(np.int64), avar, avar_terms(m), pairs)
     model = avar
-    found = Found((), np.zeros(len(RANDOM_TERMS)), math.inf)
+    found = ProcessFit((), np.zeros(len(RANDOM_TERMS)), math.inf)
     z = 0.0
-    for _ in range(3):  # errors of the measured curve, then errors of the model
+    for _ in range(3):  # standard errors from the measured curve, then from the model
         covariance = np.diag((relative * model) ** 2)
         search = ProcessSearch(table, covariance, round(seconds / unit), signed=False, walk=True)
         five = search.fitted(())
@@ -260,8 +270,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return tau and variance of at most `POINTS_PER_OCTAVE` valid points per octave, shortest
-    first."""
+    """Return sorted tau and Allan variance of valid points, at most 4 per octave."""
     good = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
     order = np.argsort(tau[good])
     tau, avar = tau[good][order], adev[good][order] ** 2
@@ -276,13 +285,13 @@ def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
 
 def _curve_fit(
     table: Table,
-    found: Found,
+    found: ProcessFit,
     whitening: Whitening,
     z: float,
     relative: Floats,
     unit: float,
 ) -> AxisFit:
-    """Return the fit in SI units, with intervals from the linear fit."""
+    """Return the fit of a curve in SI units, with intervals from the linear fit."""
     extras = found.extras
     columns = [table.terms]
     if extras:
@@ -303,7 +312,7 @@ def _curve_fit(
 
 
 def _coefficient(term: str, variance: float, deviation: float, unit: float) -> Coefficient:
-    """Return a term in SI units: a value with its interval, or an upper limit."""
+    """Return a term in SI units, with its interval or its upper limit."""
     upper = coefficient_to_si(term, max(variance, 0.0) + Z_95 * deviation, unit)
     if variance < Z_DETECT * deviation or variance <= 0.0:
         value = coefficient_to_si(term, variance, unit) or None

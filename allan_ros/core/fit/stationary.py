@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fit_stationary`: fit of recordings whose noise changes.
+"""Fit of recordings whose noise changes with time: `fit_stationary`.
 
-If the early part differs, the settled part is fitted. Steps of the bias are reported. Intervals are
-widened if the level of the white noise or the size of the drift varies.
+If an early part (a warm-up, or a larger drift) differs, the part after it is fitted. Findings
+report steps of the bias. Intervals are widened if the level of the white noise or the size of the
+drift varies.
 """
 
 from __future__ import annotations
@@ -24,28 +25,29 @@ from ..imu import SENSORS, sensor_of, to_datasheet
 from . import TERMS, Coefficient, NoiseModel, fit_noise
 from .model import Z_95
 
-LEAST_REST = 0.4
-"""The settled part is used if at least this fraction of the samples remains: half of the recording
-after the sensor has settled, less the loss because sums are divided only at some ages."""
+LEAST_REMAINING = 0.4
+"""Smallest fraction of the samples that must remain after the early part: half of the recording,
+less the loss because sums can be divided only at some ages."""
 
-CERTAIN = 4.5
-"""Excess of twice the log likelihood ratio over its threshold for which the early part is left
+CERTAIN_EXCESS = 4.5
+"""Excess of the likelihood ratio statistic over its threshold above which the early part is left
 out."""
 
 SHIFT, LEAST_SHIFT = 0.02, 0.005
-"""Relative changes of a value: one that is always relevant, and one below which a change is never
-relevant."""
+"""Relative changes of a coefficient: one that is always relevant, and one below which a change is
+never relevant."""
 
 TESTED_RECORDINGS = 8
 """Number of the longest recordings that are tested."""
 
 LEAST_TESTED_S = 120.0
-"""Shortest recording in s in which steps and the size of the drift are tested, and in which an
+"""Shortest recording in s in which bias steps and the size of the drift are tested, and in which an
 early part is reported even if no coefficient leaves its interval. In shorter ones, means over less
 than a quarter of a second would be compared, which change because of vibration, not drift."""
 
-STEPS_MATTER = 0.96
-"""Steps are reported if the variance of the walk without them is below this fraction."""
+STEPS_RATIO = 0.96
+"""Steps are reported if the variance of the random walk with steps in the model is below this
+fraction of that without them."""
 
 NAMED_CHANGES = 3
 """Number of changed coefficients that a finding names."""
@@ -53,7 +55,7 @@ NAMED_CHANGES = 3
 
 @dataclass(frozen=True)
 class _Change:
-    """A coefficient of all data and of the settled part."""
+    """A coefficient estimated from all data and from the settled part."""
 
     axis: str
     term: str
@@ -62,7 +64,7 @@ class _Change:
 
     @property
     def leaves(self) -> bool:
-        """Whether the coefficient leaves its interval."""
+        """Whether the settled value is outside the interval of all data."""
         a, b = self.complete, self.settled
         low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
         if b.status != 'estimated' or b.value is None:
@@ -71,7 +73,7 @@ class _Change:
 
     @property
     def matters(self) -> bool:
-        """Whether the coefficient leaves its interval or moves by more than 2 %."""
+        """Whether the settled value leaves the interval, or differs by more than 2 %."""
         a, b = self.complete, self.settled
         if a.status != 'estimated' or b.status != 'estimated' or not a.value or b.value is None:
             return self.leaves
@@ -80,18 +82,18 @@ class _Change:
 
     @property
     def _sizes(self) -> list[float]:
-        """Both values; the upper limit if a coefficient has no value, 0 if it has no limit."""
+        """Both values; the upper limit of an unresolved term, or 0 without a limit."""
         both = self.complete, self.settled
         return [(c.value if c.status == 'estimated' else c.upper95) or 0.0 for c in both]
 
     @property
     def size(self) -> float:
-        """Magnitude of the logarithm of the ratio of both values."""
+        """Absolute logarithm of the ratio of both values."""
         a, b = self._sizes
         return abs(math.log(a / b)) if a and b else 0.0
 
     def text(self, after: str) -> str:
-        """Return both values in datasheet units."""
+        """Return a sentence with both values; ``after`` is the duration that is left out."""
         values, unit = _shown(self.axis, self.term, *self._sizes)
         a, b = (
             f'{"" if c.status == "estimated" else "< "}{value:.3g}'
@@ -109,7 +111,7 @@ def _shown(axis: str, term: str, *values: float) -> tuple[list[float], str]:
 def fit_stationary(
     sums: AllanSums, method: str = 'gls', settle: bool = True
 ) -> tuple[AllanSums, NoiseModel]:
-    """Return the fit of the sums or, if an early part differs, of the part after it.
+    """Fit all data or, if an early part differs, the part after it.
 
     Parameters
     ----------
@@ -117,19 +119,19 @@ def fit_stationary(
     method : str
         One of `METHODS`; 'paper' always fits all data.
     settle : bool
-        Whether an early part may be left out; it is reported in any case.
+        Whether an early part may be left out; a finding reports it in any case.
 
     Returns
     -------
     sums : AllanSums
         The sums that were fitted.
     model : NoiseModel
-        The fit; its findings report a recording that is not stationary.
+        The fit, with findings about noise that changes with time.
 
     Raises
     ------
     AllanError
-        As `fit_noise`.
+        If the method is unknown, or there are fewer than two samples.
     """
     if method == 'paper' or not sums.tau0:
         return sums, fit_noise(sums, method)
@@ -143,7 +145,7 @@ def fit_stationary(
 
 
 def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseModel, list[Finding]]:
-    """Return the model with findings and with intervals widened by the scatter between periods."""
+    """Return the model with intervals widened by changes of the noise level, and the findings."""
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
@@ -173,7 +175,7 @@ def _has_drift(model: NoiseModel, axis: str) -> bool:
 
 
 def _tested(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
-    """Return up to ``most`` of the longest recordings that are long enough to test their drift."""
+    """Return up to ``most`` of the longest recordings that are long enough for a test of drift."""
     least = LEAST_TESTED_S / (sums.tau0 or 1.0)
     return [one for one in sums.history.recordings[:most] if one.length >= least]
 
@@ -181,16 +183,16 @@ def _tested(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
 def _without_early_part(
     sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart]
 ) -> tuple[AllanSums, NoiseModel, list[Finding]]:
-    """Return the sums to be used, their fit, and the finding of the early part."""
+    """Return the sums to be used, their fit, and the finding about the early part."""
     if not parts or not sums.tau0:
         return sums, fit_noise(sums, method), []
     last = max(parts, key=lambda part: part.age)
-    divided = _rest(sums, last.age)
+    divided = _settled_part(sums, last.age)
     if divided is None:
-        return sums, fit_noise(sums, method), [_unsettled(sums, parts, last.age)]
+        return sums, fit_noise(sums, method), [_warm_up_finding(sums, parts, last.age)]
     rest, age = divided
     settled = fit_noise(rest, method)
-    certain = settle and max(part.excess for part in parts) >= CERTAIN
+    certain = settle and max(part.excess for part in parts) >= CERTAIN_EXCESS
     # The selection of the model takes most of the time: it is done once.
     complete = fit_noise(sums, method, settled if certain else None)
     # Coefficients of the other axes also change by chance, because they are estimated from fewer
@@ -211,7 +213,7 @@ def _without_early_part(
         'settled_part' if certain else 'early_part',
         axes,
         early=early,
-        what=_what(sums, parts),
+        what=_early_part_text(sums, parts),
         changes='; '.join(change.text(early) for change in (changes or every)[:NAMED_CHANGES]),
     )
     return (rest, settled, [found]) if certain else (sums, complete, [found])
@@ -223,7 +225,7 @@ def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
     for recording in _tested(sums):
         for steps in bias_steps(recording, age):
             have = best.get(steps.axis)
-            if steps.walk_after < STEPS_MATTER * steps.walk_before and (
+            if steps.walk_after < STEPS_RATIO * steps.walk_before and (
                 have is None or steps.excess > have.excess
             ):
                 best[steps.axis] = steps
@@ -231,8 +233,10 @@ def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
 
 
 def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Finding:
-    """Return the finding about steps; steps between two segments are not part of any
-    coefficient."""
+    """Return the finding about bias steps.
+
+    Steps between two segments affect no coefficient, and have their own finding.
+    """
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
     (size,), size_unit = _shown(axis, 'B', float(np.abs(steps.sizes).max()))
     walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]
@@ -253,7 +257,7 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Find
 
 
 def _widened(model: NoiseModel, axis: str, terms: str, scatter: float) -> NoiseModel:
-    """Return the model with the intervals of terms of one axis widened by a relative scatter."""
+    """Return the model with intervals of one axis widened by a relative scatter."""
     if not scatter:
         return model
     fit = model.axes[axis]
@@ -280,9 +284,8 @@ def _sensors(sums: AllanSums) -> list[list[int]]:
     return [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
 
 
-def _rest(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
-    """Return the sums from the first possible age on, and this age; None if too few samples
-    remain."""
+def _settled_part(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
+    """Return the sums from the first possible age on, and this age; None if too few data remain."""
     edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
         return None
@@ -290,12 +293,11 @@ def _rest(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
         rest = settled_sums(sums, edge)
     except AllanError:
         return None
-    return (rest, edge) if rest.samples >= LEAST_REST * sums.samples else None
+    return (rest, edge) if rest.samples >= LEAST_REMAINING * sums.samples else None
 
 
-def _unsettled(sums: AllanSums, parts: list[EarlyPart], age: int) -> Finding:
-    """Return the finding of a warm-up that ends at an age after which too few data remain for a
-    fit."""
+def _warm_up_finding(sums: AllanSums, parts: list[EarlyPart], age: int) -> Finding:
+    """Return the finding about a warm-up after which too few data remain for a fit."""
     tau0 = sums.tau0 or 0.0
     duration = age * tau0
     remaining = duration - sums.history.length * tau0
@@ -303,14 +305,14 @@ def _unsettled(sums: AllanSums, parts: list[EarlyPart], age: int) -> Finding:
     return finding(
         'warm_up',
         tuple(axis for i, axis in enumerate(sums.axes) if any(i in part.axes for part in parts)),
-        what=_what(sums, parts),
+        what=_early_part_text(sums, parts),
         settles=f'in about {duration_text(remaining)}' if remaining > 0.0 else after,
         how_long=duration_text(2.0 * duration),
     )
 
 
-def _what(sums: AllanSums, parts: list[EarlyPart]) -> str:
-    """Return the description of the early part."""
+def _early_part_text(sums: AllanSums, parts: list[EarlyPart]) -> str:
+    """Return the description of the early part for a finding."""
     warm_ups = [part for part in parts if part.kind == 'warm_up']
     if not warm_ups:
         return 'larger drift'

@@ -1,11 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Allan table of pooled segments without their ramps, with its expectation and covariance.
+"""Allan variances of all segments without ramps, with their expectation and covariance.
 
-Segments are independent, so their sums can be added, and also the sums over pairs of the
-covariance: V = sum M_s V_s / sum M_s, C = sum (M_s/M)^2 C_s. Every segment has its own ramp. It is
-removed from every difference with weights that are fixed before the table is fitted, so both
-moments remain exact (module `ramp`).
+Segments are independent, so their sums are added: V = sum M_s V_s / sum M_s with the covariance
+C = sum (M_s/M)^2 C_s, where M_s is the number of differences of segment s. Each segment has its own
+ramp, which is removed from every difference. The estimate of the ramp is linear in the phase, with
+weights that are fixed before the table is fitted. Expectation and covariance therefore remain exact
+(module `ramp`).
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from .model import RANDOM_TERMS, Floats, Ints, avar_terms
 from .processes import (
     Extra,
     GaussMarkovTerm,
+    amplitude_variance,
     correlation_times,
-    line_rest,
-    line_scatter,
+    independent_variance,
     process_pairs,
     process_squares,
 )
@@ -44,53 +45,54 @@ from .ramp import (
 N = RANDOM_TERMS.index('N')
 
 ROUNDING = 1e-12
-"""Fraction of the variance below which the remainder without the ramp is a rounding error."""
+"""Fraction of the variance below which the remainder after removal of the ramp is a rounding
+error."""
 
 EMPTY_ROW = 1e-6
-"""A factor is left out if its differences keep less than this fraction of their variance without
-the ramp: a record of two differences is mostly its own ramp."""
+"""An averaging factor is left out if the removal of the ramp leaves less than this fraction of its
+variance. In a record of two differences, for example, the ramp describes almost everything."""
 
 KEPT_PROCESS_SQUARES = 16
-"""Number of sets of correlation times whose covariance is kept."""
+"""Number of sets of correlation times whose covariance is cached."""
 
 SHARED = 24
-"""Correlation times per octave at which covariances are computed: at most 1.5 % away."""
+"""Number of correlation times per octave for which covariances are computed; others are rounded by
+at most 1.5 %."""
 
 SHAPE_STEP = 1.02
-"""Ratio of the two shapes whose difference gives the derivative of a column."""
+"""Ratio of the two shapes of the difference quotient for the derivative of a column."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """The pooled Allan table of one axis and its first two moments under the noise model.
+    """Allan variances of one axis, and their expectation and covariance under the noise model.
 
     Attributes
     ----------
     m, count : (factors,) int64 arrays
         Averaging factors and numbers of differences.
     avar : (factors,) float64 array
-        Allan variance of the samples less the ramps.
-    terms : (factors, 4) float64 array
-        Its expectation for unit q, w, b, k; further columns for added processes.
+        Allan variance of the samples without the ramps.
+    terms : (factors, columns) float64 array
+        Expectation per unit q, w, b, k, and per unit variance of each added process. Derivatives by
+        the shapes may follow.
     squares : (products, pairs) float64 array
-        Its covariance for the products of coefficients `TERM_PAIRS` and `process_pairs`, at pairs
-        i <= j.
+        Covariance per product of two coefficients (`TERM_PAIRS`, `process_pairs`), at pairs i <= j.
     ramps : (segments,) float64 array
-        The ramp removed from each kept segment, per sample; 0 if none could be estimated.
+        Ramp per sample that was removed from each kept segment; 0 if none could be estimated.
     ramp_variance : (segments, noises) float64 array
-        Its variance per unit coefficient.
+        Variance of the ramps per unit coefficient.
     noises : int
-        Columns that scatter: the four terms and Gauss-Markov processes.
-    line_scatter : (lines, noises) float64 array
-        For each sinusoid, whose columns follow, the variance of its squared amplitude over the
-        squared amplitude, per unit variance of each noise. Further columns only shift the
-        expectation.
-    line_rest : (2, lines, factors) float64 array
-        The remaining variance of ``avar`` due to a sinusoid, independent at each factor: relative
-        to its squared amplitude times w, and relative to the square of its squared amplitude.
+        Number of columns of random noise: the four terms and Gauss-Markov processes.
+    amplitude_variance : (sinusoids, noises) float64 array
+        Variance of the squared amplitude of each sinusoid, relative to the squared amplitude, per
+        unit of each noise coefficient. The columns of sinusoids follow those of random noise.
+    independent_variance : (2, sinusoids, factors) float64 array
+        Variance of ``avar`` due to a sinusoid that is independent at each factor: relative to the
+        squared amplitude times w, and to the square of the squared amplitude.
     drift_shift : callable or None
-        Returns the change of the columns of Gauss-Markov processes due to the removal of ramps, at
-        given factors and correlation times, (factors, processes); None for no change.
+        Returns the change of the columns of Gauss-Markov processes due to the removal of ramps, for
+        averaging factors and correlation times, (factors, processes); None for no change.
     """
 
     m: Ints
@@ -101,17 +103,17 @@ class Table:
     ramps: Floats = field(default_factory=lambda: np.zeros(0))
     ramp_variance: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
     noises: int = len(RANDOM_TERMS)
-    line_scatter: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
-    line_rest: Floats = field(default_factory=lambda: np.zeros((2, 0, 0)))
+    amplitude_variance: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
+    independent_variance: Floats = field(default_factory=lambda: np.zeros((2, 0, 0)))
     drift_shift: Callable[[Ints, Floats], Floats] | None = None
 
     @property
     def lines(self) -> int:
         """Number of sinusoids."""
-        return len(self.line_scatter)
+        return len(self.amplitude_variance)
 
     def columns(self, extras: Sequence[Extra]) -> Floats:
-        """Return the expectation for processes of unit variance or amplitude, (factors, ...)."""
+        """Return the expected ``avar`` of processes of unit size, (factors, processes)."""
         drift = np.array([isinstance(e, GaussMarkovTerm) for e in extras], bool)
         shapes = np.array([e.shape for e in extras])
         out = np.empty((len(self.m), len(extras)))
@@ -133,25 +135,26 @@ class Table:
         return np.asarray((above - below) / np.log(SHAPE_STEP))
 
     def covariance(self, variances: Floats) -> Floats:
-        """Return the covariance of ``avar`` under these coefficients, (factors, factors).
+        """Return the covariance of ``avar`` for given coefficients, (factors, factors).
 
-        A sinusoid multiplies with the noise at its frequency, which only changes its amplitude. If
-        not every start is used, it also multiplies with the noise at its aliases (``line_rest``).
+        The product of a sinusoid and the noise at its frequency only changes the amplitude of the
+        sinusoid. If not every start is used, products with the noise at its aliases are added
+        (``independent_variance``).
         """
         p = np.maximum(variances, 0.0)
         a, b = _products(self.noises - len(RANDOM_TERMS))
         covariance = ((p[a] * p[b]) @ self.squares)[_packing(len(self.m))]
-        for k, scatter in enumerate(self.line_scatter, start=self.noises):
+        for k, scatter in enumerate(self.amplitude_variance, start=self.noises):
             column = self.terms[:, k]
             covariance += p[k] * (scatter @ p[: self.noises]) * np.outer(column, column)
-            of_noise, of_itself = self.line_rest[:, k - self.noises]
+            of_noise, of_itself = self.independent_variance[:, k - self.noises]
             covariance[np.diag_indices_from(covariance)] += p[k] * (
                 p[N] * of_noise + p[k] * of_itself
             )
         return np.asarray(covariance)
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
-        """Return the table with only some of its factors."""
+        """Return the table with only some of its averaging factors."""
         i, j = np.triu_indices(len(self.m))
         return replace(
             self,
@@ -160,7 +163,9 @@ class Table:
             avar=self.avar[keep],
             terms=self.terms[keep],
             squares=self.squares[:, keep[i] & keep[j]],
-            line_rest=self.line_rest[:, :, keep] if self.lines else self.line_rest,
+            independent_variance=self.independent_variance[:, :, keep]
+            if self.lines
+            else self.independent_variance,
         )
 
 
@@ -176,23 +181,25 @@ def _packing(size: int) -> Ints:
 
 @lru_cache(maxsize=8)
 def _products(processes: int) -> tuple[Ints, Ints]:
-    """Return the products of coefficients in a covariance: of the terms, then with processes."""
+    """Return the pairs of coefficients in the covariance: of the terms, then with processes."""
     a, b = np.array((*TERM_PAIRS, *process_pairs(processes))).T
     return a, b
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One kept segment, or the segments of one length class.
+    """One kept segment, or the pooled segments of one length class.
 
     Attributes
     ----------
     number : int
-        Number of segments of this length.
+        Number of segments.
     pairs : PairSums
+        Covariance of the Allan sums of one segment.
     geometry : RampGeometry
+        Covariance of the ramp of one segment.
     at : (pairs,) int64 array
-        Positions of its pairs i <= j among those of the pooled table.
+        Positions of the pairs i <= j of its factors among those of the complete table.
     """
 
     number: int
@@ -208,11 +215,11 @@ class _Part:
         return cls(number, pairs, ramp_geometry(samples, step), at)
 
     def ramp_squares(self, effect: RampEffect, times: Sequence[float]) -> Floats:
-        """Return the change of the pooled sums over pairs when its ramps are removed, (products,
-        pairs).
+        """Return the change of the sums over pairs due to removed ramps, (products, pairs).
 
-        At every lag, d' = d - r m^2 has the covariance C - D. In units of 1/(2 m_i m_j), D is the
-        same for all starts if r is the best estimate, and nearly the same for any good estimate.
+        The difference d - r m^2 has the covariance C - D at every lag. In units of 1/(2 m_i m_j), D
+        is the same for all starts if r is the best estimate, and nearly the same for any good
+        estimate.
         """
         i, j = np.triu_indices(len(self.pairs.m))
         m = self.pairs.m.astype(float)
@@ -227,7 +234,7 @@ class _Part:
 
 
 class PooledTable:
-    """The sums of all segments and the covariances for their lengths, of all axes."""
+    """Data of all axes and segments from which the `Table` of an axis is computed."""
 
     def __init__(self, sums: AllanSums) -> None:
         self.sums = sums
@@ -268,11 +275,11 @@ class PooledTable:
 
     @property
     def segments(self) -> Sequence[SegmentRecord]:
-        """The kept segments, longest first."""
+        """The segments that are stored separately, longest first."""
         return self.sums.segments
 
     def is_noiseless(self, axis: int) -> bool:
-        """Return whether the samples of an axis are constant or a straight line, to rounding."""
+        """Return whether the samples of an axis are constant or a straight line, up to rounding."""
         if not np.any(self.sums.avar[:, axis] > 0.0):
             return True
         table = self.table(axis)
@@ -282,13 +289,16 @@ class PooledTable:
     def ramps(
         self, axis: int, noise: Noise, known: Floats | None = None
     ) -> tuple[Floats, list[Floats | None]]:
-        """Return the ramp of each kept segment, and the weights on its phase that estimate it.
+        """Return the ramp per sample of each kept segment, and the weights of its phase.
+
+        Known ramps are returned unchanged, with None as weights.
 
         Parameters
         ----------
         axis : int
+            Position among the axes of the sums.
         noise : Noise
-            Noise for which the weights are computed.
+            Noise model for which the estimate has the smallest variance.
         known : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
         """
@@ -318,9 +328,7 @@ class PooledTable:
     def _effects(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> list[tuple[_Part, RampEffect]]:
-        """Return the kept segments with estimated ramps, and the effects of the removal of these
-        ramps.
-        """
+        """Return the kept segments with estimated ramps, and the effect of the removal of each."""
         return [
             (part, part.geometry.effect(w, times))
             for part, w in zip(self._kept, weights)
@@ -336,14 +344,14 @@ class PooledTable:
         m_min: int = 1,
         tangents: bool = False,
     ) -> Table:
-        """Return the table of one axis, with the best ramps for given noise.
+        """Return the table of one axis, with the ramps estimated for given noise.
 
         Parameters
         ----------
         axis : int
             Position among the axes of the sums.
         noise : Noise
-            Noise for which the weights of the ramps are computed. Noise of 0, as when a sinusoid
+            Noise model for the weights of the ramps. Noise of 0, which occurs if a sinusoid
             describes the complete curve, is replaced by white noise.
         ramps : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
@@ -352,7 +360,8 @@ class PooledTable:
         m_min : int
             Smallest averaging factor.
         tangents : bool
-            Whether to add the derivatives of these columns by the logarithm of their shapes.
+            Whether to add the derivatives of the columns of processes by the logarithm of their
+            shapes.
         """
         noise = noise if np.any(noise.variances > 0.0) else Noise()
         found, weights = self.ramps(axis, noise, ramps)
@@ -400,16 +409,16 @@ class PooledTable:
         return replace(
             table,
             terms=np.column_stack(columns),
-            line_scatter=line_scatter(samples, times, lines),
-            line_rest=line_rest(table.m, stride, table.count, samples, len(self.segments), lines),
+            amplitude_variance=amplitude_variance(samples, times, lines),
+            independent_variance=independent_variance(
+                table.m, stride, table.count, samples, len(self.segments), lines
+            ),
         )
 
     def _kept_shift(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the change of the sums of d^2/(2 m^2) when kept segments lose their ramps,
-        (factors, noises).
-        """
+        """Return the change of the sums of d^2/(2 m^2) due to removed ramps, (factors, noises)."""
         out = np.zeros((len(self.m), len(RANDOM_TERMS) + len(times)))
         for part, effect in self._effects(weights, times):
             m, count = part.pairs.m, part.pairs.count
@@ -420,7 +429,7 @@ class PooledTable:
         """Return the sums over pairs for the products of terms and processes, (products, pairs).
 
         The ramps of the kept segments are not removed. The sums for the last few sets of
-        correlation times, in samples, are cached.
+        correlation times (in samples) are cached.
         """
         if times not in self._squares:
             while len(self._squares) > KEPT_PROCESS_SQUARES:
@@ -433,14 +442,14 @@ class PooledTable:
 
 
 def clear_cache() -> None:
-    """Clear the tables kept by record length: about 20 MB, which take 0.2 s to compute again."""
+    """Free the cached tables: about 20 MB, which are computed again in 0.2 s."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
     mean_covariances.cache_clear()
 
 
 def _informative(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
-    """Return which factors keep enough variance when the ramps are removed."""
+    """Return which factors keep enough variance when the ramps are removed, (factors,)."""
     p = np.zeros(table.noises)
     p[: len(variances)] = np.maximum(variances, 0.0)
     keep = (table.count > 0) & (

@@ -10,7 +10,7 @@ from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.likelihood import CellMeans, variance_model
 from allan_ros.core.allan.stationarity import EarlyPart, bias_steps, early_parts
 from allan_ros.core.fit import stationary
-from allan_ros.core.fit.stationary import CERTAIN, fit_stationary
+from allan_ros.core.fit.stationary import CERTAIN_EXCESS, fit_stationary
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
 
@@ -87,7 +87,7 @@ def test_a_short_warm_up_is_left_out_if_a_coefficient_changes(rate):
 def test_an_early_part_of_a_short_recording_that_changes_no_coefficient_is_not_reported(
     monkeypatch,
 ):
-    part = EarlyPart('warm_up', (0,), np.zeros(3), 100.0, 2 * CERTAIN, 600)
+    part = EarlyPart('warm_up', (0,), np.zeros(3), 100.0, 2 * CERTAIN_EXCESS, 600)
     monkeypatch.setattr(stationary, 'early_parts', lambda *_: (part,))
     for rate, reported in ((1.0, True), (200.0, False)):
         sums = sums_of_noise(NOISE, 1, rate=rate)
@@ -188,7 +188,7 @@ def test_a_certain_warm_up_is_left_out_even_if_every_coefficient_stays_in_its_in
 @pytest.mark.parametrize('axis', [0, 1, 2])
 def test_the_finding_names_the_axis_on_which_the_early_part_differs(axis, monkeypatch):
     """No coefficient changes beyond its interval in these sums, on any axis."""
-    part = EarlyPart('warm_up', (axis,), np.zeros(3), 100.0, 2 * CERTAIN, 600)
+    part = EarlyPart('warm_up', (axis,), np.zeros(3), 100.0, 2 * CERTAIN_EXCESS, 600)
     monkeypatch.setattr(stationary, 'early_parts', lambda *_: (part,))
     _, model = fit_stationary(sums_of_noise(NOISE, 1))
     (found,) = (f for f in model.findings if f.id == 'settled_part')
