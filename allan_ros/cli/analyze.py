@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure the noise of an IMU from its recordings.
 
-An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz or .npy. Several inputs are
-recordings of the same IMU: their sums are added. A folder of separate recordings is a batch: each
-recording gets its own results, and a summary lists all. The same applies to the IMU topics of a bag
-with several.
+An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg. Several
+inputs are recordings of the same IMU: their sums are added. A folder of separate recordings is a
+batch: each recording has its own results, and a summary lists all. A bag with several Imu topics is
+a batch of these topics.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
@@ -44,8 +44,7 @@ from .tables import LEVEL_COLOURS, findings_lines, print_results
 EXIT_UNKNOWN, EXIT_FAILED = 1, 3
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
-"""Exit code -> meaning, in addition to the exit codes of every verb."""
-
+"""Exit codes in addition to those of every verb."""
 
 FAIL_ON = f"""
 --fail-on {{warning,error}}  exit with {EXIT_FAILED} at a finding of this severity, or if a limit of
@@ -62,13 +61,13 @@ WRITTEN = (
 
 READ = (
     """
-    --rate HZ [0]  sample rate: compared with the stamps, or used if there are no stamps
+    --rate HZ [0]  sample rate, to check the stamps, or to replace missing stamps
     --hardware-id TEXT []  serial number of the IMU; sums with different numbers are never added
     """,
     Settings('data at rest', SegmenterSettings, ['declared_rate']),
     Settings('reading', ReadOptions, ['rate_hz']),
 )
-"""Options for the processing of recordings to sums."""
+"""Options for reading recordings and selecting the data at rest."""
 
 SEVERAL = """
 inputs INPUT...  recording, or a folder of them
@@ -84,14 +83,17 @@ several recordings:
 def read_jobs(
     paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
 ) -> list[ReadJob]:
-    """Return the recordings to read, from the options `READ`."""
+    """Return a job for each recording, with the options `READ`.
+
+    ``with_context`` requests the data for a report.
+    """
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, fit, print and write."""
+    """Read the recordings, fit their sums, write the files, and print the results."""
     check_result_arguments(args)
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
@@ -114,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_result_arguments(args: argparse.Namespace) -> None:
-    """Raise AllanError for a wrong output option before recordings are read."""
+    """Raise AllanError if an option of the results is wrong, before any recording is read."""
     _check_references(settings_of(ResultSettings, args))
     check_pictures(settings_of(PictureSettings, args), bool(args.output))
     for name in args.export:
@@ -124,7 +126,7 @@ def check_result_arguments(args: argparse.Namespace) -> None:
 
 
 def _check_references(settings: ResultSettings) -> None:
-    """Raise AllanError if the datasheet or the earlier recording cannot be read."""
+    """Raise AllanError if the datasheet or the earlier run cannot be read."""
     if settings.sensor:
         load_sensor(settings.sensor)
     if settings.baseline:
@@ -158,7 +160,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
 
 
 def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
-    """Return whether a finding is at least as severe as ``--fail-on``."""
+    """Return whether ``--fail-on`` applies: a finding of this severity, or an exceeded limit."""
     if severity is None:
         return False
     enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
@@ -177,16 +179,15 @@ def _spread(
 
 
 def _settings_text(*settings: Any) -> str:
-    """Return every setting with its value."""
     values = {name: value for s in settings for name, value in asdict(s).items()}
     return ', '.join(f'{name}={value!r}' for name, value in values.items())
 
 
 def _read_text(recorded: RecordingSums) -> str:
-    """Return the source of one recording and the settings of reading."""
+    """Return path, received and used samples, format and topic of one recording."""
     (source,) = recorded.provenance.sources
     what = ' '.join(word for word in (source.topic, source.type) if word)
-    # identical texts are shown once
+    # sensors with equal numbers are combined
     used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}
     each = (f'{number} of {sensor}' if len(used) > 1 else number for number, sensor in used.items())
     return (
@@ -196,7 +197,7 @@ def _read_text(recorded: RecordingSums) -> str:
 
 
 def check(args: argparse.Namespace) -> int:
-    """Read, fit, check, and print one line."""
+    """Read and fit the input, or load its results, and print the verdict in one line."""
     settings = settings_of(ResultSettings, args)
     _check_references(settings)
     console = Console.of(args)
@@ -219,7 +220,7 @@ def check(args: argparse.Namespace) -> int:
 
 
 def _checked(args: argparse.Namespace, settings: ResultSettings, console: Console) -> Results:
-    """Return the results of a document, or of recordings, which are read and fitted first."""
+    """Return the results of a document or of recordings."""
     first = Path(args.inputs[0])
     if len(args.inputs) == 1 and (first.suffix == '.json' or (first / RESULTS).is_file()):
         results = load(first, settings.method)
@@ -229,17 +230,16 @@ def _checked(args: argparse.Namespace, settings: ResultSettings, console: Consol
 
 
 def merge(args: argparse.Namespace) -> int:
-    """Read, add, fit, print and write."""
+    """Add and fit the sums of documents, write the files, and print the results."""
     check_result_arguments(args)
     return show_results(add_recordings(map(load_sums, args.inputs)), args)
 
 
 CHECK = """
-Check one IMU: one line and an exit code, for production lines and continuous integration.
+Check one IMU: one line and an exit code, for production tests and continuous integration.
 
 The input is a recording, a results.json or the folder of an analysis. It is compared with the
-datasheet of --sensor, with the accepted earlier run of --baseline, or with both. The exit code is 0
-for healthy, 1 if it could not be judged (no reference, too little data), 3 if it failed.
+datasheet of --sensor, with the accepted earlier run of --baseline, or with both.
 
   allan check my_bag --sensor adis16475-3
   allan check today.mcap --baseline accepted/results.json --fail-on warning
@@ -247,10 +247,10 @@ for healthy, 1 if it could not be judged (no reference, too little data), 3 if i
 """
 
 MERGE = """
-Add the sums of several runs of one IMU, and fit them together.
+Add the sums of several recordings of one IMU, and fit them together.
 
-An input is the folder of an analysis, its sums.json, or a checkpoint of a node. The result is what
-one analysis of all recordings would give, to rounding.
+An input is the folder of an analysis, its sums.json, or a checkpoint of a node. The result equals
+that of one analysis of all recordings, up to rounding.
 
   allan merge monday tuesday -o both
   allan merge monday/sums.json ~/.ros/imu.json
@@ -267,7 +267,11 @@ COMMANDS = {
             *READ,
         ],
         check,
-        {EXIT_FAILED: 'checked and failed'},
+        {
+            0: 'healthy, or usable with care (a warning)',
+            EXIT_UNKNOWN: 'not judged (no reference, too little data), or an error you can fix',
+            EXIT_FAILED: 'failed',
+        },
     ),
     'merge': Command(
         MERGE,

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Analyze separate recordings or topics: results for each, and a summary of all.
+"""Analysis of separate recordings or topics: results for each, and a summary of all.
 
-They are read in this process, in several processes, or on a Dask cluster.
+Recordings are read in this process, in several processes, or on a Dask cluster.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from .options import settings_of
 METADATA = 'metadata.yaml'
 
 STORAGES = ('.mcap', '.db3')
-"""Suffixes of files that can be parts of one bag."""
+"""Suffixes of files that can be parts of a split bag."""
 
 SPLIT = re.compile(r'^(.*)_\d+$')
-"""Name of a part of a bag without its suffix: rosbag2 numbers them."""
+"""Name of a part of a split bag without suffix: rosbag2 appends a number."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class Outcome:
 
 
 def recordings_in(path: str) -> list[str]:
-    """Return the separate recordings of a folder; else the path itself, as one recording.
+    """Return the paths of the separate recordings in a folder, or the path itself if it is one.
 
-    A folder with metadata.yaml is one recording, and so are files that are numbered like the parts
-    of one bag.
+    A folder is one recording if it has a metadata.yaml, fewer than two recordings, or only the
+    numbered parts of one bag.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists():
@@ -81,7 +81,7 @@ def recordings_in(path: str) -> list[str]:
 
 
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
-    """Analyze each recording, write the files of each and the summary, and print the summary.
+    """Analyze each recording, write its files, and print and write a summary of all.
 
     The exit code is 1 if any recording could not be analyzed, else 0.
     """
@@ -105,7 +105,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 
 
 def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Run the jobs in this process, in several processes, or on a Dask cluster, in their order."""
+    """Yield the outcomes of the jobs in order, run here, in processes, or on a Dask cluster."""
     names = names_of(jobs)
     if args.scheduler:
         read = on_cluster(jobs, args.scheduler, Console.of(args))
@@ -128,8 +128,7 @@ def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outco
 def analyze_one(
     job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
-    """Read and fit one recording (unless it is read already), and write its files into its
-    folder."""
+    """Fit one recording, and write its files to its folder; ``recorded`` if it is read already."""
     outcome = Outcome(job.path, name)
     folder = Path(args.output) / outcome.folder if args.output else None
     try:
@@ -142,7 +141,7 @@ def analyze_one(
 def fitted(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit the sums and write the files if a folder is given; return the results and file names."""
+    """Fit the sums, and write the files if a folder is given; return results and file names."""
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
         results = fit_recorded(recorded, settings)
@@ -163,7 +162,7 @@ def fitted(
 
 
 def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
-    """Return one job for each Imu topic of a bag, or one job if the options name the topic."""
+    """Return the jobs, with one for each Imu topic of a bag if the options name no topic."""
     separate = []
     for job in jobs:
         topics = [] if job.reading.topic else topics_of(job.path)
@@ -173,7 +172,7 @@ def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
 
 
 def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a unique name for each job."""
+    """Return a unique name for each job: that of its file, with the topic if needed."""
     names: list[str] = []
     for job in jobs:
         several = sum(other.path == job.path for other in jobs) > 1
@@ -187,7 +186,7 @@ def names_of(jobs: Sequence[ReadJob]) -> list[str]:
 
 
 def folder_name(name: str) -> str:
-    """Return the name of the folder for the results of one recording."""
+    """Return a name with other characters than letters, digits, + and - replaced by _."""
     return re.sub(r'[^\w+-]+', '_', name)
 
 
@@ -200,7 +199,7 @@ COLUMNS = (
 
 
 def _csv(outcomes: Sequence[Outcome], units: str) -> str:
-    """Return one row for each coefficient of each recording."""
+    """Return a CSV table with one row for each coefficient of each recording."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator='\n')
     writer.writerow(COLUMNS)
@@ -219,7 +218,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
 
 
 def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
-    """Yield the rows of the summary: N, B and K of each sensor, for all its axes."""
+    """Yield a row for each recording: verdict, hours, and N, B and K of all axes."""
     for outcome in outcomes:
         results, cells = outcome.results, [one_line(outcome.name)]
         if results is None:
@@ -275,13 +274,13 @@ def _document(outcome: Outcome, units: str) -> dict[str, object]:
 
 
 CONNECT_S = 10.0
-"""Time in s to wait for a scheduler."""
+"""Longest time in s to wait for a scheduler."""
 
-ASK_S = 30.0
+WORKER_CHECK_S = 30.0
 """Time in s between two checks that the cluster has workers."""
 
-ALONE_S = 120.0
-"""Time in s without any worker after which the job fails. A cluster restarts dead workers within
+NO_WORKER_S = 120.0
+"""Time in s without any worker after which a job fails. A cluster restarts dead workers within
 seconds, on a busy machine within a minute."""
 
 
@@ -291,12 +290,12 @@ def on_cluster(
     console: Console,
     work: Callable[[ReadJob], RecordingSums] = read_recording,
 ) -> Iterator[RecordingSums | Finding]:
-    """Run the jobs on a Dask cluster, and yield the sums of each, or a finding.
+    """Run ``work`` for each job on a Dask cluster; yield the sums, or a finding if they are lost.
 
     The workers need this package and the same paths. If a worker dies, another one repeats its
-    jobs. A job at which several workers die (``distributed.scheduler.allowed-failures``) yields a
-    finding. Raises AllanError when Dask is not installed, or no scheduler with workers answers at
-    the address.
+    jobs. A job is lost if several workers die of it (``distributed.scheduler.allowed-failures``).
+    Raises AllanError when Dask is not installed, or no scheduler with workers answers at
+    ``address``.
     """
     try:
         from distributed import Client, KilledWorker
@@ -312,42 +311,40 @@ def on_cluster(
         ) from error
     outcomes: dict[ReadJob, RecordingSums | Finding] = {}
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
-        # a cached result of an earlier analysis must not be used, because the recording may have
-        # changed
+        # not pure: a recording may have changed since an earlier analysis with the same job
         futures = client.map(work, jobs, pure=False)
         interrupted: list[ReadJob] = []
         for job, future in zip(jobs, futures):
             try:
-                recorded = _made(client, future)
+                recorded = _result(client, future)
             except KilledWorker:
                 interrupted.append(job)
                 continue
             outcomes[job] = recorded
             progress.advance(recorded.provenance.counts.received)
-        # a dying worker also loses its queued jobs; if each job runs alone, the cause becomes
-        # apparent
+        # a dying worker also loses its queued jobs: only the job that causes it fails alone, too
         for job in interrupted:
             try:
-                outcomes[job] = _made(client, client.submit(work, job, pure=False))
+                outcomes[job] = _result(client, client.submit(work, job, pure=False))
             except KilledWorker:
                 outcomes[job] = finding('recording_lost', path=job.path)
     yield from (outcomes[job] for job in jobs)
 
 
-def _made(client: Any, future: Any) -> RecordingSums:
-    """Wait for a job as long as there are workers, and return its result."""
+def _result(client: Any, future: Any) -> RecordingSums:
+    """Wait for the result of a job; raise AllanError after `NO_WORKER_S` without workers."""
     from distributed import TimeoutError as Unfinished
 
-    alone = 0.0
-    while alone < ALONE_S:
+    waited = 0.0
+    while waited < NO_WORKER_S:
         try:
-            made: RecordingSums = future.result(timeout=ASK_S)
+            made: RecordingSums = future.result(timeout=WORKER_CHECK_S)
             return made
         except Unfinished:
             # a timeout of the job itself, for example of a remote disk
             if future.status == 'error':
                 raise
-            alone = 0.0 if client.nthreads() else alone + ASK_S
+            waited = 0.0 if client.nthreads() else waited + WORKER_CHECK_S
     raise AllanError(
         f'the cluster at {client.scheduler.address} has no worker: start workers with '
         'allan_ros, or check their logs for the reason'

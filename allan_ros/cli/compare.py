@@ -3,8 +3,8 @@
 """List significant differences between recordings, or from a datasheet.
 
 An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
-a datasheet. All other inputs are compared with the first one. --method applies to recordings and
-sums; a results.json is not fitted again.
+a datasheet. Recordings are compared with the first one, and with each datasheet. --method applies
+to recordings and sums; a results.json is not fitted again.
 
   allan compare monday tuesday
   allan compare run1 run2 --label cold --label warm -o compared
@@ -46,7 +46,7 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, compare, print and write."""
+    """Read and compare the inputs, print the comparison, and write the files."""
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
     check_pictures(pictures, bool(args.output))
@@ -98,7 +98,7 @@ def inflate(args: argparse.Namespace) -> int:
 
 
 def fit(args: argparse.Namespace) -> int:
-    """Fit all curves of the file, and print coefficients, processes and inconsistencies."""
+    """Fit the curves of a file, and print coefficients, processes and warnings."""
     from ..io.user_files import contradictions, read_curves, read_published
 
     console = Console.of(args)
@@ -125,7 +125,7 @@ def fit(args: argparse.Namespace) -> int:
 
 
 def _process_lines(axis: str, fit: AxisFit) -> list[str]:
-    """Return the processes of an axis and its largest deviation, one line each."""
+    """Return a line for each process of an axis, and one for the largest deviation of the model."""
     unit = SI_UNITS[sensor_of(axis)]['B']
     lines = [
         f'{axis}: Gauss-Markov, {p.sigma:.3g} {unit}, {p.correlation_time:.3g} s'
@@ -172,8 +172,8 @@ INFLATE = """
 Measure what running motors add to the noise of a robot at rest.
 
 REST is the robot at rest with its motors off, RUNNING the robot at rest with its motors on, each as
-a results.json, the folder of an analysis, or a recording. Shown are N and K for a filter with the
-factor on each, and the ratio of the Allan deviations.
+a results.json, the folder of an analysis, or a recording. The output is N and K for a filter, their
+increase as a factor, and the ratio of the Allan deviations.
 
   allan inflate rest/results.json motors_on/results.json
   allan inflate rest_bag motors_on_bag -o inflation

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Output of all verbs: results to stdout, everything else to stderr, as much as requested."""
+"""Output of all verbs: results on stdout; messages, progress and details on stderr."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ WIDTH = 100
 """Width in columns if there is no terminal and ``COLUMNS`` is not set."""
 
 LABEL = 30
-"""Largest number of characters of the label of a progress bar; a longer label loses its
-beginning."""
+"""Largest number of characters of the label of a progress bar, which shows the end of a text."""
 
 
 class Progress:
-    """A progress bar on stderr with the remaining time; silent if stderr is not a terminal.
+    """A progress bar on stderr with the remaining time; nothing if stderr is not a terminal.
 
-    ``total`` is the number of units of work, or None if unknown.
+    ``total`` is the number of units of work, or None if it is unknown.
     """
 
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
@@ -48,7 +47,7 @@ class Progress:
             self._bar.stop()
 
     def advance(self, units: int) -> None:
-        """Count further completed units."""
+        """Add completed units of work."""
         if self._bar is not None:
             self._bar.advance(self._task, units)
 
@@ -72,8 +71,7 @@ NARROWEST = 40
 """Width in columns below which text is not wrapped here, but by the terminal."""
 
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colours (ECMA-48): cyan, yellow, red. They only emphasize the word of the severity."""
-
+"""ANSI colours (ECMA-48) of the severity of a finding: cyan, yellow, red."""
 
 OPTIONS = """
 terminal:
@@ -87,7 +85,7 @@ terminal:
 
 @dataclass(frozen=True)
 class Console:
-    """Output of a verb, controlled by `OPTIONS`."""
+    """Output of one verb, as the options in `OPTIONS` request it."""
 
     verb: str = ''
     json: bool = False
@@ -96,15 +94,15 @@ class Console:
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> Console:
-        """Return the console that the arguments select."""
+        """Return the console for the parsed arguments of a verb."""
         return cls(args.verb, args.json, args.quiet, args.verbose)
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Print the document of ``--json``, in ASCII for any terminal or pipe."""
+        """Print a JSON document to stdout, in ASCII."""
         print(json.dumps(document, indent=1, allow_nan=False))
 
     def say(self, text: str) -> None:
-        """Print a message to stderr."""
+        """Print a message to stderr, unless ``--quiet`` is given."""
         if not self.quiet:
             print(one_line(f'allan {self.verb}: {text}'), file=sys.stderr)
 
@@ -114,24 +112,24 @@ class Console:
             self.say(text)
 
     def progress(self, label: str, total: int | None) -> Progress:
-        """Return a progress bar; ``--quiet`` suppresses it."""
+        """Return a progress bar for ``total`` units of work; ``--quiet`` suppresses it."""
         return Progress(label, total, shown=not self.quiet)
 
     @contextmanager
     def timed(self, what: str) -> Iterator[None]:
-        """Report the duration of a step after its end."""
+        """Print the duration of the step ``what`` to stderr if ``--verbose`` is given."""
         began = time.monotonic()
         yield
         self.detail(f'{what}: {time.monotonic() - began:.2f} s')
 
 
 def width() -> int:
-    """Return the width of the output: of the terminal, else ``COLUMNS``, else the default."""
+    """Return the width of the output in columns: ``COLUMNS``, else the terminal, else `WIDTH`."""
     return max(shutil.get_terminal_size((WIDTH, 24)).columns, NARROWEST)
 
 
 def coloured(stream: TextIO) -> bool:
-    """Return whether to write colours: on a terminal, unless the environment overrides it.
+    """Return whether to print colours to a stream, by default if it is a terminal.
 
     A non-empty ``NO_COLOR`` turns colours off, a non-empty ``FORCE_COLOR`` turns them on
     (no-color.org, force-color.org).
@@ -144,12 +142,11 @@ def coloured(stream: TextIO) -> bool:
 
 
 def painted(line: str, word: str, colour: str, colours: bool) -> str:
-    """Return the line with the first occurrence of the word in an ANSI colour, if colours are
-    on."""
+    """Return a line with the first occurrence of a word in an ANSI colour, if ``colours``."""
     return line.replace(word, f'\x1b[{colour}m{word}\x1b[0m', 1) if colours else line
 
 
 def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
-    """Return the text in lines that leave the last column free; all but the first are indented."""
+    """Return lines of less than ``columns`` characters; all but the first begin with ``indent``."""
     room = max(columns, NARROWEST) - 1
     return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)

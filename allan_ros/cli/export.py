@@ -31,7 +31,7 @@ from .options import Command, Settings, settings_of
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the results, and write or print the file."""
+    """Read results, and write or print a file for a filter, or list the targets."""
     console = Console.of(args)
     if args.list and console.json:
         console.document({'targets': TARGETS})
@@ -81,14 +81,14 @@ SEEN = {
     'secondary': 'read where it is quoted',
     '': '',
 }
-"""How the figures of a source are known."""
+"""Code of how the figures of a source are known -> text."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
-"""Columns of the list; figures of accelerometers are in the units of their datasheets."""
+"""Columns of the list of datasheets; those of limits have sensor, term and unit."""
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Show one datasheet, or list all."""
+    """Print one datasheet, or a list of all."""
     console = Console.of(args)
     if args.name:
         sheet = load_sensor(args.name)
@@ -106,9 +106,9 @@ def sensors(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield one line per sensor with the upper limits of N and B of its worst axis.
+    """Yield a table of all datasheets with the limits of N and B of the worst axis of each sensor.
 
-    Columns that do not fit the width are omitted, starting at the right.
+    ``sheets`` maps names to datasheets. Columns to the right that exceed ``columns`` are omitted.
     """
     rows = [list(HEADERS)]
     for name, sheet in sheets.items():
@@ -135,7 +135,7 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 
 
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
-    """Yield the figures of one datasheet, the resulting limits of N and B, and the sources."""
+    """Yield the stated figures of a datasheet, the limits in both units, and the sources."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
         yield f'contains {sheet.carries}; the figures are from this sensor'

@@ -1,10 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON_ARGCOMPLETE_OK
-"""`allan`: the command line tool. The module of a verb is imported when the verb is called.
+"""The command `allan`: parser of all verbs, exit codes, and shell completion.
 
-The parser has a short usage, help with groups, suggestions for misspelled words, and shell
-completion by argcomplete, which is imported only for a completion request.
+The module of a verb is imported when the verb is called, argcomplete only for shell completion.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ from .console import OPTIONS
 from .options import Command, add_options, words_with_config
 
 HELP_COLUMN = 26
-"""Column at which the explanations of options begin."""
+"""Column at which the help texts of options begin."""
 
 CLOSE = 0.6
-"""Similarity (ratio of difflib) above which a word counts as a misspelling of another one."""
+"""Similarity (ratio of difflib) above which a known word is suggested for a wrong one."""
 
 VERBS = {
     'analyze': 'compute coefficients, curves, plots and a report from recordings',
@@ -72,8 +71,7 @@ SHELLS = ('bash', 'zsh', 'fish')
 """Shells whose completion can be set up."""
 
 EXIT_ERROR, EXIT_USAGE, EXIT_FAULT, EXIT_INTERRUPTED, EXIT_NO_READER = 1, 2, 70, 130, 141
-"""70 is EX_SOFTWARE of sysexits.h; the last two are 128 + SIGINT and 128 + SIGPIPE, as in
-shells."""
+"""Exit codes: 70 is EX_SOFTWARE of sysexits.h, 130 is 128 + SIGINT, 141 is 128 + SIGPIPE."""
 
 EXITS = {
     0: 'done',
@@ -82,7 +80,7 @@ EXITS = {
     EXIT_FAULT: 'a bug in allan: please report the line',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
 }
-"""Exit code -> meaning."""
+"""Exit code -> its meaning in the help."""
 
 
 class AllanParser(argparse.ArgumentParser):
@@ -93,8 +91,7 @@ class AllanParser(argparse.ArgumentParser):
         super().__init__(**given)
 
     def shorten_usage(self) -> None:
-        """Remove the options from the usage, since the help lists them; call it after adding them
-        all."""
+        """Show only '[options]' and arguments in the usage. Call it after adding all options."""
         forms: dict[Any, str] = {'+': '{0} [{0} ...]', '?': '[{0}]'}
         arguments = (
             forms.get(action.nargs, '{0}').format(action.metavar)
@@ -105,7 +102,10 @@ class AllanParser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Report unknown arguments here, with the usage of the verb instead of the main usage."""
+        """Parse the arguments; exit with the usage of this parser if one is unknown.
+
+        argparse itself would show the usage of the main parser instead of the verb.
+        """
         words: list[str] = []
         for word in sys.argv[1:] if args is None else args:
             if words and word.startswith('-,'):  # --columns -,t,gx: a value, not an option
@@ -118,16 +118,14 @@ class AllanParser(argparse.ArgumentParser):
         return known or argparse.Namespace(), unknown
 
     def error(self, message: str) -> NoReturn:
-        """Print the error with a suggestion, and exit with code 2."""
+        """Print the usage and the error with a suggestion, and exit with code 2."""
         self.print_usage(sys.stderr)
         meant = self._meant(message)
         hint = f'; did you mean {meant}?' if meant else f'; see `{self.prog} --help`'
         self.exit(EXIT_USAGE, f'{self.prog}: {message}{hint}\n')
 
     def _meant(self, message: str) -> str:
-        """Return the known option or choice that is most similar to the wrong one in the message,
-        or ''.
-        """
+        """Return the known word most similar to the wrong one in a message of argparse, or ''."""
         wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: ([^\s=]*)", message)
         if wrong is None:
             return ''
@@ -138,7 +136,7 @@ class AllanParser(argparse.ArgumentParser):
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Wraps the paragraphs of descriptions, and keeps their indented lines unchanged."""
+    """Wraps the paragraphs of a description, but not its indented lines."""
 
     def __init__(self, prog: str, **given: Any) -> None:
         super().__init__(prog, **{**given, 'max_help_position': HELP_COLUMN})
@@ -151,9 +149,9 @@ class HelpFormatter(argparse.HelpFormatter):
 
 
 def build_parser(verb: str = '') -> AllanParser:
-    """Return the parser of the whole command line, with the options of one verb only.
+    """Return the parser of the command line with the options of one verb.
 
-    Other verbs get no options, because their settings would import numpy.
+    Other verbs have no options, because declaring them would import numpy.
     """
     parser = AllanParser(
         prog='allan',
@@ -196,7 +194,7 @@ def build_parser(verb: str = '') -> AllanParser:
 
 
 def command_of(verb: str) -> Command:
-    """Return the command of a verb; its module is imported."""
+    """Import the module of a verb, and return its command."""
     module = importlib.import_module(f'.{MODULES.get(verb, verb)}', __package__)
     command: Command = module.COMMANDS[verb]
     return command
@@ -210,7 +208,7 @@ def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
 
 
 class _Completion(argparse.Action):
-    """Prints the completion script and exits, as --version does."""
+    """An option that prints the completion script of a shell, and exits."""
 
     def __call__(
         self,
@@ -224,17 +222,18 @@ class _Completion(argparse.Action):
 
 
 def _exits_text(exits: dict[int, str]) -> str:
-    return '\n'.join(['exit codes:', *(f'  {code:<4} {what}' for code, what in exits.items())])
+    lines = (f'  {code:<4} {exits[code]}' for code in sorted(exits))
+    return '\n'.join(['exit codes:', *lines])
 
 
 RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
-"""Suffixes of the files that `analyze` reads."""
+"""Suffixes of the recordings that `analyze` reads."""
 
 DOCUMENTS = ('.json',)
 """Suffix of the inputs of `merge` and `export`."""
 
 INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
-"""Verb -> suffixes of its inputs, if they are not recordings."""
+"""Program and verb -> suffixes of its inputs, if they are not only recordings."""
 
 
 def registration(shell: str) -> str:
@@ -266,7 +265,7 @@ def complete() -> None:
 
 
 def _attach(parser: argparse.ArgumentParser) -> None:
-    """Attach a completer to every argument without choices."""
+    """Add a completer to the arguments that expect a file, or a name without fixed choices."""
     from argcomplete.completers import FilesCompleter
 
     files = {
@@ -285,7 +284,10 @@ def _attach(parser: argparse.ArgumentParser) -> None:
 
 
 def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Return the names that complete an argument; none if they cannot be determined."""
+    """Return the names that can complete an argument; an empty list if they are unknown.
+
+    ``what`` is the name of the argument, ``prefix`` the word to complete.
+    """
     try:
         if what == 'topic':
             return _topics(parsed_args)
@@ -302,7 +304,7 @@ def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) ->
 
 
 def _topics(parsed_args: argparse.Namespace) -> list[str]:
-    """Return the Imu topics of the bags on the command line, or all their topics."""
+    """Return the Imu topics of the bags on the command line; all topics if there is none."""
     from ..io.readers.cdr import IMU_TYPE
     from ..io.readers.open import bag_files, open_storage
 
@@ -315,7 +317,10 @@ def _topics(parsed_args: argparse.Namespace) -> list[str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code. Only this function catches `AllanError`."""
+    """Run one verb and return the exit code; errors become one line on stderr.
+
+    ``argv`` are the words after the name of the program, by default those of this process.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     name = f'allan {words[0]}' if words and words[0] in VERBS else 'allan'
     try:
@@ -376,7 +381,7 @@ def _run(words: Sequence[str]) -> int:
 
 
 def _fault_text(error: Exception) -> str:
-    """Return one line that names an internal error and its location, for a bug report."""
+    """Return one line about an unexpected error with its location, for a bug report."""
     ours = Path(__file__).parents[1]
     frames = traceback.extract_tb(error.__traceback__)
     inner = [frame for frame in frames if ours in Path(frame.filename).parents]
@@ -393,7 +398,7 @@ def _stopped(line: str, code: int) -> int:
 
 
 def console() -> None:
-    """Exit with the exit code of `main`: the entry point of ``allan``."""
+    """Run `main` and exit with its exit code; this is the entry point of ``allan``."""
     for name in ('stdout', 'stderr'):
         if getattr(sys, name) is None:  # the parent process has closed it
             setattr(sys, name, open(os.devnull, 'w'))  # noqa: SIM115

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the command line: from a text or settings, with defaults from a config file.
+"""Options of the command line: their declaration, and defaults from a config file.
 
 `allan.toml` or the section [tool.allan] of pyproject.toml sets defaults. Keys are the names of
 options, as in ``units = "si"``. Keys at the top level apply to every verb with this option, keys in
-a table such as [analyze] only to this verb. The command line takes precedence.
+a table such as [analyze] to this verb only. The command line takes precedence.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ T = TypeVar('T')
 
 
 class Settings(NamedTuple):
-    """The options of a settings class, one for each field except ``without``."""
+    """A group of options, one for each field of a settings class."""
 
-    title: str
+    title: str  # heading of the group in the help
     kind: type[Any]
-    without: Collection[str] = ()
+    without: Collection[str] = ()  # fields that get no option
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Command:
     """One verb of the command line."""
 
     description: str  # the first part of its help text, with examples
-    options: Sequence[str | Settings]  # text for `add_options`, or a settings class
+    options: Sequence[str | Settings]  # texts for `add_options`, or settings classes
     run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
     # exit codes in addition to the common ones
     exits: Mapping[int, str] = field(default_factory=dict)
@@ -77,16 +77,17 @@ TYPES: dict[str, Callable[[str], Any]] = {
     'N=..,B=..': _terms,
     'START:LENGTH': _period,
 }
-"""Placeholder of an option in `add_options` -> type of its value; others are text."""
+"""Placeholder of an option in `add_options` -> function that parses its value; others are text."""
 
 
 def add_options(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add the options that a text lists.
+    """Add the options that a text declares to a parser.
 
-    Each line contains one option and, after two spaces, its help, which continues on lines with
-    deeper indentation. An argument has its name before its placeholder. ``...`` allows several
-    values or uses, ``?`` makes it optional. A line that ends with a colon begins a group. Options
-    marked with ``|`` are mutually exclusive.
+    Each line declares one option: its names, the placeholder of its value, and after two spaces the
+    help, which continues on lines with deeper indentation. A positional argument has its name
+    before the placeholder. ``...`` permits several values, or several uses of the option; ``?``
+    makes it optional. A line that ends with a colon begins a group. Options with ``|`` are mutually
+    exclusive.
 
         inputs INPUT...             an argument
         group:
@@ -145,6 +146,8 @@ def add_settings(
         info, default = infos[setting.name], setting.default
         name = setting.name.replace('_', '-')
         words = info.doc.rstrip('.').replace('%', '%%')
+        if words[1].islower() and not words.startswith('Imu'):  # a sentence, not 'N and K'
+            words = words[0].lower() + words[1:]
         if isinstance(default, bool):
             group.add_argument(
                 f'--no-{name}' if default else f'--{name}',
@@ -174,7 +177,7 @@ def add_settings(
 
 
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
-    """Return the settings of the parsed arguments; ``given`` fields take precedence."""
+    """Return the settings from the parsed arguments; fields in ``given`` take precedence."""
     names = [f.name for f in fields(settings_type)]  # type: ignore[arg-type]
     parsed = {name: getattr(args, name) for name in names if hasattr(args, name)}
     return settings_type(**{**parsed, **given})
@@ -189,7 +192,7 @@ def _words(text: str) -> tuple[str, ...]:
 
 
 FILE, PROJECT = 'allan.toml', 'pyproject.toml'
-"""Config files in the current folder; the first one with settings is used."""
+"""Config files of a folder; the first one with settings is used."""
 
 NOT_CONFIGURED = ('help', 'version', 'completion')
 
@@ -197,9 +200,10 @@ NOT_CONFIGURED = ('help', 'version', 'completion')
 def words_with_config(
     words: list[str], parser: argparse.ArgumentParser, verbs: Mapping[str, object]
 ) -> list[str]:
-    """Return the words of the command line with the options of the config file after the verb.
+    """Return the words of a command line with the options of the config file inserted.
 
-    Raises AllanError when the file cannot be read, or has an option that the verb does not have.
+    ``parser`` is that of the verb, which is the first word. Raises AllanError when the file cannot
+    be read, or has a table or an option that is unknown.
     """
     verb, *given = words
     path, settings = find_config(Path())
@@ -228,7 +232,7 @@ def words_with_config(
 
 
 def find_config(folder: Path) -> tuple[Path, Mapping[str, Any]]:
-    """Return the config file of a folder and its settings; nothing if there is no file."""
+    """Return the config file of a folder and its settings; the folder and {} if there is none."""
     for name in (FILE, PROJECT):
         path = folder / name
         if not path.is_file():

@@ -33,7 +33,7 @@ NOISES = {
     **{sensor: f'all {sensor} axes' for sensor in SENSORS},
     **{axis: axis for axis in AXES},
 }
-"""Option whose value contains noise terms -> axes to which they apply."""
+"""Option for noise terms -> axes to which they apply, as text."""
 
 NOISE_OPTIONS = '\n  '.join(
     f'--{name.replace("_", "-")} N=..,B=..  noise terms of {what}' for name, what in NOISES.items()
@@ -43,18 +43,18 @@ OPTIONS = f"""
 output OUT  recording to write
 noise:
   | --preset {{{','.join(PRESETS)}}}  noise of a known IMU; paper: ADIS16475-3
-  | --sensor NAME  N and B at the limits of this datasheet (name or file)
-  | --spec FILE  YAML file of axes and terms, or truth file
+  | --sensor NAME  N and B at the limits of this datasheet; a name of `allan sensors`, or a file
+  | --spec FILE  YAML file of axes and terms, or a truth file of an earlier simulation
   {NOISE_OPTIONS}
 recording:
   --hours HOURS [2]  length in hours
   --rate HZ [100]  samples per second
   --seed N [0]  seed of the random numbers (default 0)
-  --start SECONDS [1577836800]  first stamp in s, as 2020-01-01
-  --frame-id TEXT [imu_link]  frame_id
+  --start SECONDS [1577836800]  first stamp in Unix time, by default 2020-01-01
+  --frame-id TEXT [imu_link]  frame_id of the messages
   --topic TEXT [/imu/data]  topic of a bag
-  --storage NAME  mcap, sqlite3, ros1, csv or npz (default: by suffix)
-  --compression NAME [none]  none, chunk, message or file; bz2 or lz4 of ros1, deflate of npz
+  --storage NAME  mcap, sqlite3, ros1, csv or npz (default: by the suffix of OUT)
+  --compression NAME [none]  none, chunk, message or file; for ros1 bz2 or lz4, for npz deflate
   --overwrite  replace an existing recording
 """
 
@@ -66,8 +66,7 @@ faults in periods of time:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate, and write the recording and then its true values."""
-
+    """Simulate a recording, and write it and its true values."""
     from ..io.user_files import stated_noise, write_truth
     from ..io.writing import write_recording
 
@@ -117,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _watched(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
-    """Yield the batches and show their progress."""
+    """Yield the batches, and show the progress in a total number of samples."""
     with console.progress('writing', samples) as progress:
         for batch in batches:
             yield batch

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text output of `analyze`, `merge`, `compare` and `fit`: verdict, tables, findings, next steps."""
+"""Results and comparisons as text for a terminal: verdict, tables, findings, next steps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LEVEL_COLOURS: dict[Level, str] = {
     'unknown': '1;36',
     'failed': '1;31',
 }
-"""ANSI colours of the levels of a verdict: bold green, yellow, cyan, red."""
+"""Level of a verdict -> ANSI colour: bold green, yellow, cyan, red."""
 
 HEADLINES: dict[LimitVerdict | None, str] = {
     'within': 'every stated limit is kept',
@@ -59,8 +59,10 @@ LIMIT_DIGITS = 3
 def datasheet_lines(
     comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
 ) -> Iterator[str]:
-    """Yield a headline, and a line for each limit: the stated value, and the verdict for each
-    axis."""
+    """Yield the lines of a comparison: a headline, then the verdict of each axis on each limit.
+
+    ``judged`` is False if the results are too short for a verdict. ``columns`` is the width.
+    """
     sheet = comparison.datasheet
     found = HEADLINES[comparison.verdict] if judged else 'not judged'
     headline = f'compared with the datasheet of {sheet.name}: {found}'
@@ -89,14 +91,14 @@ LABEL, GAP = 16, 2
 """Width of the first column, and space between the columns of two axes, in characters."""
 
 DEVIATION, NOTHING = 'deviation', '-'
-"""Label of the last row, which is omitted if the model describes every curve well."""
+"""Label of the last row, and a cell of it for a curve that the model describes well."""
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
-"""Largest number of findings that are shown by default, and of next steps."""
+"""Largest number of findings without ``--verbose``, and of next steps."""
 
 
 def print_results(results: Results, verdict: Verdict, units: str, complete: bool = False) -> None:
-    """Print the results in the width of the terminal; ``complete`` includes every finding."""
+    """Print the results; with ``complete``, all findings and their remedies."""
     for line in results_lines(results, verdict, units, width(), coloured(sys.stdout), complete):
         print(line)
 
@@ -109,7 +111,10 @@ def results_lines(
     colours: bool = False,
     complete: bool = False,
 ) -> Iterator[str]:
-    """Yield the lines of the report: headline, verdict, tables, findings, next steps."""
+    """Yield the lines of the results: headline, verdict, tables, findings, next steps.
+
+    ``columns`` is the width; ``complete`` includes all findings and their remedies.
+    """
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colours)
     for sensor, where in SENSORS.items():
@@ -120,6 +125,7 @@ def results_lines(
         yield from table_lines([*term_labels(sensor, units), DEVIATION], cells, columns)
     if any(a.regions for a in results.axes.values()):
         yield ''
+        yield 'dominant noise by averaging time, and slope of the curve'
         yield from _region_lines(results, columns)
     yield ''
     yield from wrapped(_legend(results), columns)
@@ -135,7 +141,7 @@ def results_lines(
 
 
 def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list[str]:
-    """Return the verdict in one line, beginning with its level."""
+    """Return the level of the verdict and its summary, as wrapped lines."""
     word = WORDS[verdict.level].lower()
     lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
     return [painted(lines[0], word, LEVEL_COLOURS[verdict.level], colours), *lines[1:]]
@@ -144,7 +150,7 @@ def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list
 def findings_lines(
     results: Results, units: str, columns: int, colours: bool, complete: bool
 ) -> Iterator[str]:
-    """Yield one line for each cause, five at most; all of them with their remedies on demand."""
+    """Yield a line for each of the first findings, or with ``complete`` all with their remedies."""
     shown, notes = findings_and_notes(results)
     if not shown and not notes:
         return
@@ -175,22 +181,24 @@ def _legend(results: Results) -> str:
         return f'method {results.method} gives no intervals'
     text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
     likely = any(axis.fit.likely and axis.regions for axis in results.axes.values())
-    return text + ('; "?" is a part of the model that is likely but not resolved' * likely)
+    processes = any('GM' in r.term for axis in results.axes.values() for r in axis.regions)
+    text += '; "?" is a part of the model that is likely but not resolved' * likely
+    return text + '; "GM" is a Gauss-Markov process with its correlation time' * processes
 
 
 def term_labels(sensor: str, units: str) -> list[str]:
-    """Return the labels of a table of the five terms."""
+    """Return the first column of a table of noise terms: the sensor, then terms with units."""
     return [sensor, *(f'{term} {shown_unit(sensor, term, units).name}' for term in TERMS)]
 
 
 def axis_cells(axis: str, noise: Mapping[str, Coefficient], units: str) -> list[str]:
-    """Return the column of one axis: its name, and the values with their intervals."""
+    """Return the column of one axis: x, y or z, then the values with their intervals."""
     shown = [(noise[term], shown_unit(axis, term, units)) for term in TERMS]
     return [axis.rsplit('_', 1)[1], *(coefficient_cell(c, unit) for c, unit in shown)]
 
 
 def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
-    """Return the value and the interval, each in its own column."""
+    """Return the value and its interval, aligned in two columns."""
     return f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}'
 
 
@@ -203,7 +211,7 @@ def _deviation(results: Results, axis: str) -> str:
 def table_lines(
     labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
 ) -> Iterator[str]:
-    """Yield the columns side by side, as many at a time as fit into the width."""
+    """Yield a table with a first column of labels; columns beyond the width follow below."""
     if not columns:
         return
     label = max(LABEL, *(len(text) + GAP for text in labels))
@@ -226,8 +234,7 @@ def _region_lines(results: Results, columns: int) -> Iterator[str]:
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield the lines of the verdict, of a table per sensor, and of the comparisons with
-    datasheets."""
+    """Yield the lines of a comparison: sentences, a table per sensor, and limits of datasheets."""
     for sentence in comparison_headline(comparison):
         yield from wrapped(sentence, columns, '  ')
     for sensor, where in SENSORS.items():
@@ -238,14 +245,13 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
     yield ''
     if comparison.pairs:
         yield from wrapped(
-            f'ratios are to {comparison.runs[0].label}, with 95 % intervals; "higher" and "lower" '
-            f'are more than chance: in runs of equal noise any of all that is compared is called '
-            f'so in at most {comparison.family_error:.0%} of comparisons',
+            f'ratios to {comparison.runs[0].label} with 95 % intervals; "higher" and "lower" are '
+            f'significant (at most {100.0 * comparison.family_error:g} % false alarms overall)',
             columns,
         )
     for label, checked in comparison.datasheets:
         yield ''
-        yield f'{label}'
+        yield label
         yield from datasheet_lines(checked, units, columns)
 
 
@@ -258,8 +264,8 @@ def _run_labels(comparison: RunComparison, sensor: str, units: str) -> Iterator[
 
 
 def _run_cells(comparison: RunComparison, axis: str, units: str) -> Iterator[str]:
-    """Yield the cells of one axis: each term of each recording and its ratio, then the
-    deviations."""
+    """Yield the column of one axis: for each term the values of all recordings and their ratios,
+    then the number of significant deviations."""
     for term in TERMS:
         unit = shown_unit(axis, term, units)
         for subject in comparison.runs:

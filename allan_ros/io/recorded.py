@@ -1,9 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`RecordingSums`: the sums and the context of one or more recordings, which can be added.
+"""Reading recordings to sums that can be added, one after the other or in several processes.
 
-Recordings are read one after the other, or in several processes. Their sums are added, so the
-result is the same, bit for bit.
+Both ways give the same sums, bit for bit.
 """
 
 from __future__ import annotations
@@ -36,10 +35,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Provenance:
-    """The origin of sums, stored next to them in `sums.json` and `results.json`.
+    """The origin of sums, stored with them in `sums.json` and `results.json`.
 
-    Segments are in recorded order, findings come from the reader and the stream, and settings are
-    plain values. With simulated time, samples older than ``last_stamp_ns`` are a repeated pass.
+    Segments are in the order of time. Findings come from the reader and the stream. Settings are
+    plain values. A node with simulated time treats samples before ``last_stamp_ns`` as a repetition
+    of the recording.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -50,8 +50,7 @@ class Provenance:
     last_stamp_ns: int | None = None
 
     def __add__(self, other: Provenance) -> Provenance:
-        """Return the provenance of both: equal findings appear once, settings come from the
-        first."""
+        """Return the combined provenance, with equal findings once and the settings of ``self``."""
         counts = deepcopy(self.counts)
         counts.add(other.counts)
         stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
@@ -67,27 +66,23 @@ class Provenance:
 
 @dataclass(frozen=True)
 class RecordingSums:
-    """The sums of one or more recordings of one IMU, with signal and spectrum for a report.
+    """The sums of one or more recordings of one IMU, with the data for a report.
 
-    There is one `AllanSums` with all axes, or one per sensor if the rates differ, each with its
-    spectrum. There is a signal and a temperature for each recording. Spectra, signals and
-    temperatures are empty unless they were requested. The name is the path of the first recording,
-    and ``judged`` contains earlier comparisons with datasheets.
+    ``signals``, ``spectra`` and ``temperatures`` are empty unless they were requested.
     """
 
-    name: str
-    sums: tuple[AllanSums, ...]
+    name: str  # path of the first recording
+    sums: tuple[AllanSums, ...]  # one for all axes, or one per sensor if the rates differ
     provenance: Provenance = field(default_factory=Provenance)
-    signals: tuple[SignalEnvelope, ...] = ()
-    spectra: tuple[SpectrumSums, ...] = ()
-    temperatures: tuple[TemperatureTrace | None, ...] = ()
-    judged: tuple[DatasheetComparison, ...] = ()
+    signals: tuple[SignalEnvelope, ...] = ()  # one per recording
+    spectra: tuple[SpectrumSums, ...] = ()  # one per element of sums
+    temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording
+    judged: tuple[DatasheetComparison, ...] = ()  # comparisons with datasheets that were read
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the sums of both recordings.
 
-        Raises AllanError when the other recording is of another IMU (the message names the
-        difference), or contains the same samples.
+        Raises AllanError when the recordings are of different IMUs, or share samples.
         """
         try:
             sums = add_sums(self.sums, other.sums)
@@ -116,9 +111,9 @@ class RecordingSums:
 
 @dataclass(frozen=True)
 class ReadJob:
-    """One recording to read, in a form that can be sent to another process or machine.
+    """The path and the settings to read one recording; it can be sent to another process.
 
-    With context, the data for a report are kept: signal, spectrum and temperature.
+    ``with_context`` requests the data for a report: signal, spectrum and temperature.
     """
 
     path: str
@@ -140,8 +135,8 @@ def read_recording(
 ) -> RecordingSums:
     """Return the sums of one recording, which is read once from start to end.
 
-    By default the recording is ``job.open()``. ``advance`` is called with the number of samples of
-    every batch. Raises AllanError when there is no static data.
+    ``recording`` is the open recording of the job, by default ``job.open()``. ``advance`` is called
+    with the number of samples of each batch. Raises AllanError when there is no static data.
     """
     recording = job.open() if recording is None else recording
     stream = ImuStream(job.segmenter, job.hardware_id, job.with_context)
@@ -182,7 +177,7 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
-    """Return whether a segment is in both. (No two segments have the same noise.)"""
+    """Return whether both contain a segment with the same sums: noise never repeats exactly."""
     return any(
         one.order == other.order and (one.phase == other.phase).all()
         for one in a.segments
@@ -195,11 +190,11 @@ class Observer(Protocol):
     """Receives the progress of reading recordings."""
 
     def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
-        """Return a context whose value has ``advance(samples)``."""
+        """Return a context around reading ``total`` samples; its value has ``advance(samples)``."""
         return contextlib.nullcontext(self)
 
     def timed(self, what: str) -> AbstractContextManager[None]:
-        """Return a context around one step."""
+        """Return a context around the step ``what``, whose duration may be reported."""
         return contextlib.nullcontext()
 
 
@@ -226,12 +221,12 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
 def read_in_processes(
     jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
 ) -> Iterator[RecordingSums]:
-    """Read several recordings at a time in processes; the result is the same, bit for bit."""
+    """Read the recordings in several processes at a time; yield their sums in the given order."""
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import active_children, get_context
 
-    # a fork would copy the locks of numpy's threads, but not the threads
+    # not a fork, which would copy the locks of numpy's threads without the threads
     workers = min(processes, len(jobs))
     pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
     try:
@@ -256,7 +251,7 @@ def read_in_processes(
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT, so that processes started meanwhile never receive it."""
+    """Block SIGINT; processes that are started within the context never receive it."""
     if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
         yield
         return
@@ -268,14 +263,10 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
-    """Return the sums of all recordings of one IMU.
-
-    They are added from the earliest to the latest, so the order of the arguments does not matter.
-    """
+    """Return the sums of all recordings of one IMU, added in the order of their first samples."""
     return reduce(add, sorted(recordings, key=_start_ns))
 
 
 def _start_ns(recorded: RecordingSums) -> tuple[int, int]:
-    """Return the stamp of the first sample and the number of samples."""
     starts = [segment.start_ns for s in recorded.sums for segment in s.segments]
     return min(starts, default=0), sum(s.samples for s in recorded.sums)

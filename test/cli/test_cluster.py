@@ -153,8 +153,8 @@ def test_a_cluster_without_workers_is_not_waited_for(
     recordings: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip('distributed')
-    monkeypatch.setattr('allan_ros.cli.batch.ASK_S', 0.1)
-    monkeypatch.setattr('allan_ros.cli.batch.ALONE_S', 0.2)
+    monkeypatch.setattr('allan_ros.cli.batch.WORKER_CHECK_S', 0.1)
+    monkeypatch.setattr('allan_ros.cli.batch.NO_WORKER_S', 0.2)
     with distributed.LocalCluster(
         n_workers=0, processes=False, dashboard_address=None
     ) as empty, pytest.raises(AllanError, match='has no worker: start workers'):  # fmt: skip

@@ -19,7 +19,7 @@ import pytest
 
 import allan_ros
 from allan_ros.cli import analyze
-from allan_ros.cli.main import EXITS, VERBS, main
+from allan_ros.cli.main import EXITS, VERBS, command_of, main
 
 ALLAN = [sys.executable, '-m', 'allan_ros.cli.main']
 
@@ -42,7 +42,8 @@ def test_every_verb_tells_its_options_an_example_and_its_exit_codes(
     assert said.startswith(f'usage: allan {verb} [options]')
     assert f'\n  allan {verb} ' in said
     assert all(f' --{option}' in said for option in ('json', 'quiet', 'verbose'))
-    assert all(f'\n  {code:<4} {what}' in said for code, what in EXITS.items())
+    exits = {**EXITS, **command_of(verb).exits}
+    assert all(f'\n  {code:<4} {what}' in said for code, what in exits.items())
 
 
 def test_help_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-A `Target` has the rows of its table, or a function that yields its entries; its `Form` converts
-them to text. The tables are in `targets` and `simulators`, the numbers and the header comment in
-`model`, the text formats in `forms`. A new target needs an entry in a table and a line in
-`TARGETS`.
+A `Target` describes one file: a table of its keys, or a function that yields them, and the `Form`
+that converts them to text. Targets are in `targets` and `simulators`, numbers and header comments
+in `model`, text formats in `forms`. A new target also needs a line in `TARGETS`.
 """
 
 from __future__ import annotations
@@ -57,18 +56,16 @@ TARGETS = {
 """Target -> description of its file."""
 
 AXIS_RULE = 'worst'
-"""Default axis rule of files with one number per sensor, as users of Kalibr expect."""
-
-FIDELITIES = ('reduction', 'coefficients')
+"""Default of `ExportOptions.axis` for one number per sensor, as users of Kalibr expect."""
 
 VIO_HORIZON_S = 30.0
-"""A camera or lidar corrects the integration; drift is considered over 1 to 30 s."""
+"""Longest integration in s between corrections by a camera or lidar."""
 
 INS_HORIZON_S = 100.0
-"""GNSS corrects the integration, with possible outages; drift is considered over 1 to 100 s."""
+"""Longest integration in s between corrections by GNSS, including outages."""
 
 SIMULATOR_HORIZON_S = 1000.0
-"""A simulated sensor should drift like the real one over 1 to 1000 s."""
+"""Time in s up to which a simulated sensor should drift like the real one."""
 
 Value = Any
 """The value of a key in a file: a number, a string, a list or a mapping of these."""
@@ -114,7 +111,7 @@ class ExportOptions(CheckedSettings):
         'reduction',
         'N and K of the file: a reduction, in which K is raised until the predicted error growth '
         'covers the complete model, or the bare coefficients.',
-        choices=FIDELITIES,
+        choices=('reduction', 'coefficients'),
     )
     horizon: float = parameter(
         0.0,
@@ -138,11 +135,10 @@ class Entry:
 
     path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
-    # origin of the number: unit, formula, axis, interval. '' if it is not measured
+    # unit, formula, axis and interval of the number as text; '' if it is not measured
     words: str = ''
-    levels: tuple[Level, ...] = ()  # the measured levels from which it is computed
-    # whether the value in the user's file stays unchanged, because it is not measured
-    keep: bool = False
+    levels: tuple[Level, ...] = ()  # the measured noise levels from which it is computed
+    keep: bool = False  # whether a merge keeps the value of the user's file
     findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
@@ -162,19 +158,20 @@ class Entry:
 
 
 class Row(NamedTuple):
-    """One key of a file and its quantity."""
+    """One key of a file and the quantity that is written there."""
 
     key: str
     sensor: str  # 'gyro' or 'accel', or '-' for both
-    # N or K; sigma, tau or driving (the density sigma sqrt(2/tau)) of the Gauss-Markov bias;
-    # turn_on; common_tau of all axes; rate; topic; zero
+    # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
+    # 'turn_on': scatter of the bias between recordings; 'common_tau': correlation time of all axes;
+    # 'rate'; 'topic'; 'zero'
     what: str
-    unit: str = ''  # one of `model.QUANTITIES` for N and K, or a unit
+    unit: str = ''  # a notation of `model.QUANTITIES`, or a unit
     limits: tuple[float, float] | None = None  # range that the filter accepts
 
 
 def rows(table: str) -> tuple[Row, ...]:
-    """Return the rows of a table with the columns of `Row`, limits as low..high."""
+    """Return the rows of a text table with the columns of `Row`; with limits as low..high."""
     found = []
     for line in table.strip().splitlines():
         key, sensor, what, *rest = line.split()
@@ -184,14 +181,14 @@ def rows(table: str) -> tuple[Row, ...]:
     return tuple(found)
 
 
-def four(keys: str, unit: str = 'density') -> tuple[Row, ...]:
-    """Return the rows of N of gyro and accelerometer, then of K of gyro and accelerometer."""
+def noise_rows(keys: str, unit: str = 'density') -> tuple[Row, ...]:
+    """Return rows for four keys: N of gyro and accelerometer, then K of gyro and accelerometer."""
     whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
     return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
 
 
 class Form(ABC):
-    """Conversion of the entries of a target to text."""
+    """A text format for the entries of a target."""
 
     no_merge = 'this file is loaded in addition to yours and needs no merging: omit --merge-into'
 
@@ -200,7 +197,7 @@ class Form(ABC):
         """Return a file with these entries and the header."""
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's text with these entries in it, or raise `AllanError`."""
+        """Return the user's text with these entries and the header, or raise AllanError."""
         raise AllanError(self.no_merge)
 
 
@@ -209,29 +206,28 @@ class Target:
     """A filter, simulator or calibration tool."""
 
     file_name: str  # name of its file in a results folder
-    convention: str  # convention of the numbers, and the source file of the target that shows it
+    convention: str  # meaning of the numbers, and the source file of the target that shows it
     form: Form
     rows: tuple[Row, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # the mappings that contain the keys
-    # required keys that are not measured; they stay unchanged in the user's file
+    # keys that are required but not measured; a merge keeps the values of the user's file
     fixed: Mapping[str, Value] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # further information for the user of this file
-    # yields the entries from the noise, for files that are too complex for a table
+    # yields the entries of a file that is too complex for a table
     entries: Callable[[FilterNoise], Iterable[Entry]] | None = None
     three: bool = False  # whether the file takes three numbers per sensor
     rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
-    horizon_s: float = VIO_HORIZON_S  # default upper end of the horizons of the reduction, in s
-    # whether the target has a random walk of the bias, and therefore uses N from the same reduction
+    horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
+    # whether the target models the bias as a random walk, so that N comes from the same reduction
     walk: bool = True
-    # whether the reduction bounds the error growth, as a filter needs it; simulators get the
-    # closest one
+    # whether the numbers bound the error growth, as a filter needs; else they approximate it
     bound: bool = True
-    exact: bool = False  # whether N is for the midpoint rule, and `ExportOptions.exact` applies
+    exact: bool = False  # whether the target uses the midpoint rule (`ExportOptions.exact`)
 
 
 @dataclass(frozen=True)
 class Export:
-    """A file for a filter as text, and notes about it for the user."""
+    """The text of a file for a filter, and findings about its numbers."""
 
     text: str
     findings: tuple[Finding, ...]
@@ -260,7 +256,7 @@ def make_export(
     options: ExportOptions = ExportOptions(),
     existing: str | None = None,
 ) -> Export:
-    """Return the file of a target, or the user's existing text with its numbers merged in.
+    """Return the file of a target, or the user's file with the numbers of the target in it.
 
     Parameters
     ----------
@@ -269,7 +265,7 @@ def make_export(
         One of `TARGETS`.
     options : ExportOptions
     existing : str or None
-        Text of the user's file, into which the numbers are merged.
+        Text of the user's file; None writes a new file.
 
     Raises
     ------

@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of entries to text: JSON, YAML, parameter lines and programs, XML.
+"""Text formats of exported files: JSON, YAML, lines of parameters or program code, XML.
 
-Entries can also be merged into the user's JSON or YAML file. YAML text is changed only at the
-positions that the parser reports, so comments, order, quotes and foreign tags (``!!opencv-matrix``)
-stay. The result is parsed again. It must contain the new values and all other values unchanged, or
-nothing is written.
+Entries can also be merged into the user's JSON or YAML file. YAML text is changed only where the
+parser locates the keys: comments, order, quotes and tags such as ``!!opencv-matrix`` stay. The
+result is parsed again. If another value changed, nothing is written.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from . import Entry, Form, Value
 INDENT = 2
 
 HEADER_KEY = 'allan_ros'
-"""Key of the header in JSON, which has no comments."""
+"""Key of the header lines in JSON, which has no comments."""
 
 
 def put_entries(tree: dict[str, Value], entries: Sequence[Entry]) -> dict[str, Value]:
-    """Insert the values of entries into nested mappings, and return these.
+    """Insert the values of entries into the nested mappings ``tree``, and return it.
 
     Raises
     ------
@@ -71,13 +70,12 @@ def _refuse(constant: str) -> None:
 
 @dataclass(frozen=True)
 class LineForm(Form):
-    """One line per entry."""
+    """A file with one line per entry."""
 
     line: str  # `str.format` template of key and value
     comment: str = '#'  # start of a comment line
-    # further text around the lines
-    before: str = ''
-    after: str = ''
+    before: str = ''  # text between header comment and lines
+    after: str = ''  # text after the lines
     literal: Callable[[Value], str] = repr  # converts a value to the text of the language
 
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
@@ -168,13 +166,13 @@ class YamlForm(Form):
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return the user's text with these entries inserted and everything else unchanged.
 
-        A key is searched at its path, else anywhere if it occurs once. Missing keys are added to
-        the mapping of their siblings.
+        A key is expected at its path, else in the only mapping that has one of the new keys.
+        Missing keys are added to the same mapping.
 
         Raises
         ------
         AllanError
-            When the text is not YAML, a key occurs in several places, or the merge would change
+            When the text is not YAML, several mappings have the keys, or the merge would change
             other values.
         """
         text = _OLD_BLOCK.sub('', existing.replace('\r\n', '\n'))
@@ -193,7 +191,7 @@ class YamlForm(Form):
             raise AllanError(
                 f'no keys can be added to a file in this YAML style: {_BY_HAND}'
             ) from None
-        _prove(before, after, wanted)
+        _check_merge(before, after, wanted)
         block = [f'# {line}\n' for line in (BLOCK_BEGIN, *header, BLOCK_END)]
         if self.opencv and not head.startswith('%YAML'):
             head = f'{_OPENCV_MARK}\n{head}'
@@ -202,7 +200,7 @@ class YamlForm(Form):
 
 
 def _rows(value: Value) -> Any:
-    """Return the value with its lists of numbers marked, so that each is written on one line."""
+    """Return the value with each list of numbers as a `_Row`."""
     if isinstance(value, dict):
         return {key: _rows(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -217,17 +215,17 @@ def _dump(value: Any, **style: Any) -> str:
 
 
 def _block(tree: dict[str, Value]) -> str:
-    """Return nested mappings as indented lines."""
+    """Return nested mappings as indented lines of YAML."""
     return _dump(_rows(tree), sort_keys=False, indent=INDENT)
 
 
 def _inline(value: Value) -> str:
-    """Return the value as text on the line of its key."""
+    """Return the value as YAML on one line."""
     return _dump(value, default_flow_style=True).removesuffix('\n').removesuffix('\n...')
 
 
 def _composed(body: str) -> yaml.Node | None:
-    """Return the nodes of a text; raise `_NotYamlError` if it has no keys."""
+    """Return the mapping of a YAML text, None if it is empty; raise `_NotYamlError` otherwise."""
     try:
         node: yaml.Node | None = yaml.compose(body, Loader=yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -242,7 +240,7 @@ def _composed(body: str) -> yaml.Node | None:
 
 
 def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
-    """Return the text with one entry inserted, and its path; None for an entry that was kept."""
+    """Return the text with one entry, and the path of its value; None if the old value stays."""
     places = dict(_mappings(_composed(body)))
     path = _home(places, entry, siblings)
     if path not in places:
@@ -265,7 +263,7 @@ def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str
 
 
 def _home(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequence[Entry]) -> Path:
-    """Return the path of the mapping to which an entry belongs; it may not exist yet."""
+    """Return the path of the mapping for an entry; the mapping may not exist yet."""
     parent = entry.path[:-1]
     if parent in places and (parent or _item(places[parent], entry.key)):
         return parent
@@ -290,13 +288,13 @@ def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | Non
 
 
 def _holds(node: yaml.MappingNode, key: str) -> bool:
-    """Return whether a mapping contains a value, not a mapping, under that key."""
+    """Return whether a mapping has the key with a value that is not a mapping."""
     found = _item(node, key)
     return found is not None and not isinstance(found[1], yaml.MappingNode)
 
 
 def _end(node: yaml.Node) -> int:
-    """Return the index of the end of a node's text; for a block, the end of its last item."""
+    """Return the index in the text after a node; for a block, after its last item."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
@@ -320,7 +318,7 @@ def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
 
 
 def _added(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str:
-    """Return the text with the entry and its missing mappings inserted after the existing ones."""
+    """Return the text with the entry, and the mappings on its path that are missing, added."""
     path = entry.path
     depth = next((n for n in range(len(path) - 1, -1, -1) if path[:n] in places), None)
     below = put_entries({}, [Entry(path[depth or 0 :], entry.value)])
@@ -335,7 +333,7 @@ def _added(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str
 
 
 def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
-    """Return path -> tag and text of every scalar."""
+    """Return path -> tag and text of all scalars below a node."""
     if isinstance(node, yaml.CollectionNode):
         pairs = (
             [(str(key.value), value) for key, value in node.value]
@@ -350,14 +348,14 @@ def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
     return {} if node is None else {path: f'{node.tag} {node.value}'}
 
 
-def _prove(before: dict[Path, str], after: dict[Path, str], wanted: dict[Path, Value]) -> None:
-    """Check that the text contains the new values and all other values unchanged."""
+def _check_merge(before: dict[Path, str], after: dict[Path, str], new: dict[Path, Value]) -> None:
+    """Raise AllanError if ``before`` and ``after`` differ in more than the new values."""
     expected = {
         place: text
         for place, text in before.items()
-        if not any(place[: len(path)] == path for path in wanted)
+        if not any(place[: len(path)] == path for path in new)
     }
-    for path, value in wanted.items():
+    for path, value in new.items():
         expected.update(_flat(yaml.compose(_inline(value), Loader=yaml.SafeLoader), path))
     if after != expected:
         places = sorted({*expected, *after})

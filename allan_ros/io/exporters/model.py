@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`FilterNoise`: the numbers of one IMU for one target, each with its origin as text."""
+"""The numbers of one IMU for one target, and the header comment that states their origin."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from ..results import Results
 
 DIGITS = 6
-"""Significant digits that are written: two more than the accuracy of any interval."""
+"""Significant digits of numbers in a file, more than any interval justifies."""
 
 
 Convert = Callable[[float, float], float]
-"""Converts a level at a rate in Hz to the number that is written."""
+"""Function of a noise level in SI and a rate in Hz that returns the number for the file."""
 
 QUANTITIES: dict[str, tuple[str, str, Convert]] = {
     'density': ('', '{density}', lambda value, rate: value),
@@ -49,45 +49,54 @@ QUANTITIES: dict[str, tuple[str, str, Convert]] = {
     'step_variance': ('{term}^2 / f', '({bias})^2', lambda value, rate: value**2 / rate),
     'covariance': ('{term}^2', '({density})^2', lambda value, rate: value**2),
 }
-"""Notation in which a target expects N and K -> formula, unit and conversion. The templates contain
-the term and the units of the term, of its standard deviation per sample and of the bias.
-`allan_ros.core.filters.noise_parameters` explains the notations."""
+"""Notation in which a target expects N and K -> formula, unit and conversion. In the templates,
+``{term}`` is N or K; ``{density}``, ``{std}`` and ``{bias}`` are the units of the term, of its
+standard deviation per sample, and of the bias. `allan_ros.core.filters.noise_parameters` explains
+the notations."""
 
 UNITS_S = {'s': 1.0, 'h': HOUR}
 
 DEFAULT_TOPIC = '/imu0'
-"""Default topic, as in the examples of Kalibr."""
+"""Topic in files of recordings without a topic, as in the examples of Kalibr."""
 
 
 class SensorProcess(NamedTuple):
-    """First-order Gauss-Markov bias: sigma in SI with the inflation, tau in s, for x, y, z."""
+    """First-order Gauss-Markov processes that model the bias of the axes x, y, z."""
 
-    sigma: tuple[float, ...]
-    tau: tuple[float, ...]
-    words: str
+    sigma: tuple[float, ...]  # standard deviations in SI, with the inflation
+    tau: tuple[float, ...]  # correlation times in s
+    words: str  # their origin, for the header comment
     findings: tuple[Finding, ...]
     # K of the axes without a fitted process, from which the process is computed
     levels: tuple[Level, ...]
 
     @property
     def driving(self) -> tuple[float, ...]:
-        """Density sigma sqrt(2/tau) of the driving noise."""
+        """Density sigma sqrt(2/tau) of the white noise that drives each process."""
         return tuple(sigma * math.sqrt(2.0 / tau) for sigma, tau in zip(self.sigma, self.tau))
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
-    """Return a number, or all numbers of nested lists, rounded to the digits that are written."""
+    """Return a number, or nested lists of numbers, rounded to ``digits`` significant digits."""
     if isinstance(value, (list, tuple)):
         return [rounded(each, digits) for each in value]
     return float(f'{value:.{digits}g}')
 
 
 class FilterNoise:
-    """The noise of one IMU, with one set of options, for one target; ``rule`` is the axis rule.
+    """The noise of one IMU in the convention of one target, with one set of options.
 
-    The filter steps at ``rate`` Hz; reductions are valid over ``horizons``. Every method raises
-    AllanError if an option does not apply to the target, a sensor is absent, or an axis has neither
-    a value nor a limit.
+    Every method raises AllanError if a sensor is absent, or an axis has neither a value nor a
+    limit; the constructor, if an option does not apply to the target.
+
+    Attributes
+    ----------
+    rule : str
+        How the axes of a sensor are combined: 'worst', 'mean' or 'each'.
+    rate : float
+        Rate of the filter in Hz.
+    horizons : Horizons
+        Integration times in s over which N and K describe the error growth.
     """
 
     def __init__(self, results: Results, options: ExportOptions, target: Target) -> None:
@@ -174,19 +183,26 @@ class FilterNoise:
     def entry(
         self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
     ) -> Entry:
-        """Return the entry of a level, with its formula, unit and axes as text."""
+        """Return the entry of a noise level.
+
+        ``convert`` converts it to the number of the file, ``formula`` and ``unit`` describe this
+        number in the header comment.
+        """
         values = rounded([convert(value, self.rate) for value in level.values])
         equals = f' = {formula}' if formula else ''
         words = f'[{unit}]{equals}: {"; ".join(map(level_words, level.levels))}'
         return Entry(path, values if self.target.three else values[0], words, level.levels)
 
     def level(self, sensor: str, term: str) -> SensorLevel:
-        """Return the level of a term of a sensor; N and K come from the reduction."""
+        """Return the noise level of a term for a sensor, combined by the rule for axes.
+
+        N and K come from the reduction, unless `ExportOptions.fidelity` is 'coefficients'.
+        """
         levels = [self._axis_level(axis, term) for axis in self.axes_of(sensor)]
         return sensor_level(levels, self.rule, self.options.inflate)
 
     def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
-        """Return the three axes of a sensor."""
+        """Return axis -> result of a sensor; raise AllanError if one of the three is missing."""
         names = AXES[SENSORS[sensor]]
         missing = [name for name in names if name not in self.results.axes]
         if missing:
@@ -197,7 +213,10 @@ class FilterNoise:
     def reduction(
         self, axis: str, states: States = 'walk', expect_walk: bool = False
     ) -> AxisReduction:
-        """Return the reduction of one axis over the horizons of the file."""
+        """Return the model of one axis reduced to the given states, over the horizons of the file.
+
+        ``expect_walk`` gives a K that is not resolved its expected value.
+        """
         key, fit = (axis, states, expect_walk), self.results.axes[axis].fit
         if key not in self._reductions:
             self._reductions[key] = reduce_axis(
@@ -207,7 +226,7 @@ class FilterNoise:
 
     @property
     def _used(self) -> dict[str, AxisReduction]:
-        """The reductions to N and K that are written to the file."""
+        """Axis -> reduction to N and K that is written to the file."""
         return {axis: of for (axis, states, _), of in self._reductions.items() if states == 'walk'}
 
     def _axis_level(self, axis: str, term: str) -> Level:
@@ -217,7 +236,7 @@ class FilterNoise:
         return self.reduction(axis).levels[term]
 
     def process(self, sensor: str) -> SensorProcess:
-        """Return the Gauss-Markov bias of a sensor."""
+        """Return the Gauss-Markov processes that approximate the drift of a sensor."""
         names = list(self.axes_of(sensor))
         common = any(row.what == 'common_tau' for row in self.target.rows)
         tau = self.common_tau if common or self.rule != 'each' else None
@@ -242,7 +261,7 @@ class FilterNoise:
 
     @cached_property
     def common_tau(self) -> float:
-        """Correlation time in s for all axes together."""
+        """Correlation time in s for the drift of all axes: the geometric mean of the axes."""
         models = [self._drifting(name) for name in self.results.axes]
         return common_correlation_time(models, self.horizons)
 
@@ -257,7 +276,7 @@ class FilterNoise:
         return pair
 
     def reduction_lines(self) -> list[str]:
-        """Return the header lines about the reduction of N and K."""
+        """Return lines for the header comment on how N and K were obtained."""
         if self.options.fidelity == 'coefficients':
             return ['fidelity: bare coefficients; N and K alone underestimate flicker and drift']
         if not self._used:
@@ -270,7 +289,7 @@ class FilterNoise:
         ]
 
     def reduction_findings(self) -> list[Finding]:
-        """Return a warning for the axes that N and K cannot describe."""
+        """Return a warning that names the axes whose error growth N and K cannot describe."""
         poor = {
             axis: one.reduction.ratio[1]
             for axis, one in self._used.items()
@@ -282,7 +301,7 @@ class FilterNoise:
 
 
 def level_words(level: Level) -> str:
-    """Return the axis of a number, its measured value and its interval, in SI, as text."""
+    """Return term, axis, value and 95 % interval of a noise level as text, in SI."""
     unit = SI_UNITS[sensor_of(level.axis)]['B' if level.term == 'sigma' else level.term]
     words = f'{level.term} of {level.axis}'
     if level.is_limit:
@@ -302,14 +321,14 @@ def level_words(level: Level) -> str:
 
 
 def _origin(walk: Level | None) -> str:
-    """Return the K from which a process is computed, if it is a limit or has no interval."""
+    """Return a note on the K from which a process is computed; '' if K has an interval."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
 
 
 def clamped(entry: Entry, low: float, high: float) -> Entry:
-    """Return the entry with its number clamped to the range that the target accepts."""
+    """Return the entry with its number within [low, high], and a finding if it was outside."""
     value = min(max(entry.value, low), high)
     if value == entry.value:
         return entry
@@ -320,12 +339,12 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
 
 
 def divided(factor: float) -> Convert:
-    """Return the conversion to a unit that equals ``factor`` SI units."""
+    """Return the function that converts SI to a unit of ``factor`` SI units."""
     return lambda value, rate: value / factor
 
 
 NAMED_SOURCES = 3
-"""Number of recordings that are named; further ones are only counted."""
+"""Largest number of recordings that the header comment names; others are counted."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
@@ -341,7 +360,8 @@ RULE_WORDS = {
 def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> list[str]:
     """Return the lines of the header comment, without comment marks.
 
-    They state source, date, convention, units, rate, axes, intervals and warnings.
+    They state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is the
+    target, ``entries`` are the keys of the file.
     """
     results, target, inflate = noise.results, noise.target, noise.options.inflate
     limits = dict.fromkeys(entry.key for entry in entries if entry.is_limit)

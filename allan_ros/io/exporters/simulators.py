@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Targets with the complete process model, and simulators.
+"""Export targets with the complete process model, and simulators.
 
-The schema ``allan_ros/state_space/1`` has under ``axes``, for each axis, the levels ``white``,
-``walk`` and ``gauss_markov`` in SI, the matrices of `allan_ros.core.filters.reductions.StateSpace`
-at one rate under ``discrete``, and under ``reductions`` the parameters for filters with fewer
-states. A simulator with a single Gauss-Markov bias gets the process whose error growth follows that
-of the model, with equal deviations above and below.
+The document ``allan_ros/state_space/1`` has for each axis under ``axes``: the levels ``white``,
+``walk`` and ``gauss_markov`` in SI; ``discrete``, the matrices of
+`allan_ros.core.filters.reductions.StateSpace` at one rate; and ``reductions``, the parameters of
+filters with fewer states. A simulator with a single Gauss-Markov bias gets the process whose error
+growth is closest to that of the model.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MATRIX_DIGITS = 12
 
 
 def _spaces(noise: FilterNoise) -> Iterator[tuple[str, StateSpace, tuple[Level, ...]]]:
-    """Yield each axis with its states, and the levels of N and K."""
+    """Yield each axis, its state space, and the levels of N and K from which it is computed."""
     inflate = noise.options.inflate
     for axis in noise.results.axes:
         reduced = noise.reduction(axis, 'processes', expect_walk=True)
@@ -183,11 +183,11 @@ class ImuNoise:
 
 
 def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the noise elements of SDF's <imu>.
+    """Yield the noise elements of <imu> in SDF.
 
-    Gazebo steps the bias with the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)): its stationary
-    standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it rounds the sample to
-    multiples of the precision, which adds precision^2/12 to the variance.
+    In each step, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
+    bias: its stationary standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it
+    rounds samples to multiples of the precision, which adds precision^2/12 to the variance.
     """
     for element, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         unit = SI_UNITS[sensor]['B']
@@ -224,7 +224,7 @@ AIRSIM_ROWS = {
     'gyro': ('AngularRandomWalk', 'deg/sqrt(h)', 'GyroBiasStability', 'deg/h', 500.0),
     'accel': ('VelocityRandomWalk', 'mg/sqrt(Hz)', 'AccelBiasStability', 'ug', 800.0),
 }
-"""Keys and units of N and of the bias, and the default time constant tau of AirSim in s; only
+"""Sensor -> key and unit of N, key and unit of the bias, and AirSim's default of tau in s. Only
 stability / sqrt(tau) has an effect."""
 
 
@@ -345,4 +345,4 @@ SIMULATORS = {
         three=True,
     ),
 }
-"""Name -> simulator."""
+"""Name -> target."""

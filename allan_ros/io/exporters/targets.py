@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The table of filters and calibration tools: keys, convention and format of each file.
+"""Export targets for filters and calibration tools: keys, convention and format of each file.
 
-Each convention was verified in the source file that it names. N and K in formulas are the
-continuous densities, f the rate in Hz. The other targets are in `simulators`.
+Each convention was verified in the source file that it names. In formulas, N and K are the
+continuous densities, f is the rate in Hz.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from functools import partial
 import numpy as np
 
 from ...core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
-from . import INS_HORIZON_S, Entry, Row, Target, Value, four, rows
+from . import INS_HORIZON_S, Entry, Row, Target, Value, noise_rows, rows
 from .forms import JsonForm, LineForm, YamlForm, matlab_literal
 from .model import FilterNoise, clamped, divided, rounded
 
 ANY_NODE = ('/**', 'ros__parameters')
-"""Top-level key for parameters of any node that loads the file by --params-file."""
+"""Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
 
 OPENCV = YamlForm(opencv=True)
 
@@ -44,7 +44,7 @@ OPENVINS_NOT_MEASURED: dict[str, Value] = {
     'R_IMUtoACC': np.eye(3).tolist(),
     'Tg': [[0.0] * 3] * 3,
 }
-"""Required keys that are not measured, for an IMU without errors of scale, axes and time."""
+"""Required keys that are not measured, with the values of an IMU without such errors."""
 
 GTSAM_CODE = '''
 # Error of the numerical integration, not of the IMU; the default is the identity.
@@ -78,13 +78,14 @@ gbstd     gyro   sigma       deg/h
 abstd     accel  sigma       mGal
 corrtime  -      common_tau  h
 """)
-"""Note for KF-GINS, OB_GINS and IC-GVINS: the noise of the bias is 2 sigma^2 / corrtime."""
+"""Keys of KF-GINS, OB_GINS and IC-GVINS."""
 
 
 def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the gain, and zeta from the ramp if every axis has one, else from the random walk.
+    """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
 
-    zeta is sqrt(3/4) times the drift: R, or K / sqrt(h), because a random walk moves by K sqrt(h).
+    zeta is sqrt(3/4) times the drift per second: R if every axis has a ramp, else K / sqrt(h),
+    because a random walk moves by K sqrt(h) within h.
     """
     horizon, axes = noise.horizons.high, noise.axes_of('gyro')
     white = noise.level('gyro', 'N')
@@ -160,7 +161,7 @@ TARGETS = {
         'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)',
         OPENCV,
         (
-            *four('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
+            *noise_rows('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
             Row('IMU.Frequency', '-', 'rate'),
         ),
     ),
@@ -169,7 +170,7 @@ TARGETS = {
         'continuous time, squared for GTSAM; the walks become the noise of the factor between '
         'two biases, times the root of the time between (src/imuPreintegration.cpp)',
         YamlForm(),
-        four('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
+        noise_rows('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
         parent=ANY_NODE,
     ),
     'fast_lio': Target(
@@ -177,7 +178,7 @@ TARGETS = {
         "variance per sample; the filter adds (dt F) Q (dt F)' (src/IMU_Processing.hpp, "
         'IKFoM_toolkit/esekfom/esekfom.hpp)',
         YamlForm(),
-        four('gyr_cov acc_cov b_gyr_cov b_acc_cov', 'variance'),
+        noise_rows('gyr_cov acc_cov b_gyr_cov b_acc_cov', 'variance'),
         parent=(*ANY_NODE, 'mapping'),
         notes=(
             'the defaults of FAST-LIO (0.1 and 0.0001) are tuned and far above any noise at rest; '
@@ -189,7 +190,7 @@ TARGETS = {
         'continuous covariances, divided or multiplied by the time step '
         '(gtsam/navigation/PreintegrationParams.h, CombinedImuFactor.cpp)',
         LineForm('{key} = {value}', before='\nimport numpy as np\n\n', after=GTSAM_CODE),
-        four(
+        noise_rows(
             'gyroscopeCovariance accelerometerCovariance biasOmegaCovariance biasAccCovariance',
             'covariance',
         ),
@@ -216,7 +217,7 @@ TARGETS = {
         'msckf_vio_imu.yaml',
         "continuous time; Q = Phi G Qc G' Phi' dt (src/msckf_vio.cpp, processModel)",
         YamlForm(),
-        four('gyro acc gyro_bias acc_bias'),
+        noise_rows('gyro acc gyro_bias acc_bias'),
         parent=('noise',),
         notes=(
             'load it in the node: <rosparam command="load" file="..."/>, after its other noise',
