@@ -29,7 +29,7 @@ from allan_ros.io.results import Results, analyse_sums
 settings.register_profile('allan_ros', deadline=None)
 settings.load_profile('allan_ros')
 
-# A shell starts background jobs with SIGINT ignored, and a process hands that on to its children.
+# A shell starts background jobs with SIGINT ignored, and child processes inherit this.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -40,7 +40,7 @@ CORE_LIBRARIES = {'numpy', 'scipy'}
 """Packages that `core` may import in addition to the standard library."""
 
 TOUCHES_THE_WORLD = {'datetime', 'io', 'logging', 'os', 'pathlib', 'shutil', 'subprocess', 'time'}
-"""Modules of the standard library that `core` does without: files and wall clocks."""
+"""Modules of the standard library that `core` must not import: files and wall clocks."""
 
 FILES = sorted(
     path for path in PACKAGE.rglob('*.py') if path.relative_to(PACKAGE).parts[0] in MAY_IMPORT

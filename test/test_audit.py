@@ -44,7 +44,7 @@ def test_each_package_is_listed_with_version_and_licence(
     assert audit.main() == 0
     rows = {row.split()[0]: row.split()[1:] for row in capsys.readouterr().out.splitlines()}
     assert {'numpy', 'scipy', 'pyyaml'} <= set(rows)
-    assert 'pytest' not in rows  # an extra is not what a user installs
+    assert 'pytest' not in rows  # extras are not installed by default
     assert 'BSD' in ' '.join(rows['numpy'])
 
 

@@ -17,7 +17,7 @@ from allan_ros.cli.main import VERBS, build_parser
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
 LARGEST_PICTURE = 150_000
-"""Bytes: pages must open quickly on a phone."""
+"""Limit in bytes, so that pages open quickly on a phone."""
 
 
 def named(path: Path) -> str:

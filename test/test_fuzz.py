@@ -60,7 +60,7 @@ def test_damaged_inputs_are_refused_in_a_line_or_valid(
 def test_a_bag_cut_at_any_record_reads_or_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
     data, boundaries = WHOLE[name]
     places = sorted(set(boundaries(data)))
-    assert len(places) > MESSAGES  # one for each message at least
+    assert len(places) > MESSAGES  # at least one per message
     path = tmp_path / name
     held = []
     for place in places:

@@ -16,7 +16,7 @@ from allan_ros.core.imu import AXES, DEGREE, STANDARD_GRAVITY
 
 RATE = 100.0
 QUICK = {'method': 'relative'}
-"""The fit of tests in which its result does not matter."""
+"""The fastest method, for tests that do not depend on the fit."""
 
 
 @pytest.fixture(scope='module')

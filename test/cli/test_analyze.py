@@ -62,7 +62,7 @@ def test_pictures_come_in_the_forms_asked_for_and_a_former_run_beside(
     assert 'allan_gyro.png' not in names
     page = (tmp_path / 'report.html').read_text()
     assert f'Compared with {analysed.name}' in page
-    assert 'are within' in page  # it is the same run
+    assert 'are within' in page  # the baseline is the same run
     assert 'allan analyze' in page and '--plot-style column' in page
     assert '"spectrum":{"frequency"' in page
 

@@ -18,7 +18,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers.cdr import encode_imus
 
 QUICK = ('--method', 'relative')
-"""The fit of tests in which its result does not matter."""
+"""The fastest method, for tests that do not depend on the fit."""
 
 
 def test_what_is_one_recording_and_what_is_a_batch(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_json_and_merge(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert main(['analyze', str(folder), '--json', *QUICK]) == 0
     batch = json.loads(capsys.readouterr().out)['recordings']
     assert [Path(entry['path']).name for entry in batch] == ['a.npz', 'b.npz']
-    # the two are copies of one recording, which may not count twice
+    # both are copies of one recording, which must not be added twice
     assert main(['analyze', str(folder), '--merge']) == 1
     assert 'give each recording once' in capsys.readouterr().err
 

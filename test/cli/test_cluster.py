@@ -83,7 +83,7 @@ def cluster() -> Iterator[Any]:
     dask = pytest.importorskip('dask')
     settings = {
         'distributed.scheduler.allowed-failures': 1,
-        # on a busy machine a worker takes longer to come back than the cluster waits for it
+        # on a busy machine a worker restarts more slowly than the cluster waits by default
         'distributed.deploy.lost-worker-timeout': '10 minutes',
     }
     with dask.config.set(settings), distributed.LocalCluster(

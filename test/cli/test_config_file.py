@@ -36,7 +36,7 @@ def test_options_come_from_the_file_and_the_command_line_wins(
     assert method_of(capsys) == 'relative'
     assert main(['analyze', str(recording), '--method', 'gls']) == 0
     assert method_of(capsys) == 'gls'
-    # a key of all verbs is none for a verb without the option
+    # a key for all verbs is ignored by a verb without this option
     assert main(['sensors']) == 0
 
 

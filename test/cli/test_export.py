@@ -59,7 +59,7 @@ def test_what_a_number_is_not_goes_to_stderr(
     words = ['export', str(folder / 'results.json'), '--to', 'orb_slam3']
     assert main([*words, '--fidelity', 'coefficients']) == 0
     shown = capsys.readouterr()
-    # Six minutes show no K of these sensors.
+    # Six minutes do not resolve K of these sensors.
     assert 'allan export: Upper limits (95 %)' in shown.err
     assert shown.out.startswith('%YAML:1.0\n')
 

@@ -26,7 +26,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     paths = []
     for name, factor in (('rest', 1.0), ('running', 4.0)):
         samples = rng.normal(size=(len(t), 6)) * [*[factor * 1e-3] * 3, *[1e-2] * 3]
-        # idling first, then running: without the first part the gate would learn the level anyway
+        # motors off at first: otherwise the motion gate would learn the higher noise floor
         samples[: len(t) // 3, :3] *= 1.0 if name == 'rest' else 0.25
         samples[:, 5] += 9.81
         table = np.column_stack([t, samples])

@@ -60,7 +60,7 @@ def test_help_keeps_to_the_width(
     monkeypatch.setenv('COLUMNS', str(columns))
     assert exit_code(['merge', '--help']) == 0
     lines = capsys.readouterr().out.splitlines()
-    # examples and exit codes are not broken: they are to be copied and found
+    # examples and exit codes are not wrapped, so that users can copy and find them
     assert max(len(line) for line in lines if line[:2] != '  ' or line[2] == ' ') <= columns
 
 
@@ -174,7 +174,7 @@ def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
     )
-    # Not before the bag is open: in the midst of an import Python may end by the signal itself,
+    # Not before the bag is open: during an import the signal may end Python directly,
     # or drop the interrupt.
     while not any(path.is_file() for path in tmp_path.rglob('*.mcap')):
         assert process.poll() is None

@@ -46,7 +46,7 @@ FORMS = {
     'step': lambda n, rng: np.linspace(-1.0, 1.0, n).round() / 1.0,
     'alternating': lambda n, rng: (-1.0) ** np.arange(n),
 }
-"""Kind -> samples of no particular size."""
+"""Kind -> samples, to be scaled to any size."""
 
 DECADES = 10**12
 """Samples: 32 years at 1 kHz."""

@@ -47,7 +47,7 @@ def two_mean_variance(covariance, points: int) -> float:
 
 @pytest.mark.parametrize('m', [1, 7, 50, 400])
 def test_gauss_markov_has_the_variance_of_its_autocovariance(m):
-    fine = 400  # points an interval: the means become integrals to 1e-5
+    fine = 400  # points per interval: the means agree with integrals to 1e-5
     expected = two_mean_variance(lambda lag: np.exp(-lag * (m / fine) / 30.0), fine)
     assert gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-3)
     expected = two_mean_variance(lambda lag: np.exp(-lag / 30.0), m)

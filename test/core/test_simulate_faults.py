@@ -74,7 +74,7 @@ def test_bursts_are_silences_made_up_for_by_what_follows():
     assert np.median(steps) == pytest.approx(0.002)
     assert 0.3 < steps.max() <= 0.51
     lag = t - t[0] - np.arange(len(t)) / RATE
-    assert lag.max() - lag.min() < 0.6  # late, but never losing count
+    assert lag.max() - lag.min() < 0.6  # late, but without a drift
 
 
 def test_low_pass_keeps_the_mean_and_takes_the_variance():
@@ -116,7 +116,7 @@ def test_accelerometer_is_held_between_its_readings(rate):
     assert np.array_equal(held[:, :3], raw[:, :3])
     fresh = 1 + np.count_nonzero(np.diff(held[:, 3]))
     assert fresh == pytest.approx(min(rate, RATE) * SECONDS, abs=1)
-    # Every value is a true one, from no more than a reading ago.
+    # Every value is a true sample, at most one reading old.
     longest = int(np.ceil(RATE / min(rate, RATE)))
     age = np.array(
         [list(raw[max(0, i - longest) : i + 1, 3][::-1]).index(held[i, 3]) for i in range(1000)]

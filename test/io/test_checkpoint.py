@@ -144,7 +144,7 @@ def test_what_this_run_saved_is_left_alone_too(
     content = path.read_bytes()
     assert not save(checkpoint, other)
     assert path.read_bytes() == content and checkpoint.refused is not None
-    # a reset leaves the file, whose sums are not of this run any more
+    # a reset keeps the file, but its sums no longer belong to this run
     assert checkpoint.start_over(checkpoint.total(other, Provenance())) == ''
     assert checkpoint.total(sums, Provenance())[0][0].samples == 2 * sums[0].samples
 
@@ -246,7 +246,7 @@ def test_a_path_that_cannot_be_examined_is_a_finding(
     checkpoint, loop = opened(tmp_path / 'sums.json'), tmp_path / name
     save(checkpoint, sums)
     loop.unlink(missing_ok=True)
-    loop.symlink_to(loop)  # examining it fails for every user
+    loop.symlink_to(loop)  # stat fails for every user
     assert checkpoint.start_over(checkpoint.total((), Provenance())) == ''
     assert 'cannot be renamed' in str(checkpoint.findings[0])
     assert loop.is_symlink()

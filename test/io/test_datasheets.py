@@ -46,7 +46,7 @@ PLAUSIBLE = {
     ('accel', 'N'): (5.0, 1000.0, 'ug/sqrt(Hz)'),
     ('accel', 'B'): (0.5, 2000.0, 'ug'),
 }
-"""What a MEMS IMU can have: a slipped unit or digit lies outside."""
+"""Plausible range for a MEMS IMU; a wrong unit or digit lies outside."""
 
 
 @pytest.mark.parametrize('name', sensor_names())
@@ -240,4 +240,6 @@ def test_a_file_in_the_users_folder_has_a_name(tmp_path, monkeypatch):
         (folder / f'{name}.yaml').write_text(yaml.safe_dump(own))
     assert {'mine', 'adis16475-3'} <= set(sensor_names())
     assert load_sensor('MINE').name == 'my own'
-    assert load_sensor('adis16475-3').name == 'my own'  # goes before the one of the package
+    assert (
+        load_sensor('adis16475-3').name == 'my own'
+    )  # takes precedence over the file of the package

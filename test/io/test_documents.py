@@ -124,7 +124,7 @@ def test_extra_terms_survive(small_results: Results) -> None:
     assert again.processes == fit.processes
     assert again.deviation == fit.deviation
     assert again.selected == fit.selected
-    del document['axes']['accel_y']['processes']  # as earlier versions wrote it
+    del document['axes']['accel_y']['processes']  # as written by earlier versions
     earlier = results_from_document(document).axes['accel_y'].fit.processes
     assert earlier == Processes(fit.processes.gauss_markov[:1], fit.processes.sinusoid)
 

@@ -62,7 +62,7 @@ def test_a_mark_that_goes_while_it_is_opened_is_made_anew(
 
     def open_late(*arguments: object) -> int:
         opened.append(real_open(*arguments))
-        former.release()  # between our opening and our locking
+        former.release()  # after this process opened the file and before it locked it
         return opened[-1]
 
     monkeypatch.setattr(os, 'open', open_late)

@@ -68,7 +68,7 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     else:
         raise RuntimeError('no free ROS domain')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SYSTEM_DEFAULT')  # as the profile has it
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SYSTEM_DEFAULT')  # as in the profile
     for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         monkeypatch.setenv(variable, str(ROOT / 'config' / 'fastdds' / 'loopback_udp.xml'))
     yield domain
@@ -240,7 +240,7 @@ class Graph:
         """
         models = self.latched('/allan_monitor/noise_model')
         self.until(lambda: self.value('input', 'used') == str(samples))
-        self.call('/allan_monitor/save')  # which hands the sums of all to the fit
+        self.call('/allan_monitor/save')  # also passes the sums of all samples to the fit
         self.until(lambda: self.call('/allan_monitor/fit').success)
         return self.until(lambda: models and models[-1]['samples'] == samples and models[-1])
 

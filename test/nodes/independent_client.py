@@ -107,7 +107,7 @@ def main(domain: int, samples: int) -> None:
     reader = DataReader(participant, Topic(participant, 'rt/diagnostics', DiagnosticArray), qos=qos)
     deadline = time.monotonic() + PATIENCE_S
     heard: dict[str, DiagnosticStatus] = {}
-    # matched on this side, and known on the other
+    # discovered on both sides
     while not (
         writer.get_matched_subscriptions() and told(heard).get('publishers', 'none') != 'none'
     ):

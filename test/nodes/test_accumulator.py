@@ -21,7 +21,7 @@ from allan_ros.io.writing import write_recording
 from allan_ros.nodes.accumulation import _events
 
 FAST = {
-    # reliable, so that nothing is lost: a full queue makes the publisher wait
+    # reliable QoS loses no message: the publisher waits while the queue is full
     'qos_overrides./imu/data.subscription.reliability': 'reliable',
     'qos_overrides./imu/data.subscription.history': 'keep_all',
     'publish.sums_period': 0.5,
@@ -46,8 +46,8 @@ def with_gap_and_knock(still_imu) -> ImuBatch:
     batch = still_imu(12000)
     batch.samples[7000:7040] += np.random.default_rng(5).normal(0.0, 1.0, (40, 6))
     keep = np.ones(len(batch), bool)
-    keep[3000:3500] = False  # a gap that cuts
-    keep[5000] = False  # a lost sample that is bridged
+    keep[3000:3500] = False  # a gap that splits the data
+    keep[5000] = False  # a lost sample that is interpolated
     return ImuBatch(batch.stamps_ns[keep], batch.samples[keep], frame_id=batch.frame_id)
 
 
@@ -73,7 +73,7 @@ def test_deep_shared_memory_holds_what_comes_at_once(graph, monkeypatch):
     profile.
     """
     profile = Path(__file__).resolve().parents[2] / 'config' / 'fastdds' / 'deep_shared_memory.xml'
-    for name in ('FASTDDS', 'FASTRTPS'):  # the second is that of Fast DDS 2
+    for name in ('FASTDDS', 'FASTRTPS'):  # the second one is for Fast DDS 2
         monkeypatch.setenv(f'{name}_DEFAULT_PROFILES_FILE', str(profile))
     graph.start('accumulator', **{'publish.diagnostics_period': 0.2})
     player = graph.start('player', '--simulate', '10', '--frequency', '300', '--rate', '0')
@@ -346,7 +346,7 @@ def test_parameters_change_at_run_time_within_reason(graph):
 def test_the_first_data_at_rest_count_as_an_event(still_imu):
     """Otherwise the findings from before the first sums remain until the next publication."""
     batch, stream = still_imu(1500), ImuStream()
-    batch.samples[:300] += np.random.default_rng(3).normal(size=(300, 6))  # it is moved at first
+    batch.samples[:300] += np.random.default_rng(3).normal(size=(300, 6))  # the IMU moves at first
     stream.update(batch[:800])
     before = stream.result()
     stream.update(batch[800:])

@@ -68,7 +68,7 @@ def test_the_coefficients_stand_in_both_unit_systems(sums):
 
 def test_what_is_known_can_be_plotted(sums):
     told = values(status_of(sums))
-    # bare numbers: plotters draw neither "0.190..0.210" nor "< 0.206"
+    # plain numbers, since plotters draw neither "0.190..0.210" nor "< 0.206"
     assert [float(told[f'N {end} [deg/sqrt(h)]']) for end in ('low', 'high')] == [0.19, 0.21]
     assert float(told['B high [deg/h]']) == 0.206 and 'B low [deg/h]' not in told
 

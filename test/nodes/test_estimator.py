@@ -28,7 +28,7 @@ FAST = {
     'publish.sums_period': 0.3,
     'publish.diagnostics_period': 0.2,
 }
-# the fit that costs nothing: what is tested here is when there is one, and what becomes of it
+# the fastest method: these tests are about the time and the use of a fit, not its result
 QUICK = {**FAST, 'estimator.method': 'relative'}
 
 

@@ -19,7 +19,7 @@ pytest.importorskip('cyclonedds')
 CLIENT = Path(__file__).parent / 'independent_client.py'
 
 FIRST_RCLPY_OF_FAST_DDS_3 = 8
-"""Since Kilted; cyclonedds 11 takes its type information for invalid and does not match."""
+"""Since Kilted: cyclonedds 11 rejects its type information and does not connect."""
 
 LOOPBACK = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name="lo"/></Interfaces>

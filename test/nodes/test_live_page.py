@@ -125,7 +125,7 @@ def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -
     browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
     graph.send(publisher, batch[6000:])
     graph.until(lambda: shows('12,000 samples'))
-    # the page asks again by itself
+    # the page reloads its data
     browser.wait_for(
         'document.readyState === "complete" && '
         'document.querySelector("header").textContent.includes("12,000 samples")'

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 FAST = {
-    # reliable, so that nothing is lost: a full queue makes the publisher wait
+    # reliable QoS loses no message: the publisher waits while the queue is full
     **{f'qos_overrides./imu/{x}.subscription.reliability': 'reliable' for x in ('data', 'b')},
     **{f'qos_overrides./imu/{x}.subscription.history': 'keep_all' for x in ('data', 'b')},
     'publish.diagnostics_period': 0.2,
@@ -52,7 +52,7 @@ def test_a_path_that_another_node_keeps_is_neither_read_nor_written(
     assert second.output.count('in use by another node') == 1
     assert samples_in(checkpoint) == {'imu': 2000}
 
-    # whoever comes next has it, and clears away what a writer that was killed left
+    # the next node gets the lock, and removes the temporary file of a killed writer
     draft = tmp_path / f'.imu.json.{"0a" * 16}.part'
     draft.write_text('{"sums": [')
     third = graph.start('accumulator', remap={'imu/data': 'imu/c'}, **settings)
@@ -75,7 +75,7 @@ def test_an_imu_that_overtakes_does_not_overwrite_the_first(graph, still_imu, tm
     assert not graph.call('/allan_accumulator/save').success
     assert samples_in(checkpoint) == {'left': 2000}
     again = still_imu(2500, frame_id='left', seed=3, start_ns=10**18 + 200 * second)
-    graph.send(publisher, again)  # the longest once more
+    graph.send(publisher, again)  # now it has the most data again
     graph.until(lambda: samples_in(checkpoint) == {'left': 4500})
     assert node.stop() == 0, node.output
     assert samples_in(checkpoint) == {'left': 4500}

@@ -26,12 +26,12 @@ name: a test
 constants: {h: 4.0}
 parameters:
   gain: {sensor: gyro, expression: N / sqrt(h)}
-  zeta: {sensor: gyro, axis: mean, expression: 1000 * N}   # beyond the node's range
+  zeta: {sensor: gyro, axis: mean, expression: 1000 * N}   # out of the range of the node
   densities: {sensor: gyro, axis: each, expression: N**2 * f}
   fixed: {sensor: gyro, expression: N}                     # the node refuses it
   missing: {sensor: gyro, expression: N}
   count: {sensor: gyro, expression: N}
-  later: {sensor: gyro, expression: K}                     # half a minute does not show K
+  later: {sensor: gyro, expression: K}                     # K is not resolved in half a minute
 """
 
 QUICK = {
@@ -80,7 +80,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, fil
     assert '/imu_filter is not running: start it' in absent.message
     graph.model_of(6000)
     filter_node()
-    # not atomic: one may be read as set while the next is not yet
+    # not atomic: one parameter may be set before the next one
     graph.until(lambda: 'set gain, densities' in graph.status('parameters of /imu_filter').message)
     gain, zeta, densities, count = values(graph, 'gain', 'zeta', 'densities', 'count')
     # the gyro has N: 6000 samples determine it to 2 %, the worst of three axes lies above
@@ -108,7 +108,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, fil
     assert 'gain = 0.1' in restored.message
     assert [*values(graph, 'gain', 'zeta')] == [0.1, 0.0]
     assert list(values(graph, 'densities')[0]) == [0.1, 0.2, 0.3]
-    graph.spin(1.5)  # three periods: it stays restored, and nothing is pressed upon the node
+    graph.spin(1.5)  # three periods: the values stay restored
     assert monitor.output.count('fixed is not for you') == 1
     assert values(graph, 'gain') == [0.1]
     off = graph.until(

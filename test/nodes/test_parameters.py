@@ -106,7 +106,7 @@ def test_an_unknown_parameter_is_named_with_a_suggestion(
             **{
                 name: 'x',
                 'use_sim_time': False,
-                'relay__enabled': True,  # of another node, in a file that all share
+                'relay__enabled': True,  # a parameter of another node, in a shared file
                 'qos_overrides__/imu/data__subscription__reliability': 'reliable',
             }
         )

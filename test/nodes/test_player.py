@@ -61,7 +61,7 @@ def test_it_keeps_the_stamps_of_the_recording(graph, still_imu, bag):
     ear = Ear(graph)
     player = graph.start('player', str(bag), '--rate', '2')
     assert np.array_equal(ear.hear(200), still_imu(200).stamps_ns)
-    graph.until(lambda: player.poll() is not None)  # it asks us whether we have the end
+    graph.until(lambda: player.poll() is not None)  # the player asks whether the end has arrived
     assert player.wait() == 0
     assert 'played 200 messages' in player.output and 'does not answer' not in player.output
 
@@ -117,7 +117,7 @@ def test_it_simulates_an_imu(graph):
 
 
 def test_it_says_what_it_cannot_play(graph, tmp_path: Path):
-    ear = Ear(graph)  # so that it has somebody to play for
+    ear = Ear(graph)  # the player needs a subscriber
     (tmp_path / 'no.mcap').write_bytes(b'')
     nothing = graph.start('player')
     missing = graph.start('player', str(tmp_path / 'missing'))

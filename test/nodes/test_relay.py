@@ -31,7 +31,7 @@ OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 OUT = 'imu/data_with_covariance'
 QUICK = {
     'publish.diagnostics_period': 0.2,
-    # what is lost on the way to the relay is no matter of the relay
+    # losses between driver and relay are not tested here
     'qos_overrides./imu/data.subscription.reliability': 'reliable',
     'qos_overrides./imu/data.subscription.history': 'keep_all',
 }
@@ -118,7 +118,7 @@ def test_only_the_covariances_change_and_no_burst_is_lost(
     patch = CovariancePatch(variances(results))
     assert received == [patch.patch(payload) for payload in sent]
     covariance = np.frombuffer(received[-1], imu_dtype('cdr', '<', 4))['gyro_covariance'][0]
-    # N = 1e-3 / sqrt(200) was put in: N^2 f = 1e-6; 4000 samples determine it to a few percent
+    # N = 1e-3 / sqrt(200), so N^2 f = 1e-6; 4000 samples determine it to a few percent
     np.testing.assert_allclose(covariance.reshape(3, 3), np.diag([1e-6] * 3), rtol=0.15)
     graph.until(lambda: graph.value('relay', 'filled') == '1200')
     model.destroy()

@@ -73,5 +73,5 @@ def test_verbs_for_running_nodes(graph: Any, still_imu: Any, tmp_path: Path) -> 
     assert checkpoint.exists()
     other = ros2_allan('fit', '--node', '/other')
     assert other.returncode == 1 and 'no allan_ros node /other' in other.stdout
-    checked = ros2_allan('check', '--plain')  # the publisher is silent by now
+    checked = ros2_allan('check', '--plain')  # the publisher is silent
     assert checked.returncode == 4 and 'No message on /imu/data' in checked.stdout

@@ -28,7 +28,7 @@ FORM = {
     'topic': (set(), set()),
     'service': (set(), set()),
 }
-"""Element -> its attributes and what it holds (policy 0.2.0; actions we have none)."""
+"""Element -> its attributes and its children (policy 0.2.0; without actions)."""
 
 
 WORDS = {'publish': 'out', 'subscribe': 'in', 'reply': 'reply'}
@@ -36,7 +36,7 @@ WORDS = {'publish': 'out', 'subscribe': 'in', 'reply': 'reply'}
 
 EVERY_NODE = re.compile(
     'in clock|out rosout|.*parameter.*|reply ~/get_type_description'
-    '|in ~/(noise_model|bias)'  # the relay in the monitor hears the monitor
+    '|in ~/(noise_model|bias)'  # the relay in the monitor subscribes to the monitor
 )
 
 
@@ -50,7 +50,7 @@ def test_the_policy_is_of_the_documented_form() -> None:
         if element.tag in ('topics', 'services'):
             assert set(element.attrib.values()) == {'ALLOW'}
         if not children:
-            assert element.text and '*' not in element.text  # nothing is allowed wholesale
+            assert element.text and '*' not in element.text  # no wildcards
     paths = [enclave.get('path') for enclave in root.iter('enclave')]
     assert len(paths) == 6 == len(set(paths))
 

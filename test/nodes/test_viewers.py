@@ -73,7 +73,7 @@ def test_the_layouts_name_what_the_monitor_publishes(graph, still_imu, viewers: 
     }  # fmt: skip
     drawn = plotjuggler_series(viewers)
     assert len(drawn) == len(set(drawn)) == 2 * 3 * 3 * 3 + 5
-    # the lower end of what is not observable yet is not there
+    # a term that is not resolved has no lower end
     assert {name for name in drawn if name not in series and ' low [' not in name} == set()
     known = [name for name in drawn if '/N low [' in name]
     assert len(known) == 6 and set(known) <= series
@@ -107,7 +107,7 @@ def test_plotjuggler_can_lay_out_what_the_file_says(viewers: Path) -> None:
     tabs = root.findall('tabbed_widget/Tab')
     assert len(tabs) == 3 and {len(tab.findall('Container/DockSplitter')) for tab in tabs} == {1}
     for splitter in root.iter('DockSplitter'):
-        # it makes as many panes as are counted, and takes a size for each
+        # one pane per count, and one size per pane
         assert splitter.attrib['orientation'] in ('|', '-')
         assert len(splitter) == int(splitter.attrib['count'])
         assert len(splitter.attrib['sizes'].split(';')) == len(splitter)

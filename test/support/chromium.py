@@ -28,10 +28,11 @@ FLAGS = (
 )
 
 READ_FD, WRITE_FD = 3, 4
-"""Where Chromium reads commands and writes what happens; messages end with a zero byte."""
+"""Descriptors from which Chromium reads commands and to which it writes events, each ended by a
+zero byte."""
 
 PATIENCE_S = 120.0
-"""Until an answer that does not come is a failure: far longer than a loaded machine takes."""
+"""Limit in s for an answer, far longer than a loaded machine needs."""
 
 
 def find_chromium() -> str | None:
@@ -57,7 +58,7 @@ class Chromium:
         self._waiting = b''
         child_in, self._out = os.pipe()
         self._in, child_out = os.pipe()
-        # out of the way of the two numbers they get in the child
+        # above the two descriptor numbers that the child uses
         high = [fcntl.fcntl(fd, fcntl.F_DUPFD, 10) for fd in (child_in, child_out)]
 
         def place() -> None:

@@ -52,7 +52,7 @@ def run_python(text: str) -> dict[str, Any]:
 
 
 EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]] = {
-    # N, K as they are: 1e-3, 1e-5 (gyro) and 2e-3, limit 3e-5 (accelerometer).
+    # N and K unchanged: 1e-3, 1e-5 (gyro) and 2e-3, limit 3e-5 (accelerometer).
     'kalibr': (
         read_yaml,
         (),
@@ -223,10 +223,10 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
 }
 
 FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency'}
-"""Entries that are no level."""
+"""Entries that are not noise levels."""
 
 NO_HEADER = {'mean', 'white'}
-"""Entries without words of their own."""
+"""Entries without their own explanation."""
 
 
 def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:

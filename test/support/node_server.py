@@ -43,7 +43,7 @@ class NodeServer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # after Ctrl-C the tests still need it to end their nodes
+            start_new_session=True,  # Ctrl-C must not end it before the nodes
         )
 
     def ask(self, request: Any) -> Any:
@@ -130,7 +130,7 @@ def _end_with(server: int) -> None:
     """Let Linux kill this process together with its parent, which is the server."""
     if sys.platform == 'linux':
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != server:  # it died before the request
+    if os.getppid() != server:  # the server died before the request
         os._exit(1)
 
 

@@ -22,7 +22,7 @@ SIGNED = {
     *('reference', 'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'),
     'relative',
 }
-"""Fields whose numbers may be below zero."""
+"""Fields whose numbers may be negative."""
 
 
 def check_numbers(value: Any, key: str = '') -> None:

@@ -52,7 +52,7 @@ def test_equal_segments_add_their_degrees_of_freedom():
     one = edf(-1, 32, 4, 50)
     assert edf(-1, 32, 4, 50, 7) == pytest.approx(7 * one)
     assert edf(-1, 32, 4, [50] * 7) == pytest.approx(7 * one)
-    # A segment that adds nothing takes nothing away; an empty record has none.
+    # A segment without differences changes nothing; an empty record has no degrees of freedom.
     assert edf(-1, 32, 4, [50, 0]) == one
     assert np.isnan(edf(-1, 32, 4, [0]))
 

@@ -19,5 +19,5 @@ def test_slope_names_pure_noise(term, alpha):
 
 def test_the_last_noise_type_is_kept_near_the_end_of_the_record():
     avar = np.stack([1.0 / M, np.full(len(M), np.nan), np.zeros(len(M))], axis=1)
-    avar[-2:, 0] = 10.0, 100.0  # two wild points of a record of 2048 samples
+    avar[-2:, 0] = 10.0, 100.0  # two outliers of a record of 2048 samples
     assert (noise_types_of_avar(M, avar, 2048) == 0).all()

@@ -104,7 +104,7 @@ def test_sums_of_other_axes_or_rates_are_not_added():
     renamed = AllanSums(**{**sums.__dict__, 'identity': ImuIdentity('imu', 'serial 7')})
     with pytest.raises(AllanError, match='different IMUs'):
         sums + renamed
-    # 1 % is beyond 0.1 % and what the ends of one segment of 500 samples leave open (2 x 0.4 %)
+    # 1 % exceeds 0.1 % plus the ends of a segment of 500 samples (2 x 0.4 %)
     slower = AllanSums(**{**sums.__dict__, 'elapsed_ns': sums.elapsed_ns * 101 // 100})
     with pytest.raises(AllanError, match='rates are more than'):
         sums + slower

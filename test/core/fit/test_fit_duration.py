@@ -55,7 +55,9 @@ def test_a_datasheet_sets_what_must_be_resolved():
     # 8.5 N/sqrt(T) = 2e-5 at 30 min 6 s
     assert recommended_duration(fit, 60.0, {'B': 2e-5}) == (HOUR, ('B',))
     assert recommended_duration(fit, 60.0, {'B': 6e-5}) is None
-    assert recommended_duration(fit, 60.0, {'B': 1e-9}) is None  # longer than is advised
+    assert (
+        recommended_duration(fit, 60.0, {'B': 1e-9}) is None
+    )  # longer than any recommended duration
 
 
 def test_without_n_a_minute_comes_first():

@@ -89,10 +89,10 @@ def test_regions_touch_and_cover_the_curve():
 
 
 def test_narrow_stretches_are_read_together():
-    # K rules for a factor two only, so it and R are one range that they rule in turn.
+    # K dominates only over a factor of two, so K and R form one range.
     late = regions_of('gyro_x', 0, 0.1, 0, 40.0, 350.0, longest_tau=60.0)
     assert late[-1].term == 'K+R'
-    # B alone is never wide here: its range is shared with the runner-up.
+    # B alone dominates only briefly here, so its range names the second largest term, too.
     assert any('+' in r.term and 'B' in r.term for r in regions_of('gyro_x', 0, 0.2, 3.4, 35.0, 0))
 
 

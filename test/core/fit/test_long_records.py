@@ -32,7 +32,7 @@ def test_the_ramp_counts_at_every_factor_of_a_long_record():
     axes = fit_gls(sums_of_noise(600_000, 1.0, truth, 42)).axes
     assert max(fit.gof_z for fit in axes.values()) < 3.0
     assert all(fit.sinusoid is None and fit.misfit == 0.0 for fit in axes.values())
-    # six intervals of 95 %: fewer than four hold the truth once in 700
+    # six 95 % intervals: fewer than four hold the truth with a probability of 1/700
     held = [fit.noise['K'].ci95[0] < truth.K < fit.noise['K'].ci95[1] for fit in axes.values()]
     assert sum(held) >= 4
 

@@ -220,7 +220,7 @@ def test_rounding_is_told_from_quantization(noise):
     axis, findings = fit_of(step * np.round((9.8 + noise) / step))
     assert 'rounding' in findings
     assert axis.noise['Q'].status == 'not_observable'
-    # White noise of step^2/12 joins N, or nearly: so coarse a step is not quite independent of it.
+    # Rounding adds white noise of about step^2/12 to N; a step so coarse is not quite independent.
     want = (TRUTH.N**2 + step**2 / 12.0 / RATE) ** 0.5
     assert axis.noise['N'].value == pytest.approx(want, rel=0.05)
 

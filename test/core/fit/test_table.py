@@ -14,7 +14,7 @@ from allan_ros.core.fit.ramp import fixed_effect, pooled_shift, ramp_geometry
 from allan_ros.core.fit.table import PooledTable
 
 POWER = np.array([0.0, 1.0, 0.01, 1e-4])
-"""A walk that rules from 100 samples on."""
+"""A random walk that dominates from 100 samples on."""
 
 
 def draw(kind):

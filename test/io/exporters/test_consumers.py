@@ -29,7 +29,7 @@ from allan_ros.io.results import Results
 
 RATE = 200.0
 N, K = 1e-3, 3e-3
-"""Of every axis in the test of GTSAM: such that K rules as much as N within five seconds."""
+"""N and K of every axis in the test of GTSAM: within 5 s both matter equally."""
 
 BARE = ExportOptions(fidelity='coefficients')
 
@@ -64,7 +64,7 @@ OPENCV = {
 def opencv_node() -> Callable[[str, str], Any]:
     """Return a function that opens a text with cv::FileStorage, below ``imu0`` for OpenVINS."""
     cv2 = pytest.importorskip('cv2', reason='skipped: no opencv, of the extra "consumers"')
-    storages = []  # a node is nothing without the storage it is of
+    storages = []  # keep the storage: a node is invalid without it
 
     def node(text: str, name: str) -> Any:
         signed = text if text.startswith('%YAML:1.0\n') else f'%YAML:1.0\n{text}'
@@ -145,7 +145,7 @@ def of_levels(results: Results, n: float, k: float) -> Results:
 
 
 def test_gtsam_expects_the_growth_that_a_simulated_imu_shows(known_results: Results) -> None:
-    # 6000 runs give a variance to 1.8 %; that any of the five is off by 5 % has a chance of 3 %.
+    # 6000 runs give a variance to 1.8 %; one of the five is off by 5 % with a probability of 3 %.
     gtsam = pytest.importorskip('gtsam', reason='skipped: no gtsam, of the extra "consumers"')
     runs, steps, dt = 6000, 1000, 1.0 / RATE
     text = make_export(of_levels(known_results, N, K), 'gtsam', BARE).text

@@ -102,7 +102,7 @@ WITH_WALK = [name for name in EXPECTED if target_of(name).walk or name == 'airsi
 def test_strict_refuses_a_limit(known_results: Results, name: str) -> None:
     with pytest.raises(AllanError, match='K of accel_z is not observable'):
         numbers(known_results, name, strict=True)
-    # the reduction needs no K: B of the axis is known
+    # the reduction covers B, so K may be unknown
     assert make_export(known_results, name, ExportOptions(strict=True)).text
 
 
@@ -155,7 +155,7 @@ def test_strict_refuses_a_poor_reduction(known_results: Results) -> None:
 
 
 WHOLE = {'state_space', 'state_space_python', 'isaac_sim', 'webots', 'gazebo'}
-"""Targets whose axes are apart in any case."""
+"""Targets that always have a number per axis."""
 
 
 @pytest.mark.parametrize('name', EXPECTED)
@@ -179,7 +179,7 @@ def test_no_character_of_a_path_leaves_the_comment(known_results: Results, name:
     odd = replace(source, path='a\nacc_n: 7\rb\u2028c"""\x00', topic='')
     known = replace(known_results, provenance=replace(known_results.provenance, sources=(odd,)))
     assert numbers(known, name).keys() == numbers(known_results, name).keys()
-    # as everywhere else: what cannot be printed is escaped
+    # characters that cannot be printed are escaped
     text = make_export(known, name).text
     assert (
         'a\\\\nacc_n: 7' if target_of(name).file_name.endswith('.json') else 'a\\nacc_n: 7'

@@ -49,7 +49,7 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
     return found
 
 
-# --- what was read is compared with what is stated -----------------------------------------------
+# --- the number of messages read, and the stated one ---------------------------------------------
 
 
 def test_chunks_the_summary_does_not_list_are_read(
@@ -273,7 +273,7 @@ def limited(path: Path, megabytes: int = 500) -> str:
 
 ZEROS = bytes(1 << 24)
 BOMB = 1 << 30
-"""Bytes that each of the following files expands to."""
+"""Size in bytes to which each of the following files expands."""
 
 
 def zstd_bomb(states_size: bool) -> bytes:
@@ -357,7 +357,7 @@ def test_a_table_of_one_long_line(tmp_path: Path) -> None:
     path = tmp_path / 'long.csv'
     with path.open('wb') as file:
         file.write(b't,gx,gy,gz\n1,2,3,')
-        file.truncate(4 << 30)  # zeros that take no room
+        file.truncate(4 << 30)  # a sparse file of zeros
     assert 'line 2 has more than' in limited(path)
 
 

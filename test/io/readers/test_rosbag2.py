@@ -51,7 +51,9 @@ def write_split(folder: Path, batches: list[Any], storage: str) -> None:
 def test_splits_are_one_recording(
     storage: str, metadata: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
 ) -> None:
-    batches = imu_batches(1200, parts=12)  # the tenth split sorts before the second by letters
+    batches = imu_batches(
+        1200, parts=12
+    )  # in alphabetical order the tenth split precedes the second
     write_split(tmp_path / 'bag', batches, storage)
     if not metadata:
         (tmp_path / 'bag' / 'metadata.yaml').unlink()
@@ -211,7 +213,7 @@ def test_an_unclosed_database_gives_its_log_too(
         'INSERT INTO messages (topic_id, timestamp, data) '
         'SELECT topic_id, timestamp + 1000000000000, data FROM messages'
     )
-    writer.commit()  # and never closed, so the log stays
+    writer.commit()  # not closed, so the write-ahead log remains
     assert len(read(path).stamps_ns) == 80
     writer.close()
 
@@ -245,7 +247,7 @@ def test_a_topic_that_turns_out_empty_is_said(
 ) -> None:
     write_recording(tmp_path / 'bag', imu_batches(20), storage='sqlite3')
     with sqlite3.connect(tmp_path / 'bag/bag.db3') as database:
-        database.execute('DELETE FROM messages')  # while metadata.yaml still counts 20
+        database.execute('DELETE FROM messages')  # metadata.yaml still states 20
     assert 'topic /imu/data has no message' in refused(tmp_path / 'bag')
 
 

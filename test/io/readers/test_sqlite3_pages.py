@@ -50,7 +50,7 @@ STRETCHES = st.lists(
         st.sampled_from([1, 1, 1, 0, 2, 300, -1]),
         st.sampled_from([START_NS, START_NS, START_NS + 10**12, 10**9, 5, -(2**50)]),
         st.sampled_from([5_000_000, 5_000_000, 0, -7]),
-        # the ranges are rows that a page of 512 or of 4096 bytes just holds, or does not
+        # the ranges are sizes that just fit, or do not fit, on a page of 512 or 4096 bytes
         st.sampled_from([324, 324, 324, 332, 0, 1, 55, 9000])
         | st.integers(450, 500)
         | st.integers(4030, 4090),

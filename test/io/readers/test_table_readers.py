@@ -94,7 +94,7 @@ def test_a_header_gives_way_to_named_columns(tmp_path: Path, read: Any) -> None:
 def test_a_rate_serves_where_there_is_no_time(
     tmp_path: Path, read: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, 'BATCH', 7)  # the time must run on over batches
+    monkeypatch.setattr(tables, 'BATCH', 7)  # stamps must continue across batches
     path = tmp_path / 'imu.csv'
     path.write_text('gx,gy,gz\n' + '1,2,3\n' * 20)
     back = read(path, rate_hz=200.0)

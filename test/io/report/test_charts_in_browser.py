@@ -44,7 +44,7 @@ def pages(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     made = {}
     for name, path in recordings(shared_data, folder).items():
         recorded = read_recording(ReadJob(str(path), with_context=True))
-        # only the first page needs every term: its fit takes most of the time of this file
+        # only the first page needs a complete fit, which takes most of the time of these tests
         results = analyse_recorded(recorded, 'gls' if name == 'adis16405' else 'relative')
         known = results.provenance
         signal = summarize_signal(recorded.signals, known.segments, 1000, known.counts.cuts)

@@ -195,7 +195,7 @@ def test_what_is_left_out_and_missing_is_told_from_the_data() -> None:
     spans = [Segment(10**18 + 20 * 10**9, 4000, 80.0), Segment(10**18 + 150 * 10**9, 5000, 100.0)]
     summary = summarize_signal([signal, signal], spans, 100_000)
     assert summary is not None
-    # the second recording has the same stamps: the spans are found in it again
+    # the second recording has the same stamps, so the same gaps are found
     (first, second) = summary.left_out
     assert first == (0.0, pytest.approx(20.0), '')
     assert second.end - second.start == pytest.approx(20.0)
@@ -230,7 +230,7 @@ def test_temperatures_of_several_recordings_are_joined_with_a_break() -> None:
     signal = a_signal()
     start = int(signal.start_ns[0])
     late = start + 5 * 10**9 + np.arange(3, dtype=np.int64) * 10**9
-    # the stamps of the message are from another clock: those of the recorder are taken
+    # the header stamps are from another clock, so record times are used
     trace = TemperatureTrace('/t', late - 10**17, late, np.array([20.0, 21.0, 22.0]))
     summary = summarize_signal([signal, signal, signal], (), 100, {}, [trace, None, trace])
     assert summary is not None and summary.temperature is not None

@@ -20,14 +20,14 @@ from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 
 MAX_BYTES = 2_000_000
-"""Of a page: light enough for a mail and a phone."""
+"""Largest size of a page in bytes: small enough for an email and a phone."""
 
 HOSTILE = '</script><script>document.title = "taken"</script>'
 
 INK = """(() => {
   const {width, height} = CANVAS, data = CANVAS.getContext('2d').getImageData(0, 0, width, height);
   return new Set(new Uint32Array(data.data.buffer)).size; })()"""
-"""How many colours a canvas shows: one where nothing was drawn."""
+"""Expression for the number of colours of a canvas; 1 if nothing was drawn."""
 
 
 @pytest.fixture(scope='module')
