@@ -170,7 +170,7 @@ class BiasPublisher:
         """Process the means of a snapshot, and publish the bias if there are new ones."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
-                self._tracker.take(axis, means.end_ns.tolist(), means.values[:, i].tolist())
+                self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
         known = self._known()
         latest = max((bias.end_ns for bias in known.values()), default=0)
         if known and latest != self._last_ns:
@@ -181,7 +181,7 @@ class BiasPublisher:
         """Replace the models by the models of these results."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
-        self._tracker.use({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
+        self._tracker.set_models({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
         """Return the bias of an axis, its interval and scatter as (name, value) for diagnostics.

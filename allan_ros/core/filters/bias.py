@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bias of a sensor at rest: value, interval, and how long it stays within a tolerance.
+"""Estimate of the bias of a sensor at rest, with its interval and its future drift.
 
-The bias is the mean of the samples over the next 10 s without their white noise. A Kalman filter
-with the states of the process model estimates it from means over 1 s.
+The bias is defined as the mean of the samples over the next 10 s without their white noise. A
+Kalman filter estimates it from means over 1 s; its states are the noise processes of the sensor.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from .reductions import state_space
 Floats = NDArray[np.float64]
 
 MEAN_S = 1.0
-"""Length in s of the means that are the input of the filter."""
+"""Averaging time in s of the means that are the input of the filter."""
 
 AHEAD_S = 10.0
-"""Time in s over which the bias is averaged."""
+"""Time in s over which the future bias is averaged."""
 
 LONGEST_S = 1e6
-"""Longest time in s over which a bias is predicted."""
+"""Longest prediction horizon in s."""
 
 KEPT_MEANS = 600
-"""Number of means of an axis that are kept to initialize a changed model."""
+"""Number of means of an axis that are stored to restart the filter when its model changes."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,10 @@ class TurnOnBias:
     recordings : int
         Number of recordings.
     mean, std : float
-        Mean and standard deviation of the means of the recordings, in the unit of the samples.
+        Mean and standard deviation of the biases of the recordings (the means of their samples), in
+        the unit of the samples.
     ci95 : (low, high)
-        Interval of ``std``, for normally distributed means.
+        95 % interval of ``std``, for normally distributed biases.
     """
 
     recordings: int
@@ -60,7 +61,10 @@ class TurnOnBias:
 
 
 def turn_on_bias(means: Floats) -> TurnOnBias | None:
-    """Return the scatter of the means of recordings, (recordings,); None for fewer than two."""
+    """Return the repeatability from the mean of each recording, (recordings,).
+
+    It is None for fewer than two recordings.
+    """
     free = len(means) - 1
     if free < 1:
         return None
@@ -73,7 +77,7 @@ def turn_on_bias(means: Floats) -> TurnOnBias | None:
 
 @dataclass(frozen=True)
 class BiasEstimate:
-    """The bias of one axis, in the unit of the samples, with its standard deviation."""
+    """Estimate of the bias of one axis and its standard deviation, in the unit of the samples."""
 
     value: float
     std: float
@@ -86,19 +90,18 @@ class BiasEstimate:
 
 
 class BiasModel(NamedTuple):
-    """Prior model of the bias of one axis: random processes and a constant slope."""
+    """Stochastic model of the bias of one axis: noise processes and an unknown constant slope."""
 
     processes: ProcessModel
-    slope_std: float = 0.0  # standard deviation of a constant slope of the bias, per s; 0 for none
+    slope_std: float = 0.0  # prior standard deviation of the slope, per s; 0 for no slope
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
-        """Return the `expected_model` of a fit with the root mean square of the ramps that the fit
-        allows.
+        """Return the model from the fit of an axis.
 
-        A ramp that a record cannot resolve still moves the bias in the next minutes. Without this
-        ramp, the 95 % interval of the bias 10 min ahead has a coverage of 89 to 93 % for the
-        sensors of table 1.
+        The processes are those of `expected_model`. The standard deviation of the slope is the root
+        mean square of the ramps R that the fit allows, even if R is not resolved. Without a slope,
+        the 95 % interval of the bias 10 min ahead covers only 89 to 93 % for simulated sensors.
         """
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
@@ -117,8 +120,10 @@ class BiasFilter:
     Parameters
     ----------
     model : BiasModel
+        Noise processes and slope, which become the states of the filter.
     period : float
-        Averaging time of each mean in s; the means follow each other without gaps.
+        Averaging time of each mean in s. The means follow each other without gaps, except for the
+        times given to `pause`.
 
     Examples
     --------
@@ -134,7 +139,7 @@ class BiasFilter:
     def __init__(self, model: BiasModel, period: float = MEAN_S) -> None:
         space = state_space(drift_model(model.processes))
         if not space.white and not space.walk:
-            # without any noise, the variance of the walk would become 0
+            # without any noise, the innovation variance would become 0
             space = replace(space, white=1e-12)
         self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
@@ -143,14 +148,14 @@ class BiasFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Drop all means, because the sensor was switched off or replaced."""
+        """Return to the initial state, as if no mean had been added."""
         self.count = 0
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
 
     def update(self, mean: float) -> None:
-        """Add the mean of the samples over the next ``period``."""
-        if self.count == 0:  # the constant part of the bias, with a vague prior
+        """Predict the state over one period, and update it with the mean of the samples over it."""
+        if self.count == 0:  # the prior of the constant part of the bias is vague
             spread = [sigma for sigma, _ in self._space.gauss_markov]
             vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
             self._state[1] = mean
@@ -163,17 +168,17 @@ class BiasFilter:
         self.count += 1
 
     def pause(self, seconds: float) -> None:
-        """Advance the time without samples, or with samples in motion."""
+        """Predict the state over a time without means at rest."""
         if self.count and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
     def estimate(self, after: float = 0.0, over: float = AHEAD_S) -> BiasEstimate:
-        """Return the mean bias from ``after`` s from now on, over ``over`` s.
+        """Return the predicted mean bias over ``over`` s, starting ``after`` s after the last mean.
 
         Raises
         ------
         AllanError
-            When there is no mean yet.
+            If no mean has been added.
         """
         if not self.count:
             raise AllanError('the bias is not known: keep the sensor at rest for a second')
@@ -189,44 +194,48 @@ class BiasFilter:
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
-        phi[0, 0] = 0.0  # every mean starts its own integral
+        phi[0, 0] = 0.0  # the integral of the samples starts from 0 for each mean
         self._state = phi @ self._state
         self._covariance = phi @ self._covariance @ phi.T + noise
 
 
 @dataclass(frozen=True)
 class AxisBias:
-    """The current bias of one axis."""
+    """The current bias of one axis, and how to average and trust it."""
 
-    estimate: BiasEstimate  # mean over the 10 s after the latest mean
-    end_ns: int  # time of the latest mean
-    # results of `optimal_window` and `time_within`
-    optimal_s: float
-    within_s: float
+    estimate: BiasEstimate  # mean over the 10 s after the latest input
+    end_ns: int  # end of the latest mean in ns
+    optimal_s: float  # averaging time in s whose mean predicts the bias best
+    within_s: float  # time in s for which the bias stays within the tolerance (95 %)
     tolerance: float  # in the unit of the samples
 
 
 class BiasTracker:
-    """Estimates the bias of all axes of an IMU from its means at rest.
+    """Estimates of the bias of all axes of an IMU from means at rest, by one filter per axis.
 
-    A changed model starts from the stored means. If time goes back, as after a reset, all means are
-    dropped.
+    When the model of an axis changes, its filter restarts from the stored means. When the time
+    jumps back, as after a reset, the stored means are dropped.
 
     Parameters
     ----------
     tolerance : mapping of 'gyro' and 'accel' to float
-        Tolerance of `AxisBias`; 0: twice the half-width of the interval after a long rest.
+        Value of `AxisBias.tolerance`. If it is 0, twice the half-width of the 95 % interval after a
+        long rest is used.
     """
 
     def __init__(self, tolerance: Mapping[str, float]) -> None:
         self._tolerance = tolerance
         self._models: dict[str, BiasModel] = {}
         self._filters: dict[str, BiasFilter] = {}
-        self._facts: dict[str, tuple[float, float, float]] = {}
+        # axis -> `AxisBias.optimal_s`, `within_s` and `tolerance`
+        self._windows: dict[str, tuple[float, float, float]] = {}
         self._kept: dict[str, deque[tuple[int, float]]] = {}
 
-    def take(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
-        """Add the latest means of an axis with their end times; known ones are skipped."""
+    def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
+        """Add means of an axis over 1 s and their end times in ns.
+
+        Means that end at or before the latest stored one are skipped.
+        """
         kept = self._kept.setdefault(axis, deque(maxlen=KEPT_MEANS))
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
             kept.clear()
@@ -238,32 +247,32 @@ class BiasTracker:
                 _advance(self._filters[axis], kept[-1][0] if kept else None, end, value)
             kept.append((end, value))
         if axis not in self._filters:
-            self._rebuild(axis)
+            self._restart(axis)
 
-    def use(self, models: Mapping[str, BiasModel]) -> None:
-        """Replace the models of the axes."""
+    def set_models(self, models: Mapping[str, BiasModel]) -> None:
+        """Replace the models of all axes, given by axis name."""
         if models == self._models:
             return
-        self._models, self._filters, self._facts = dict(models), {}, {}
+        self._models, self._filters, self._windows = dict(models), {}, {}
         for axis in models:
-            self._rebuild(axis)
+            self._restart(axis)
 
     def bias(self, axis: str) -> AxisBias | None:
-        """Return the bias of an axis; None without a model or a mean."""
+        """Return the bias of an axis, or None without a model or a mean."""
         bias, kept = self._filters.get(axis), self._kept.get(axis)
         if bias is None or not kept:
             return None
-        if axis not in self._facts:
+        if axis not in self._windows:
             model = self._models[axis]
             tolerance = self._tolerance.get(axis.split('_', 1)[0], 0.0)
             if not tolerance:
-                tolerance = 2.0 * Z_95 * steady_filter(model).estimate().std
+                tolerance = 2.0 * Z_95 * _converged_filter(model).estimate().std
             within = time_within(model, tolerance)
-            self._facts[axis] = (optimal_window(model.processes), within, tolerance)
-        return AxisBias(bias.estimate(), kept[-1][0], *self._facts[axis])
+            self._windows[axis] = (optimal_window(model.processes), within, tolerance)
+        return AxisBias(bias.estimate(), kept[-1][0], *self._windows[axis])
 
-    def _rebuild(self, axis: str) -> None:
-        """Initialize the filter of an axis from the stored means."""
+    def _restart(self, axis: str) -> None:
+        """Run a new filter of an axis over the stored means."""
         kept = self._kept.get(axis)
         if axis not in self._models or not kept:
             return
@@ -275,7 +284,7 @@ class BiasTracker:
 
 
 def _advance(bias: BiasFilter, last: int | None, end: int, value: float) -> None:
-    """Add the mean that ends at a time, after the time without means before it."""
+    """Add a mean with the end time ``end`` in ns; ``last`` is the end time of the previous mean."""
     pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
     if pause > 0.1 * MEAN_S:
         bias.pause(pause)
@@ -285,7 +294,7 @@ def _advance(bias: BiasFilter, last: int | None, end: int, value: float) -> None
 def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
     """Return the averaging time in s, at most ``longest``, whose mean predicts the bias best.
 
-    White noise requires long averages, drift short ones.
+    A longer time reduces the white noise of the mean, but the bias drifts within it.
     """
     windows = np.geomspace(1.0, longest, 200)
     error = predicted_growth(drift_model(model), AHEAD_S, windows)
@@ -293,27 +302,27 @@ def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
 
 
 def time_within(model: BiasModel, tolerance: float) -> float:
-    """Return the time in s for which the bias stays within +-``tolerance`` (95 %) of an estimate.
+    """Return the time in s for which an estimated bias is valid within +-``tolerance`` (95 %).
 
-    The estimate comes from a long rest. The time is 0 if the estimate is less accurate than the
+    The estimate is made after a long rest. The time is 0 if its 95 % interval is wider than the
     tolerance, and at most `LONGEST_S`.
 
     Raises
     ------
     AllanError
-        When the tolerance is not above 0.
+        If the tolerance is not above 0.
     """
     if not 0.0 < tolerance < math.inf:
         raise AllanError(f'the tolerance is {tolerance:g}: give a number above 0')
-    bias = steady_filter(model)
+    bias = _converged_filter(model)
     after = np.concatenate([[0.0], np.geomspace(1.0, LONGEST_S, 120)])
     kept = [t for t in after if Z_95 * bias.estimate(float(t)).std <= tolerance]
     return float(max(kept, default=0.0))
 
 
-def steady_filter(model: BiasModel, seconds: float = 3600.0) -> BiasFilter:
-    """Return a filter after ``seconds`` of zero means, from which the expected intervals follow."""
-    bias = BiasFilter(model, period=10.0 * MEAN_S)
-    for _ in range(round(seconds / bias.period)):
+def _converged_filter(model: BiasModel) -> BiasFilter:
+    """Return a filter after one hour of means of 0; its covariance does not depend on the means."""
+    bias = BiasFilter(model, period=10.0)
+    for _ in range(360):
         bias.update(0.0)
     return bias

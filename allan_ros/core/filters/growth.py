@@ -1,22 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted growth of the angle, velocity or position error of a dead-reckoned sensor.
+"""Predicted error growth of an integrated sensor: angle of a gyro, velocity and position.
 
-The bias is averaged over the W seconds before 0 and subtracted. After h more seconds the integral
-theta of the samples (angle of a gyro, velocity of an accelerometer) has the error
+The bias is averaged over the W seconds before time 0 and subtracted. At the prediction horizon h,
+the integral theta of the samples (angle of a gyro, velocity of an accelerometer) has the error
 
-    e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)),
+    e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)).
 
-a combination that a constant and a linear theta do not change. Its variance is therefore
-sum c_i c_j G(t_i - t_j) with the generalised covariances G of theta (G. Matheron, The intrinsic
-random functions and their applications, 1973), one per process:
+A constant or linear theta does not change this linear combination, sum c_i theta(t_i). Its variance
+is therefore sum c_i c_j G(t_i - t_j) with the generalized covariances G of theta (G. Matheron, The
+intrinsic random functions and their applications, 1973), one per process:
 
     Q: Q^2 delta(t)    N: -N^2 |t|/2    B: B^2 t^2 ln|t|/(2 pi)    K: K^2 |t|^3/12
     Gauss-Markov (sigma, T): -sigma^2 T^2 (x - 1 + exp(-x) - x^2/2), x = |t|/T
     sinusoid (a, f): a^2 cos(w t)/(2 w^2), w = 2 pi f
 
-The position error is the integral of e over 0..h and needs the covariances of the integral of
-theta with theta, C' = G, and with itself, H'' = -G.
+The position error is the integral of e from 0 to h. It requires the generalized covariances C of
+the integral of theta with theta (C' = G) and H of the integral with itself (H'' = -G).
 """
 
 from __future__ import annotations
@@ -34,20 +34,22 @@ from ..noise import NoiseTerms, ProcessModel
 
 Floats = NDArray[np.float64]
 Kernels = tuple[Floats, Floats, Floats]
-"""G, C and H at given lags: theta with theta, integral with theta, integral with integral."""
+"""Generalized covariances G, C and H at given lags."""
 
 SLOW_SINUSOID_HZ = 0.1
-"""Slower sinusoids are drift of the sensor (temperature cycles); faster sinusoids are motion."""
+"""Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
+ones as motion."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
-"""Horizons of `growth_table`, and the preceding time over which the bias was averaged, in s."""
+"""Prediction horizons of `growth_table` and averaging time of the bias before them, in s."""
 
 _SERIES_BELOW = 1.0
-"""Arguments below which `_remainder` uses a series, because differences would lose digits."""
+"""Argument below which `_remainder` uses a power series instead of differences, which would cancel
+significant digits."""
 
 _SERIES_TERMS = 20
-"""Number of terms of this series; the next term is below 1/20!, less than rounding."""
+"""Number of terms of this series; the truncation error is below 1/20!."""
 
 
 def predicted_growth(
@@ -58,22 +60,23 @@ def predicted_growth(
     Parameters
     ----------
     model : ProcessModel
+        Noise of the samples.
     horizon : array
-        Times h after which the error is taken, in s, above 0.
+        Prediction horizons h in s, above 0.
     window : array
-        Time W over which the bias was averaged before, in s, above 0; broadcasts with ``horizon``.
+        Times W in s over which the bias was averaged before, above 0; broadcasts with ``horizon``.
     integrals : 1 or 2
-        1: angle of a gyro, velocity of an accelerometer. 2: position of an accelerometer.
+        1 for the angle of a gyro or the velocity of an accelerometer, 2 for its position.
 
     Returns
     -------
     float64 array
-        The unit of the samples times s (or s^2).
+        In the unit of the samples times s (or s^2).
 
     Raises
     ------
     AllanError
-        When a time is not above 0.
+        If a time is not above 0.
 
     Examples
     --------
@@ -97,18 +100,24 @@ def growth_interval(
 ) -> tuple[Floats, Floats]:
     """Return the 95 % interval of `predicted_growth` from the intervals of the model's terms.
 
-    The variances of the terms add, so their intervals combine in quadrature around the estimate
-    (method of variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008).
-    Estimates of neighbouring terms are negatively correlated, so the interval is too wide rather
-    than too narrow.
+    The distances of the ends from the estimates are added in quadrature over the terms (method of
+    variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008). This assumes
+    uncorrelated estimates. Estimates of neighbouring terms are negatively correlated, which makes
+    the interval too wide rather than too narrow.
 
     Parameters
     ----------
     model, low, high : ProcessModel
-        The estimates and the ends of their 95 % intervals, with the same processes in the same
-        order. A term that is not resolved is 0 in ``low`` and at its upper limit in ``high``.
+        Models with the estimates, the lower ends and the upper ends of the 95 % intervals. They
+        have the same processes in the same order. A term that is not resolved is 0 in ``low`` and
+        at its upper limit in ``high``.
     horizon, window, integrals
         As in `predicted_growth`.
+
+    Returns
+    -------
+    low, high : float64 arrays
+        In the unit of the samples times s (or s^2).
     """
     parts = [dict(growth_parts(one, horizon, window, integrals)) for one in (model, low, high)]
     zero = np.zeros(np.shape(horizon))
@@ -122,41 +131,44 @@ def growth_interval(
 
 
 def drift_model(model: ProcessModel) -> ProcessModel:
-    """Return the model without quantization and without sinusoids that are motion."""
+    """Return the model without quantization and without sinusoids above `SLOW_SINUSOID_HZ`.
+
+    The integrals of both are bounded, so they do not contribute to the growth of the error.
+    """
     slow = tuple(pair for pair in model.sinusoids if pair[1] <= SLOW_SINUSOID_HZ)
     return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow)
 
 
 def has_drift(model: ProcessModel) -> bool:
-    """Return whether the model has any process except quantization and white noise."""
+    """Return whether `drift_model` has any process except white noise."""
     one = drift_model(model)
     return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
 
 
 UNRESOLVED_SHARE = 0.15
-"""Fraction of its expected variance with which an unresolved K counts: the probability that K
-exists. Of 0, 15, 30, 50 and 100 %, it has the smallest worst-case error of predictions for 300 s
-(table in docs/engineering/accuracy.md)."""
+"""Probability that a K that is not resolved exists; its expected variance is multiplied by it. Of
+the values 0, 15, 30, 50 and 100 %, it has the smallest worst-case error of predictions over 300 s
+(see docs/engineering/accuracy.md)."""
 
 
 def expected_model(fit: AxisFit) -> ProcessModel:
-    """Return the selected model with `UNRESOLVED_SHARE` of the expected K^2 if K is not resolved.
+    """Return the selected model of an axis, with an expected K if K is not resolved.
 
-    This model is for predictions, and for filters with all processes as states, in which nothing
-    else accounts for slow drift.
+    The expected K^2 is `UNRESOLVED_SHARE` times `expected_variance`. Predictions and filters with
+    all processes as states use this model, because without K they would neglect slow drift.
     """
     if fit.selected.terms.K:
         return fit.selected
-    hidden = UNRESOLVED_SHARE * expected_variance(fit.noise['K'])
-    terms = replace(fit.selected.terms, K=math.sqrt(hidden))
+    variance = UNRESOLVED_SHARE * expected_variance(fit.noise['K'])
+    terms = replace(fit.selected.terms, K=math.sqrt(variance))
     return replace(fit.selected, terms=terms)
 
 
 def expected_variance(coefficient: Coefficient) -> float:
-    """Return the mean of the squared coefficient of a term that exists but is not resolved.
+    """Return the expected square of a coefficient that is not resolved, given that it exists.
 
-    The estimate and the 95 % limit of the square define a normal distribution, which is truncated
-    at 0.
+    It is the mean of a normal distribution truncated at 0. The distribution is defined by the
+    estimate and the 95 % upper limit of the square.
     """
     mean, limit = (coefficient.value or 0.0) ** 2, coefficient.upper95 or 0.0
     error = (limit**2 - mean) / Z_95
@@ -173,13 +185,15 @@ class Growth:
 
     Attributes
     ----------
-    horizon, window : float
-        Time without correction, and time before over which the bias was averaged, in s.
+    horizon : float
+        Time since the last correction in s.
+    window : float
+        Time in s before the correction, over which the bias was averaged.
     std : float
-        Standard deviation predicted by the selected model, in the unit of the samples times s, or
-        s^2 for a position.
+        Predicted standard deviation of the error, in the unit of the samples times s, or s^2 for a
+        position.
     ci95 : (low, high) or None
-        95 % interval from the intervals of the terms; None if a term has no interval.
+        95 % interval of ``std``; None if a term of the model has no interval.
     """
 
     horizon: float
@@ -189,11 +203,12 @@ class Growth:
 
 
 def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
-    """Return the predicted growth of the error at `GROWTH_S`, with its intervals.
+    """Return the predicted error at the horizons `GROWTH_S`, with 95 % intervals.
 
-    With two integrals, this is the position error of an accelerometer. An unresolved K counts as in
-    `expected_model` (unless N is not resolved either), B and R only if they are in the selected
-    model. At the upper end of the interval, all terms are at their 95 % limits.
+    ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
+    position. B and R are included only if they are in the selected model. A K that is not resolved
+    is included with its expected value (see `expected_model`), except if N is not resolved either.
+    For the upper end of the interval, all terms have their 95 % upper limits.
     """
     h = np.array(GROWTH_S)
     model = drift_model(expected_model(fit) if fit.selected.terms.N else fit.selected)
@@ -212,7 +227,7 @@ def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
 
 
 def _limit(fit: AxisFit, term: str) -> float:
-    """Return the finite 95 % limit of a term, or 0."""
+    """Return the 95 % upper limit of a term, or 0 if it is unknown or infinite."""
     value = fit.noise[term].upper95
     return value if value is not None and math.isfinite(value) else 0.0
 
@@ -223,9 +238,9 @@ def has_intervals(fit: AxisFit) -> bool:
 
 
 def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
-    """Return the interval of a term of the selected model; with only a limit, it begins at 0.
+    """Return the 95 % interval of a term of the selected model, or None if it is unknown.
 
-    The result is (0, 0) for a term that is not in the model.
+    It is (0, 0) for a term that is not in the model, and begins at 0 for a term with only a limit.
     """
     if not getattr(fit.selected.terms, term):
         return 0.0, 0.0
@@ -236,7 +251,11 @@ def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
 
 
 def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
-    """Return the selected model with all levels at their lower ends, and at their upper ends."""
+    """Return the selected model with all coefficients at the lower, and at the upper interval ends.
+
+    The intervals are 95 % intervals. A coefficient without an interval keeps its value. The ramp R
+    is replaced by its magnitude, and correlation times and sinusoids are unchanged.
+    """
     terms = fit.selected.terms
     intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}
     low, high = (
@@ -256,9 +275,10 @@ def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
 def growth_parts(
     model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
 ) -> Iterator[tuple[str, Floats]]:
-    """Yield the name of each process of the model and the variance that it adds to the error.
+    """Yield (name, variance of the error due to it) for each process of the model that is not 0.
 
-    Parameters and errors as in `predicted_growth`; processes of level 0 are left out.
+    The parameters and errors are those of `predicted_growth`. The variance is an array over the
+    horizons, in the squared unit of the samples times s^2 (or s^4).
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
     if not (np.all(h > 0.0) and np.all(w > 0.0)):
@@ -267,15 +287,16 @@ def growth_parts(
     if terms.Q and integrals == 1:
         yield 'Q', terms.Q**2 * (1.0 + (1.0 + h / w) ** 2 + (h / w) ** 2)
     if terms.N:
-        yield 'N', terms.N**2 * _contrast(_white, h, w, integrals)
+        yield 'N', terms.N**2 * _unit_error(_white, h, w, integrals)
     if terms.B:
-        yield 'B', terms.B**2 * _contrast(_flicker, h, w, integrals)
+        yield 'B', terms.B**2 * _unit_error(_flicker, h, w, integrals)
     if terms.K:
-        yield 'K', terms.K**2 * _contrast(_walk, h, w, integrals)
+        yield 'K', terms.K**2 * _unit_error(_walk, h, w, integrals)
     if terms.R:
         ramp = h * (h + w) / 2.0 if integrals == 1 else h * h * (h / 6.0 + w / 4.0)
         yield 'R', (terms.R * ramp) ** 2
-    # in units of tau: the variance of theta scales with tau^2, that of its integral with tau^4
+    # the kernels are in units of tau: the variance of theta scales with tau^2, and the variance of
+    # its integral with tau^4
     scaled = [
         *(('gauss_markov', i, *pair, _gauss_markov) for i, pair in enumerate(model.gauss_markov)),
         *(
@@ -285,11 +306,16 @@ def growth_parts(
     ]
     for name, i, level, tau, kernel in scaled:
         scale = tau ** (2 * integrals)
-        yield f'{name} {i}', level**2 * scale * _contrast(kernel, h / tau, w / tau, integrals)
+        yield f'{name} {i}', level**2 * scale * _unit_error(kernel, h / tau, w / tau, integrals)
 
 
-def _contrast(kernel: Callable[[Floats], Kernels], h: Floats, w: Floats, integrals: int) -> Floats:
-    """Return the variance of the error for a process of unit level with these covariances."""
+def _unit_error(
+    kernel: Callable[[Floats], Kernels], h: Floats, w: Floats, integrals: int
+) -> Floats:
+    """Return the variance of the error for a process of unit size with the covariances ``kernel``.
+
+    ``h`` and ``w`` are horizon and averaging time of the bias, in the time unit of the kernel.
+    """
     ratio = h / w
     zero = np.zeros_like(h)
     if integrals == 1:

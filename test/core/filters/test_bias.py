@@ -139,9 +139,9 @@ def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
     tracker = BiasTracker({'gyro': 0.0})
     ends = [10**18 + 10**9 * i for i in range(1, 301)]
     values = (2.0 * HOUR_BIAS + TERMS.N * np.random.default_rng(5).normal(size=300)).tolist()
-    tracker.take('gyro_x', ends, values)
+    tracker.add_means('gyro_x', ends, values)
     assert tracker.bias('gyro_x') is None  # no model yet
-    tracker.use({'gyro_x': MODEL})
+    tracker.set_models({'gyro_x': MODEL})
     direct = BiasFilter(MODEL)
     for value in values:
         direct.update(value)
@@ -151,24 +151,24 @@ def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
     assert found.end_ns == ends[-1]
     assert found.optimal_s == optimal_window(ProcessModel(TERMS))
     assert found.within_s > 60.0
-    tracker.take('gyro_x', ends[-10:], values[-10:])  # known already
+    tracker.add_means('gyro_x', ends[-10:], values[-10:])  # known already
     assert tracker.bias('gyro_x') == found
-    tracker.take('gyro_x', [ends[-1] + 61 * 10**9], [values[0]])
+    tracker.add_means('gyro_x', [ends[-1] + 61 * 10**9], [values[0]])
     direct.pause(60.0)
     direct.update(values[0])
     after = tracker.bias('gyro_x')
     assert after is not None
     assert after.estimate.value == pytest.approx(direct.estimate().value)
     assert after.estimate.std == pytest.approx(direct.estimate().std)
-    tracker.take('gyro_x', [5 * 10**9], [1.0])  # the clock was set back: a new start
+    tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # the clock was set back: a new start
     anew = tracker.bias('gyro_x')
     assert anew is not None and anew.estimate.value == pytest.approx(1.0, rel=1e-3)
 
 
 def test_a_tolerance_can_be_given() -> None:
     tracker = BiasTracker({'gyro': 20.0 * HOUR_BIAS})
-    tracker.use({'gyro_x': MODEL})
-    tracker.take('gyro_x', [10**9], [0.0])
+    tracker.set_models({'gyro_x': MODEL})
+    tracker.add_means('gyro_x', [10**9], [0.0])
     found = tracker.bias('gyro_x')
     assert found is not None
     assert found.tolerance == 20.0 * HOUR_BIAS
