@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise terms of one axis and their contributions to the Allan variance."""
+"""Noise coefficients and processes of one axis, and their Allan variance."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class NoiseTerms:
     Raises
     ------
     AllanError
-        When a value is not finite, or one of Q, N, B, K is negative.
+        If a value is not finite, or one of Q, N, B, K is negative.
     """
 
     Q: float = 0.0
@@ -51,7 +51,7 @@ class NoiseTerms:
                 raise AllanError(f'{name} is {value}: give a finite number, not below 0')
 
     def in_sample_units(self, tau0: float) -> tuple[float, float, float, float, float]:
-        """Return the levels (q, w, b, k, r) in units in which the sample period ``tau0`` (s) is 1.
+        """Return the coefficients (q, w, b, k, r) with the sample period ``tau0`` (s) as time unit.
 
         q = Q^2/tau0^2, w = N^2/tau0, b = B^2, k = K^2 tau0 are variances in the squared unit of
         the samples; r = R tau0 is the ramp per sample.
@@ -68,9 +68,9 @@ class NoiseTerms:
 def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float64]:
     """Return the expected Allan variance of each term at the averaging factors m.
 
-    V(m) = 3 q/m^2 + w/m + (2 ln2/pi) b + k (m/3 + 1/(6 m)) + r^2 m^2/2, the five summands of
-    IEEE Std 952-1997 eq. C.14 for samples of period tau0. The term 1/(6 m) arises because the
-    random walk steps once per sample; it is negligible at large m.
+    The terms are 3 q/m^2, w/m, (2 ln2/pi) b, k (m/3 + 1/(6 m)) and r^2 m^2/2, with q, w, b, k, r
+    from `NoiseTerms.in_sample_units` (IEEE Std 952-1997 eq. C.14, for samples of period tau0). The
+    part 1/(6 m) arises because the random walk steps once per sample; it is negligible at large m.
 
     Parameters
     ----------
@@ -79,12 +79,13 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
     tau0 : float
         Sample period in s.
     terms : NoiseTerms
-        The coefficients.
+        The coefficients in SI.
 
     Returns
     -------
     (factors, 5) float64 array
-        Squared unit of the samples, columns in the order Q, N, B, K, R; their sum is the curve.
+        In the squared unit of the samples, columns in the order Q, N, B, K, R. The sum of the
+        columns is the Allan variance of the sum of all terms.
     """
     m = np.asarray(m, float)
     q, w, b, k, r = terms.in_sample_units(tau0)
@@ -104,8 +105,8 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
 def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
     """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
 
-    (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
-    (exponentially correlated noise), of averages in continuous time.
+    The noise is continuous in time: (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std
+    952-2020 annex C (exponentially correlated noise).
 
     Parameters
     ----------
@@ -125,8 +126,8 @@ def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
 def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[np.float64]:
     """Return the Allan variance of sampled first-order Gauss-Markov noise of unit variance.
 
-    (4 D(m) - D(2m)) / (2 m^2) with D(n) the variance of the sum of n samples
-    (`gauss_markov_sums`). It becomes `gauss_markov_avar` at many samples.
+    It is (4 D(m) - D(2m)) / (2 m^2), where D(n) is the variance of the sum of n samples from
+    `gauss_markov_sums`. For T and m of many samples, it approaches `gauss_markov_avar`.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[n
 
 
 def _gauss_markov_growth(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 2x - 3 + 4 exp(-x) - exp(-2x) without loss of digits at small x."""
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x), with small rounding errors at small x."""
     return np.asarray(2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x))
 
 
@@ -157,8 +158,8 @@ def gauss_markov_sums(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return A and B of D(n) = A n - B (1 - exp(-n/T)), the variance of the sum of n samples.
 
-    The samples belong to a first-order Gauss-Markov process of unit variance with the
-    autocovariance exp(-k/T) at lag k: A = coth(1/(2T)) and B = 1 / (2 sinh(1/(2T))^2).
+    The samples are those of a first-order Gauss-Markov process of unit variance, with the
+    autocovariance exp(-k/T) at a lag of k samples: A = coth(1/(2T)), B = 1 / (2 sinh(1/(2T))^2).
 
     Parameters
     ----------
@@ -170,7 +171,7 @@ def gauss_markov_sums(
     A, B : (processes,) float64 arrays
     """
     half = np.atleast_1d(0.5 / np.asarray(correlation, float))
-    # A and B/T are much larger than their difference of about 1/2: a series avoids the rounding.
+    # A and B/T are much larger than their difference of about 1/2: a series avoids rounding errors
     small = half < 1e-4
     slope = np.where(small, 1.0 / half + half / 3.0, 1.0 / np.tanh(half))
     step = np.where(small, 0.5 / half**2 - 1.0 / 6.0, 0.5 / np.sinh(np.minimum(half, 300.0)) ** 2)
@@ -178,21 +179,22 @@ def gauss_markov_sums(
 
 
 def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return the Allan variance of a sinusoid of unit amplitude, averaged over its phase.
+    """Return the Allan variance of a sampled sinusoid of unit amplitude, averaged over its phase.
 
-    sin^4(pi f m) / (m sin(pi f))^2, IEEE Std 952-2020 annex C (sinusoidal noise), here for sums
-    of samples instead of integrals.
+    It is sin^4(pi f m) / (m sin(pi f))^2, which is the formula of IEEE Std 952-2020 annex C
+    (sinusoidal noise) with sums of samples instead of integrals.
 
     Parameters
     ----------
     m : (factors,) array
         Averaging factors in samples.
     frequency : float or array that broadcasts with m
-        In cycles per sample.
+        Frequency f in cycles per sample.
 
     Returns
     -------
-    (factors,) float64 array
+    float64 array
+        In the broadcast shape of both.
     """
     m, turn = np.asarray(m, float), np.pi * np.asarray(frequency, float)
     return np.asarray(np.sin(turn * m) ** 4 / (m * np.sin(turn)) ** 2)
@@ -200,16 +202,15 @@ def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class ProcessModel:
-    """The selected model of one axis, for drawing, prediction and export.
+    """Noise model of one axis: the five terms, Gauss-Markov processes and sinusoids.
 
-    Terms outside the model are 0. If the five terms describe the curve, ``terms`` contains them and
-    the tuples are empty. Otherwise ``terms`` contains N, K (and a signed R) in addition to the
-    processes.
+    Terms that are not in the model are 0. If the terms alone describe the Allan deviation curve of
+    a sensor, its model has no processes and sinusoids.
 
     Attributes
     ----------
     terms : NoiseTerms
-        Q, N, B, K, R in SI (see `NoiseTerms`).
+        Coefficients Q, N, B, K, R in SI.
     gauss_markov : tuple of (sigma, tau)
         First-order Gauss-Markov processes: stationary standard deviation in the unit of the
         samples, correlation time in s.
@@ -229,8 +230,8 @@ class ProcessModel:
         tau : (times,) array
             Averaging times in s.
         tau0 : float
-            Sample period in s. With 0 the curve is in continuous time, with a positive period it
-            describes samples (discrete walk, aliased sinusoids).
+            Sample period in s; the result is for sampled noise (discrete random walk, aliased
+            sinusoids). With 0, it is for continuous time.
 
         Returns
         -------
@@ -246,7 +247,7 @@ class ProcessModel:
         return np.asarray(sum(self.parts(tau, tau0).values(), np.zeros_like(tau)))
 
     def parts(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan variance of each part that is not 0; their sum is `avar`.
+        """Return the Allan variance of each term and process that is not 0; their sum is `avar`.
 
         Parameters
         ----------
@@ -256,7 +257,8 @@ class ProcessModel:
         Returns
         -------
         dict of name to (times,) float64 array
-            Names are the letters of the terms, then kind and time or frequency of the processes.
+            Names are the letters of the terms, then 'GM' with the correlation time of a
+            Gauss-Markov process, and 'sine' with the frequency of a sinusoid.
 
         Examples
         --------
@@ -264,7 +266,7 @@ class ProcessModel:
         ['N', 'K', 'GM 300 s']
         """
         tau = np.asarray(tau, float)
-        # an averaging factor counts samples; a period far below every tau has no effect
+        # continuous time is approximated by a sample period far below every tau
         step = tau0 or 1e-6 * float(tau.min(initial=1.0))
         m = tau / step
         columns = term_avar(m, step, self.terms)

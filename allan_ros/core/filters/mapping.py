@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a running filter computed from the noise of its sensor.
+"""Values for the parameters of a running filter, computed from the noise of its sensor.
 
-A parameter is an expression of the noise terms. It is set when its interval is narrow enough. The
-interval contains the values of the expression over the 95 % intervals of its terms, so an
-unresolved term delays a parameter only if it has an effect on it.
+The value of a parameter is an arithmetic expression of the noise coefficients. Its interval is the
+range of the expression over the 95 % intervals of the coefficients. A value is used only if this
+interval is narrow enough.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {'sqrt': math.sqrt, 'abs': abs, 'max
 
 
 class Expression:
-    """An arithmetic formula; raises `AllanError` for anything else.
+    """An arithmetic expression of named values, with + - * / **, sqrt, abs and max.
+
+    Anything else raises `AllanError`.
 
     >>> Expression('sqrt(3/4) * N / sqrt(h)').value({'N': 2.0, 'h': 3.0})
     1.0
@@ -63,7 +65,13 @@ class Expression:
         self.names = frozenset(names)
 
     def value(self, values: Mapping[str, float]) -> float:
-        """Return the value; `AllanError` if a name has no value, or the result is not finite."""
+        """Return the value of the expression for the values of its names.
+
+        Raises
+        ------
+        AllanError
+            If a name has no value, or the result is not a finite real number.
+        """
         missing = sorted(self.names - values.keys())
         if missing:
             raise AllanError(
@@ -79,7 +87,7 @@ class Expression:
         return float(result)
 
     def _compiled(self, node: ast.expr, names: set[str]) -> Formula:
-        """Return the function that evaluates a node, and collect the names in it."""
+        """Return a function that evaluates a syntax tree; add the names in it to ``names``."""
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
             number = float(node.value)  # type: ignore[arg-type]  # checked to be a number
             return lambda values: number
@@ -104,54 +112,52 @@ class Expression:
 
 
 RATE = 'f'
-"""Name of the rate in Hz in expressions."""
+"""Name of the sample rate in Hz in expressions."""
 
 
 @dataclass(frozen=True)
 class FilterParameter:
-    """One parameter of a filter."""
+    """One noise parameter of a filter, and how it is computed."""
 
-    name: str  # as the node declares it
+    name: str  # name of the ROS parameter
     sensor: str  # 'gyro' or 'accel'
-    # formula of the terms of one axis in SI (Q, N, B, K, R), the rate f in Hz, and the constants.
-    # In an expression with K, N and K come from the reduction of the selected model.
+    # formula of the coefficients Q, N, B, K, R of one axis in SI, the rate f in Hz, and constants;
+    # in an expression with K, both N and K are those of the model reduced to a random walk
     expression: Expression
-    rule: str = 'worst'  # one of `RULES`; with 'each' the parameter is an array of three
-    # range that the filter accepts; values outside are clamped
-    limits: tuple[float, float] = (-math.inf, math.inf)
+    rule: str = 'worst'  # one of `RULES`; with 'each' the parameter is an array of three numbers
+    limits: tuple[float, float] = (-math.inf, math.inf)  # accepted range; values are clamped to it
 
 
 @dataclass(frozen=True)
 class FilterMapping:
-    """The parameters of one kind of filter."""
+    """The noise parameters of one kind of filter."""
 
-    name: str
+    name: str  # name of the kind of filter
     parameters: tuple[FilterParameter, ...]
-    constants: Mapping[str, float] = field(default_factory=dict)  # constants of the expressions
-    # longest time in s that the filter integrates without correction: upper end of the horizons of
-    # the reduction
-    horizon: float = 30.0
+    constants: Mapping[str, float] = field(default_factory=dict)  # named values for expressions
+    horizon: float = 30.0  # longest time in s that the filter integrates without a correction
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed value of a parameter."""
+    """A proposed value of a filter parameter, with its 95 % interval."""
 
-    name: str
+    name: str  # name of the parameter
     values: tuple[float, ...]  # one value, or three with the rule 'each'
-    # 95 % interval; of three axes, the interval of the axis with the widest one
-    low: float
-    high: float
-    limited: bool = False  # whether a value was clamped to a limit of the parameter
+    low: float  # lower end of the interval; of three axes, of the widest interval
+    high: float  # upper end of the same interval
+    limited: bool = False  # whether a value was clamped to the limits of the parameter
 
     @property
     def ratio(self) -> float:
-        """Ratio of the ends of the interval; infinite if the lower end is not above 0."""
+        """Ratio of the upper to the lower end of the interval; infinite if the lower end is 0."""
         return self.high / self.low if self.low > 0.0 else math.inf
 
     def differs(self, current: Sequence[float], change: float) -> bool:
-        """Return whether a value differs from the current one by more than the fraction
-        ``change``."""
+        """Return whether any value differs from the current one by more than a fraction of it.
+
+        ``change`` is this fraction. The result is True if the number of values differs.
+        """
         if len(current) != len(self.values):
             return True
         return any(abs(v - c) > change * abs(c) for v, c in zip(self.values, current))
@@ -164,24 +170,28 @@ def propose(
     constants: Mapping[str, float],
     horizon: float = 30.0,
 ) -> Proposal:
-    """Return the value of a parameter.
+    """Return the proposed value of a parameter for the noise of an IMU.
 
-    The value of an unresolved term is its 95 % upper limit; its interval begins at 0.
+    For a coefficient that is not resolved, the 95 % upper limit is used; its interval begins at 0.
 
     Parameters
     ----------
     parameter : FilterParameter
+        The parameter with its expression.
     axes : mapping of axis name to AxisFit
-    rate, constants
-        The rate f in Hz, and the values of other names in the expression.
+        Fits of the axes of the IMU.
+    rate : float
+        Sample rate f in Hz.
+    constants : mapping of name to float
+        Values of the other names in the expression.
     horizon : float
-        Upper end of the horizons of the reduction, in s.
+        Longest time in s that the filter integrates without a correction.
 
     Raises
     ------
     AllanError
-        When the sensor is absent, a term has neither value nor limit, or the expression has no
-        value.
+        If the sensor is absent, a coefficient has neither a value nor a limit, or the expression
+        has no finite value.
     """
     names = AXES[SENSORS[parameter.sensor]]
     if any(name not in axes for name in names):
@@ -201,22 +211,24 @@ def propose(
 def narrow_enough(
     proposals: Sequence[Proposal], ratio: float
 ) -> tuple[list[Proposal], dict[str, str]]:
-    """Return the proposals whose interval is within ``ratio``, and the reasons to withhold the
-    others."""
+    """Return the proposals that are accurate enough, and parameter name -> reason for the others.
+
+    ``ratio`` is the largest accepted ratio of the upper to the lower end of the interval.
+    """
     ready = [p for p in proposals if p.ratio <= ratio]
-    waiting = {
+    reasons = {
         p.name: f'between {p.low:.3g} and {p.high:.3g}: set once this is within a factor of '
         f'{ratio:g}'
         for p in proposals
         if p.ratio > ratio
     }
-    return ready, waiting
+    return ready, reasons
 
 
 def _axis_ends(
     axis: str, fit: AxisFit, terms: Sequence[str], horizons: Horizons
 ) -> dict[str, Ends]:
-    """Return lower end, value and upper end of the given terms on one axis."""
+    """Return lower end, value and upper end of each of the given terms of one axis."""
     reduced = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
     return {term: reduced.get(term) or axis_level(axis, fit, term).ends for term in terms}
 
@@ -224,7 +236,7 @@ def _axis_ends(
 def _by_rule(
     axes: Sequence[dict[str, Ends]], terms: Sequence[str], rule: str
 ) -> list[dict[str, Ends]]:
-    """Return the ends of each term of a sensor with three axes, as `sensor_level` does."""
+    """Return the ends of each term for the sensor, or for each of its three axes ('each')."""
     if rule == 'each':
         return list(axes)
     if rule == 'worst':
@@ -240,10 +252,10 @@ def _mean(ends: Sequence[Ends]) -> Ends:
 def _evaluate(
     parameter: FilterParameter, terms: Mapping[str, Ends], known: Mapping[str, float]
 ) -> Ends:
-    """Return lower end, value and upper end of the expression.
+    """Return lower end, value and upper end of the expression of a parameter.
 
-    The ends are the extremes over all corners of the intervals, which is exact if the expression is
-    monotonic in each term.
+    The ends are the extremes over all combinations of the ends of ``terms``. They are exact if the
+    expression is monotonic in each term. ``known`` contains the values of all other names.
     """
     evaluate = parameter.expression.value
     value = evaluate({**known, **{term: v for term, (_, v, _) in terms.items()}})
@@ -252,18 +264,18 @@ def _evaluate(
             evaluate({**known, **dict(zip(terms, corner))})
             for corner in product(*((low, high) for low, _, high in terms.values()))
         ]
-    except AllanError:  # infinite at an end: the term is unknown
+    except AllanError:  # no finite value at an end, because the interval of a term is unknown
         return 0.0, value, math.inf
     return min(corners), value, max(corners)
 
 
 def check_mapping(mapping: FilterMapping) -> None:
-    """Check the sensors, rules, limits and names of a mapping.
+    """Check the horizon of a mapping, and sensor, rule, limits and names of each parameter.
 
     Raises
     ------
     AllanError
-        When one of them is invalid; the message names the parameter.
+        If one of them is invalid; the message names the parameter.
     """
     Horizons.up_to(mapping.horizon)
     for p in mapping.parameters:

@@ -2,22 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise parameters of a filter from the noise of the axes of a sensor.
 
-N and K are continuous-time densities: the roots of two-sided power spectral densities. A filter
-that steps at f Hz uses discrete noise. Over one step of 1/f seconds, white noise must add N^2/f to
-the variance of its integral, and a random walk K^2/f to the variance of the bias (N. Trawny, S. I.
-Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of Minnesota, 2005, eqs.
-129, 130). The number to write depends on the scaling in the filter:
+N and K are continuous-time noise densities: roots of two-sided power spectral densities. A filter
+with the rate f needs discrete-time noise. In one step of 1/f seconds, white noise must add N^2/f to
+the variance of the integral of the samples, and a random walk must add K^2/f to the variance of the
+bias (N. Trawny, S. I. Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of
+Minnesota, 2005, eqs. 129, 130). The value of a parameter depends on the scaling in the filter:
 
-=====================  ==============  =======================================================
-the filter multiplies  write           computed by
-=====================  ==============  =======================================================
-N by sqrt(f) itself    N, K            nothing: it takes continuous densities
-a std by 1/f           N sqrt(f)       `white_std`
-a bias std by 1/f      K sqrt(f)       `white_std` of K
-a variance by 1/f^2    N^2 f, K^2 f    the squares of these
-=====================  ==============  =======================================================
+===================================  ==============  ============================
+parameter of the filter              value           function
+===================================  ==============  ============================
+continuous-time noise density        N, K
+sample std, multiplied by 1/f        N sqrt(f)       `white_std`
+bias step std, multiplied by 1/f     K sqrt(f)       `white_std` of K
+variance, multiplied by 1/f^2        N^2 f, K^2 f    the squares of these
+===================================  ==============  ============================
 
-N and K are either the bare coefficients (`axis_level`) or a reduction of the selected model
+N and K are either the fitted coefficients (`axis_level`) or those of a reduced model
 (`reduce_axis`).
 """
 
@@ -38,72 +38,70 @@ from .growth import drift_model, expected_model, has_drift, has_intervals, inter
 from .reductions import Horizons, Reduction, States, reduce_model
 
 RULES = ('worst', 'mean', 'each')
-"""Value of a sensor with three axes: the largest, the root mean square, or three values."""
+"""How the values of three axes are combined: the largest, the root mean square, or three values."""
 
 MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
-"""Ratio of the gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter for
-inertial and inertial/magnetic sensor arrays, 2010, on the filter gains)."""
+"""Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
+for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
 
 Ends = tuple[float, float, float]
-"""Lower end, value and upper end."""
+"""Lower end of the interval, value, upper end."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """Level of one noise term on one axis, in SI."""
+    """Value of one noise coefficient of one axis for a filter, in SI."""
 
-    # N, B, K or R, or 'sigma' of a Gauss-Markov process
-    axis: str
-    term: str
+    axis: str  # name of the axis
+    term: str  # N, B, K or R, or 'sigma' of a Gauss-Markov process
     value: float  # finite and above 0: the estimate, or the 95 % upper limit without an estimate
-    ci95: tuple[float, float] | None = None  # interval of an estimate, if the method gives one
-    is_limit: bool = False  # whether the value is only an upper limit
-    # the coefficient (0 outside the selected model), if the value was raised to bound the growth of
-    # the error
+    ci95: tuple[float, float] | None = None  # 95 % interval of an estimate; None if unknown
+    is_limit: bool = False  # whether the value is an upper limit
+    # fitted coefficient (0 if it is not in the selected model) of a value that was increased so
+    # that the filter does not underestimate the error growth; None if it was not increased
     raised_from: float | None = None
 
     @property
     def no_interval(self) -> bool:
-        """Whether it is an estimate without an interval, because the method gives none or it is
-        only likely.
-        """
+        """Whether the value is an estimate without a 95 % interval."""
         return self.ci95 is None and not self.is_limit and self.raised_from is None
 
     @property
     def ends(self) -> Ends:
-        """The value with its interval, which ranges from 0 to a limit, or to infinity if
-        unknown."""
+        """Lower end, value and upper end; (0, value, value) for a limit, (0, value, inf) without
+        an interval.
+        """
         low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
         return max(low, 0.0), self.value, high
 
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """One noise term of a sensor: inflated values of x, y, z, and the levels from which they
-    come."""
+    """Values of one noise coefficient for the three axes of a sensor."""
 
-    values: tuple[float, float, float]
-    levels: tuple[Level, ...]
+    values: tuple[float, float, float]  # values for x, y and z, including the inflation
+    levels: tuple[Level, ...]  # levels of the axes from which they were computed
 
 
 @dataclass(frozen=True)
 class AxisReduction:
-    """The reduction of one axis, with the levels of N and, if there is a walk, of K."""
+    """Noise model of one axis, reduced to the states of a filter."""
 
     reduction: Reduction
-    levels: dict[str, Level]
+    levels: dict[str, Level]  # 'N' and, if the reduced model has a random walk, 'K'
 
 
 def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
-    """Return the level of a term on one axis: its estimate, or else its 95 % upper limit.
+    """Return the fitted coefficient of a term, or its 95 % upper limit if it is not resolved.
 
-    With the limit, a filter overestimates the noise and relies more on its other sensors.
+    With the limit, a filter overestimates the noise and gives its other sensors more weight. If
+    ``strict`` is set, limits and estimates without a 95 % interval are rejected. ``axis`` is the
+    name of the axis in messages.
 
     Raises
     ------
     AllanError
-        When there is neither a positive estimate nor a finite limit, or no 95 % interval and
-        ``strict`` is set. The message names ``axis``.
+        If there is neither a positive estimate nor a finite limit, or ``strict`` rejects it.
     """
     coefficient = fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -123,7 +121,7 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
 
 
 def _accepted(level: Level, strict: bool) -> Level:
-    """Return the level; raise AllanError if it has no interval and ``strict`` is set."""
+    """Return the level; raise `AllanError` if ``strict`` is set and it has no interval."""
     if strict and level.no_interval:
         raise AllanError(
             f'{level.term} of {level.axis} has no 95 % interval: record longer, fit with method '
@@ -140,29 +138,31 @@ def reduce_axis(
     strict: bool = False,
     expect_walk: bool = False,
 ) -> AxisReduction:
-    """Return the reduction of the selected model of one axis for the states of a filter.
+    """Return the noise model of one axis, reduced to the states of a filter.
 
-    Terms outside the selected model count as 0, with two exceptions: N is replaced by its upper
-    limit, and K is, too, if the model has no drift.
+    Coefficients outside the selected model are set to 0, with two exceptions: N is replaced by its
+    upper limit, and so is K if the model has no drift.
 
     Parameters
     ----------
     axis : str
-        Its name, for messages.
+        Name of the axis in messages.
     fit : AxisFit
+        Fit of the axis.
     states : one of `STATES`
+        States with which the filter models the bias.
     horizons : Horizons
-        Range of times over which the filter integrates.
+        Range of times that the filter integrates without a correction.
     strict : bool
-        Whether to reject upper limits, values without a 95 % interval, and reductions that are off
-        by more than `POOR_RATIO`. Values raised by the reduction are accepted.
+        Whether to reject upper limits, values without a 95 % interval, and poor reductions (see
+        `Reduction.poor`). Values that the reduction increased are accepted.
     expect_walk : bool
-        Whether an unresolved K counts as in `expected_model`.
+        Whether a K that is not resolved is replaced by its expected value (see `expected_model`).
 
     Raises
     ------
     AllanError
-        When a needed term has neither a value nor a limit, or ``strict`` rejects the result.
+        If a required coefficient has neither a value nor a limit, or ``strict`` rejects the result.
     """
     white = axis_level(axis, fit, 'N', strict)
     model = drift_model(fit.selected)
@@ -175,7 +175,7 @@ def reduce_axis(
     if expect_walk and not resolved_walk:
         model = _with_walk(model, expected_model(fit).terms.K)
     reduction = reduce_model(model, states, horizons)
-    if states == 'walk' and not reduction.walk:  # all drift is fast, and counts as white noise
+    if states == 'walk' and not reduction.walk:  # all drift is fast and became white noise
         walk = axis_level(axis, fit, 'K', strict)
         reduction = reduce_model(_with_walk(model, walk.value), states, horizons)
     if strict and reduction.poor:
@@ -207,14 +207,15 @@ def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
 
 
 def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]:
-    """Return `Level.ends` of N and K of the reduction to a random walk.
+    """Return lower end, value and upper end of N and K of the model reduced to a random walk.
 
-    The ends are the reductions of the models at the ends of the 95 % intervals.
+    The ends come from reductions of the models with all coefficients at the lower, and at the
+    upper ends of their 95 % intervals. ``axis`` is the name of the axis in messages.
 
     Raises
     ------
     AllanError
-        When a needed term has neither a value nor a limit.
+        If a required coefficient has neither a value nor a limit.
     """
     levels = reduce_axis(axis, fit, 'walk', horizons).levels
     bottom, top = (reduce_model(one, 'walk', horizons) for one in interval_models(fit))
@@ -228,10 +229,9 @@ def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]
 
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
-    """Return the level of a sensor from the levels of x, y, z by one of `RULES`, times the
-    inflation.
+    """Return the values for a sensor from the levels of x, y and z, multiplied by ``inflation``.
 
-    The rule 'mean' averages the variances.
+    ``rule`` is one of `RULES`; 'mean' is the root mean square.
     """
     x, y, z = (level.value * inflation for level in levels)
     if rule == 'each':
@@ -245,33 +245,34 @@ def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> 
 
 
 def white_std(density: float, rate: float) -> float:
-    """Return N sqrt(f), the standard deviation of one sample of white noise of density N.
+    """Return N sqrt(f), the standard deviation of a sample of white noise of density N at f Hz.
 
-    A step of 1/f with this value adds (N sqrt(f) / f)^2 = N^2/f to the variance of the integral.
-    The same holds for K and the rate of the bias.
+    A filter step of 1/f s with this value adds (N sqrt(f) / f)^2 = N^2/f to the variance of the
+    integral. With K instead of N, it adds K^2/f to the variance of the bias.
     """
     return density * math.sqrt(rate)
 
 
 def midpoint_white_std(density: float, rate: float) -> float:
-    """Return N sqrt(2 f), for a step that averages two samples and treats them as independent.
+    """Return N sqrt(2 f), the sample std for a filter step that averages two successive samples.
 
-    For samples of standard deviation s, such a step adds 2 (s/2)^2 / f^2; it should add N^2/f.
+    Such a step treats the samples, of standard deviation s, as independent. It adds 2 (s/2)^2 / f^2
+    to the variance of the integral, which is the correct N^2/f for s = N sqrt(2 f).
     """
     return white_std(density, 2.0 * rate)
 
 
 def madgwick_gain(model: ProcessModel, horizon: float) -> float:
-    """Return Madgwick's gain beta (rad/s) of a gyro that is corrected over ``horizon`` s.
+    """Return the gain beta (rad/s) of Madgwick's filter for the noise of a gyro.
 
-    beta = sqrt(3/4) times the zero error of the gyro: the Allan deviation at the horizon, without
-    quantization and vibration.
+    beta = sqrt(3/4) times the gyro error, for which the Allan deviation at ``horizon`` (in s) is
+    used, without quantization and vibration.
     """
     return MADGWICK_FACTOR * math.sqrt(float(drift_model(model).avar([horizon])[0]))
 
 
 SAMPLE_WINDOW_S = 1.0
-"""Longest window in s of `sample_variance`: slower noise counts as bias."""
+"""Longest window in s of `sample_variance`; noise that is slower is treated as bias."""
 
 Variances = tuple[float, float, float]
 """Variances of x, y and z, in the squared unit of the samples."""
@@ -280,24 +281,25 @@ Variances = tuple[float, float, float]
 def sample_variance(
     m: NDArray[np.int64], adev: NDArray[np.float64], tau0: float, window: float = SAMPLE_WINDOW_S
 ) -> float | None:
-    """Return the variance of samples about the mean of 2^k samples, with 2^k tau0 <= window.
+    """Return the variance of the samples within a window, computed from the Allan deviation.
 
-    The mean square deviation within 2^k samples is the sum of avar(2^j)/2 over j < k for any noise
-    (Percival & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the Haar
-    wavelet divides the variance among the scales); n/(n - 1) removes the bias of a mean of n
-    independent samples.
+    The window is the largest one with n = 2^k samples and n tau0 <= ``window``. For any noise, the
+    mean square deviation from the mean of n samples is the sum of avar(2^j)/2 over j < k (Percival
+    & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the variance is the sum
+    of the Haar wavelet variances). The factor n/(n - 1) makes it unbiased for white noise.
 
     Parameters
     ----------
     m, adev : (factors,) arrays
-        Averaging factors, including every power of two of the window, and their Allan deviations.
+        Averaging factors, including all powers of two below n, and their Allan deviations.
     tau0, window : float
         Sample period and longest window in s.
 
     Returns
     -------
     float or None
-        None if the window is shorter than two samples, or a deviation is unknown.
+        In the squared unit of ``adev``; None if the window is shorter than two samples or a
+        deviation is unknown.
     """
     levels = math.floor(math.log2(window / tau0 * (1.0 + 1e-9))) if tau0 <= window else 0
     known = {int(factor): float(deviation) for factor, deviation in zip(m, adev)}
@@ -309,10 +311,11 @@ def sample_variance(
 def white_variances(
     axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0, horizon: float = 0.0
 ) -> dict[str, Variances]:
-    """Return (inflation N)^2 f of each sensor that has three axes with a value or a limit of N.
+    """Return the sample variances (inflation N)^2 f of x, y, z for each sensor, 'gyro' and 'accel'.
 
-    With a horizon in s, N is raised until white noise bounds the growth of the error up to this
-    time. This is for filters without a state for the bias.
+    ``rate`` is the sample rate f in Hz. A sensor is left out if N of an axis has neither a value
+    nor a limit. With ``horizon`` in s, N is increased until white noise alone covers the predicted
+    error growth up to this time, for filters without a state for the bias.
     """
     densities: dict[str, float | None] = {}
     for name, fit in axes.items():
@@ -330,8 +333,11 @@ def white_variances(
 def measured_variances(
     stds: Mapping[str, float | None], inflation: float = 1.0
 ) -> dict[str, Variances]:
-    """Return the squared sample standard deviations of each sensor for which all three are
-    known."""
+    """Return the variances of x, y, z for each sensor, 'gyro' and 'accel', from the axes' stds.
+
+    ``stds`` maps axis names to standard deviations of the samples, which are multiplied by
+    ``inflation``. A sensor is left out if one of its three axes is missing or None.
+    """
     variances = {}
     for sensor, rows in SENSORS.items():
         known = [std for name in AXES[rows] if (std := stds.get(name))]
@@ -343,10 +349,10 @@ def measured_variances(
 
 @dataclass(frozen=True)
 class TermInflation:
-    """N or K of a reduction, at rest with motors off and with motors on, in SI."""
+    """N or K of one axis with motors off and with motors on, in SI."""
 
-    rest: float
-    running: float
+    rest: float  # with motors off
+    running: float  # with motors on
 
     @property
     def use(self) -> float:
@@ -355,13 +361,13 @@ class TermInflation:
 
     @property
     def factor(self) -> float:
-        """Ratio of this value to the value with motors off, at least 1."""
+        """Inflation: ratio of the value for a filter to the value with motors off, at least 1."""
         return self.use / self.rest
 
 
 @dataclass(frozen=True)
 class AxisInflation:
-    """Inflation of N and K of one axis."""
+    """Inflation of N (``white``) and K (``walk``) of one axis due to running motors."""
 
     white: TermInflation
     walk: TermInflation
@@ -372,19 +378,21 @@ def measure_inflation(
     running: Mapping[str, AxisFit],
     horizons: Horizons = Horizons(1.0, 30.0),
 ) -> dict[str, AxisInflation]:
-    """Return the increase of N and K of each common axis of a robot at rest due to running motors.
+    """Return the increase of N and K due to running motors for each axis that is in both fits.
+
+    N and K are those of the models reduced to a random walk.
 
     Parameters
     ----------
     rest, running : mapping of axis name to AxisFit
-        Fits with motors off and with motors on.
+        Fits of a robot at rest, with motors off and with motors on.
     horizons : Horizons
-        Range over which the reductions bound the growth of the error.
+        Range of times that the filter integrates without a correction.
 
     Raises
     ------
     AllanError
-        When there is no common axis, or an axis has neither a value nor a limit of N or K.
+        If there is no common axis, or N or K of an axis has neither a value nor a limit.
     """
     common = [axis for axis in rest if axis in running]
     if not common:

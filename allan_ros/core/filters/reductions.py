@@ -1,23 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise models of one axis for the states of a filter: exact, or reduced to fewer states.
+"""State-space models of the noise of one axis for a filter, complete or reduced to few states.
 
-`StateSpace` represents all processes as states, with the exact discrete matrices. The states are
-the integral of the samples (angle or velocity) and the parts of the bias:
+`StateSpace` represents all noise processes as states, with the exact discrete-time matrices. The
+states are the integral of the samples (angle or velocity) and the components of the bias:
 
     angle' = walk + sum gauss_markov_i + white noise of density N
-    walk' = slope + white noise of density K        (slope: a constant, only on request)
+    walk' = slope + white noise of density K        (slope: an optional constant)
     gauss_markov_i' = -gauss_markov_i / tau_i + white noise of density sigma_i sqrt(2/tau_i)
 
-Bias instability cannot be represented by a finite number of states. Four Gauss-Markov processes
-whose correlation times are a constant factor apart follow its Allan variance from about 3 s to 3000
-s within 5 %.
+Bias instability has no exact model with a finite number of states. It is approximated by four
+Gauss-Markov processes with logarithmically spaced correlation times, whose Allan variance agrees
+within 5 % from about 3 s to 3000 s.
 
-A filter with N and K models only white noise and a random walk. With the bare coefficients of a
-sensor that also has bias instability, it underestimates its error. A `Reduction` chooses the
-parameters of the filter's states so that the predicted growth of the error is at least that of the
-complete model, over a stated range of horizons. The bias is assumed to be averaged over the longest
-of these horizons (see `growth`).
+A filter with the parameters N and K models only white noise and a random walk. If the sensor also
+has bias instability, such a filter underestimates its error with the fitted N and K. A `Reduction`
+contains parameters with which the error growth that the filter predicts is at least that of the
+complete model, over a given range of horizons. The bias is assumed to be averaged over the longest
+of these horizons.
 """
 
 from __future__ import annotations
@@ -38,31 +38,37 @@ from .growth import drift_model, has_drift, predicted_growth
 
 Floats = NDArray[np.float64]
 Processes = tuple[tuple[float, float], ...]
-"""Gauss-Markov processes (sigma, tau): stationary standard deviation in the unit of the samples,
-correlation time in s."""
+"""First-order Gauss-Markov processes (sigma, tau): stationary standard deviation in the unit of the
+samples, correlation time in s."""
 
 FLICKER_PROCESSES = 4
-"""Number of Gauss-Markov processes that represent bias instability."""
+"""Number of Gauss-Markov processes that approximate bias instability."""
 
 LONGEST_FLICKER_S = 1500.0
+"""Longest correlation time in s of these processes."""
+
 SHORTEST_FLICKER_S = 1.5
-"""Shortest correlation time in s of these processes. It is smaller if bias instability exceeds
-white noise already at short times."""
+"""Default of their shortest correlation time in s. It is smaller if bias instability exceeds white
+noise at shorter averaging times."""
 
 
 @dataclass(frozen=True)
 class StateSpace:
-    """White noise, a random walk and first-order Gauss-Markov processes.
+    """State-space model of white noise, a random walk and first-order Gauss-Markov processes.
+
+    The states are, in this order, the integral of the samples, the random walk, the Gauss-Markov
+    processes, and optionally the slope of the walk.
 
     Attributes
     ----------
     white : float
-        N, per sqrt(Hz).
+        Density N of the white noise, in the unit of the samples per sqrt(Hz).
     walk : float
-        K. The walk is a state even if K is 0: it is then a constant bias.
+        Density K of the random walk. If it is 0, the walk is a constant bias.
     gauss_markov : tuple of (sigma, tau)
+        Stationary standard deviation in the unit of the samples, and correlation time in s.
     slope : bool
-        Whether a constant slope of the walk is a state, the last one.
+        Whether a constant slope of the walk is the last state.
     """
 
     white: float
@@ -76,13 +82,11 @@ class StateSpace:
         return 2 + len(self.gauss_markov) + self.slope
 
     def model(self) -> ProcessModel:
-        """Return the same noise as a `ProcessModel`; a slope has no level and is left out."""
+        """Return the noise as a `ProcessModel`, without the slope, which has no noise."""
         return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
 
     def transition(self, dt: float) -> Floats:
-        """Return Phi, (size, size), for a step of ``dt`` s; for the order of the states see the
-        module.
-        """
+        """Return the state transition matrix Phi, (size, size), for a step of ``dt`` s."""
         _check_step(dt)
         phi = np.eye(self.size)
         phi[0, 1] = dt
@@ -94,7 +98,7 @@ class StateSpace:
         return phi
 
     def noise(self, dt: float) -> Floats:
-        """Return Qd, (size, size): the covariance that a step of ``dt`` s adds to the states."""
+        """Return the discrete process noise covariance Qd, (size, size), of a step of ``dt`` s."""
         _check_step(dt)
         q = np.zeros((self.size, self.size))
         k2 = self.walk**2
@@ -109,23 +113,26 @@ class StateSpace:
         return q
 
     def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
-        """Return the covariance before the first sample, from the std of walk and slope."""
+        """Return the initial covariance of the states, (size, size).
+
+        ``walk`` and ``slope`` are the prior standard deviations of these states. The Gauss-Markov
+        processes have their stationary variance, and the integral starts from 0.
+        """
         variances = [0.0, walk**2, *(sigma**2 for sigma, _ in self.gauss_markov)]
         return np.diag(variances + [slope**2] * self.slope)
 
     def sample_variance(self, rate: float) -> float:
-        """Return R = N^2 f, the white variance of one sample at ``rate`` Hz."""
+        """Return R = N^2 f, the variance of the white noise of one sample at ``rate`` Hz."""
         return self.white**2 * rate
 
 
 def state_space(model: ProcessModel) -> StateSpace:
-    """Return the states of a process model.
+    """Return the state-space model of noise processes.
 
-    Bias instability becomes `flicker_processes`. The part that is slower than three times their
-    longest correlation time T becomes a random walk with K^2 = B^2/(3 pi T).
-
-    Sinusoids, quantization and the ramp are left out, because they are not random processes of a
-    filter. `reduce_model` represents the ramp and slow sinusoids by the walk.
+    Bias instability becomes the Gauss-Markov processes of `flicker_processes`. For its slow
+    components, K^2 of the random walk is increased by B^2/(3 pi T), where T is their longest
+    correlation time. Quantization, ramp and sinusoids are left out, because a filter has no states
+    for them.
     """
     terms = model.terms
     flicker = flicker_processes(terms.B, terms.N) if terms.B else ()
@@ -134,13 +141,14 @@ def state_space(model: ProcessModel) -> StateSpace:
 
 
 def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
-    """Return Gauss-Markov processes whose sum has the Allan variance of flicker noise of level B.
+    """Return Gauss-Markov processes whose sum approximates the Allan variance of flicker noise.
 
-    White noise hides flicker at averaging times below N^2 / (0.441 B^2); the shortest correlation
-    time is a fifth of this, limited to the range from 0.15 s to `SHORTEST_FLICKER_S`.
+    ``bias_instability`` is the coefficient B of the flicker noise, and ``white`` the density N of
+    the white noise. White noise dominates at averaging times below N^2 / (0.441 B^2). The shortest
+    correlation time is a fifth of this, limited to the range 0.15 s to `SHORTEST_FLICKER_S`.
     """
-    hidden_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
-    shortest = min(max(hidden_s / 5.0, 0.15), SHORTEST_FLICKER_S)
+    crossing_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
+    shortest = min(max(crossing_s / 5.0, 0.15), SHORTEST_FLICKER_S)
     taus = np.geomspace(shortest, LONGEST_FLICKER_S, FLICKER_PROCESSES)
     tau = np.geomspace(1.3 * taus[0], 2.0 * taus[-1], 40)
     columns = np.stack([gauss_markov_avar(tau, one) / FLICKER_FLOOR for one in taus], axis=1)
@@ -151,7 +159,11 @@ def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
 
 
 def _integrated_variance(x: float) -> float:
-    """Return 2x - 3 + 4 exp(-x) - exp(-2x): variance of the integral over x correlation times."""
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x), accurate for small x.
+
+    It is the process noise variance of the integral of a Gauss-Markov process over x correlation
+    times, in units of sigma^2 tau^2.
+    """
     if x > 0.05:
         return 2.0 * x + 4.0 * math.expm1(-x) - math.expm1(-2.0 * x)
     return x**3 * (2.0 / 3.0 - x * (0.5 - x * (7.0 / 30.0 - x / 12.0)))
@@ -167,39 +179,40 @@ def _check_step(dt: float) -> None:
 States = Literal['none', 'walk', 'gauss_markov', 'processes']
 
 STATES: tuple[States, ...] = ('none', 'walk', 'gauss_markov', 'processes')
-"""Models of the bias: none, a random walk, one Gauss-Markov process, or a walk and processes."""
+"""Bias models of a filter: no state, a random walk, one Gauss-Markov process, or a random walk with
+several Gauss-Markov processes."""
 
 SHORTEST_HORIZON_S = 1.0
-"""Lower end of a range of horizons of which only the upper end is given."""
+"""Default of the shortest horizon."""
 
 HORIZONS_PER_RANGE = 30
-"""Number of horizons, spaced evenly in their logarithm, at which two models are compared."""
+"""Number of horizons at which the error growth of two models is compared."""
 
 POOR_RATIO = 2.0
-"""A reduction whose growth is off by more than this factor does not describe the sensor."""
+"""Largest accepted ratio between the error growth of a reduction and of the complete model."""
 
 
 class Horizons(NamedTuple):
-    """A range of times over which a filter integrates between two corrections, in s."""
+    """Range of prediction horizons: times that a filter integrates without a correction, in s."""
 
     low: float
     high: float
 
     @classmethod
     def up_to(cls, high: float) -> Horizons:
-        """Return the range from `SHORTEST_HORIZON_S` (or ``high``/10, if less) to ``high``.
+        """Return the range from 1 s (or ``high``/10, if this is shorter) to ``high``.
 
         Raises
         ------
         AllanError
-            When ``high`` is not above 0 and finite.
+            If ``high`` is not above 0 and finite.
         """
         if not 0.0 < high < math.inf:
             raise AllanError(f'the horizon is {high:g} s: give a time above 0 s')
         return cls(min(SHORTEST_HORIZON_S, high / 10.0), high)
 
     def times(self) -> Floats:
-        """Return logarithmically spaced times over the range."""
+        """Return 30 logarithmically spaced horizons over the range, in s."""
         return np.geomspace(self.low, self.high, HORIZONS_PER_RANGE)
 
     def __str__(self) -> str:
@@ -208,21 +221,20 @@ class Horizons(NamedTuple):
 
 @dataclass(frozen=True)
 class Reduction:
-    """A noise model with the states of a filter."""
+    """Noise model of one axis, reduced to the states of a filter."""
 
-    states: States  # one of `STATES`
-    # N and K; K is 0 if the states have no walk, or the model no drift
-    white: float
-    walk: float
+    states: States  # bias model of the filter, one of `STATES`
+    white: float  # N
+    walk: float  # K; 0 if the filter has no random walk or the sensor no drift
     gauss_markov: Processes  # tuple of (sigma, tau)
-    # range in which the growth predicted by the filter bounds that of the complete model
-    horizons: Horizons
-    # smallest and largest ratio of the predicted growth to the growth of the complete model
+    horizons: Horizons  # range in which the error growth is not underestimated
+    # smallest and largest ratio over this range of the error growth (standard deviation) that the
+    # filter predicts to that of the complete model
     ratio: tuple[float, float]
 
     @property
     def poor(self) -> bool:
-        """Whether the growth is off by more than `POOR_RATIO` at some horizon."""
+        """Whether the error growth is wrong by more than a factor of 2 at some horizon."""
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
     def model(self) -> ProcessModel:
@@ -233,30 +245,32 @@ class Reduction:
 def reduce_model(
     model: ProcessModel, states: States = 'walk', horizons: Horizons = Horizons(1.0, 30.0)
 ) -> Reduction:
-    """Return the noise model for a filter with the given states.
+    """Return a noise model reduced to the states of a filter.
+
+    The error growth of the reduced model is at least that of ``model`` at all ``horizons``. The
+    ``states`` determine what is adjusted:
 
     ============  ================================================================================
-    none          N is raised until white noise alone bounds the growth.
-    walk          N is kept and K raised until the growth is bounded.
-    gauss_markov  N is kept; of the processes that bound the growth, the closest one is used.
-    processes     Everything is kept: B becomes four Gauss-Markov processes. Only a ramp and slow
-                  sinusoids, for which there are no states, raise K.
+    none          N is increased, because white noise represents all drift.
+    walk          K is increased, N is kept.
+    gauss_markov  One Gauss-Markov process, the closest one, represents all drift; N is kept.
+    processes     B becomes four Gauss-Markov processes and all others are kept. K is increased only
+                  for a ramp and slow sinusoids, which have no states.
     ============  ================================================================================
 
-    If the result would be poor (see `Reduction.poor`), the shortest Gauss-Markov processes count as
-    white noise and raise N.
-
-    Quantization and sinusoids faster than `SLOW_SINUSOID_HZ` have bounded integrals and are left
-    out.
+    If the result with 'walk' or 'gauss_markov' would be poor (see `Reduction.poor`), the
+    Gauss-Markov processes with the shortest correlation times are treated as white noise and
+    increase N. Quantization and sinusoids above 0.1 Hz are left out, because their integrals are
+    bounded.
 
     Raises
     ------
     AllanError
-        When the states are not one of `STATES`.
+        If the states are not one of `STATES`.
 
     Examples
     --------
-    Two terms are their own reduction:
+    A model with N and K only is not changed:
 
     >>> reduction = reduce_model(ProcessModel(NoiseTerms(N=1e-3, K=1e-5)))
     >>> round(reduction.walk, 9), [round(ratio, 3) for ratio in reduction.ratio]
@@ -265,55 +279,58 @@ def reduce_model(
     if states not in STATES:
         raise AllanError(f'states {states!r} are unknown: choose one of {", ".join(STATES)}')
     complete = drift_model(model)
-    made = [_reduced(complete, 0, states, horizons)]
+    reductions = [_reduced(complete, 0, states, horizons)]
     if states in ('walk', 'gauss_markov'):
-        while made[-1].poor and len(made) <= len(complete.gauss_markov):
-            made.append(_reduced(complete, len(made), states, horizons))
-    return min(made, key=lambda reduction: reduction.poor * reduction.ratio[1])
+        while reductions[-1].poor and len(reductions) <= len(complete.gauss_markov):
+            reductions.append(_reduced(complete, len(reductions), states, horizons))
+    return min(reductions, key=lambda reduction: reduction.poor * reduction.ratio[1])
 
 
-def _reduced(complete: ProcessModel, quick: int, states: States, horizons: Horizons) -> Reduction:
-    """Return a reduction that counts the ``quick`` shortest processes as white noise."""
+def _reduced(complete: ProcessModel, fast: int, states: States, horizons: Horizons) -> Reduction:
+    """Return a reduction that treats the ``fast`` fastest Gauss-Markov processes as white noise."""
     by_time = sorted(complete.gauss_markov, key=lambda pair: pair[1])
-    added = sum(2.0 * sigma**2 * tau for sigma, tau in by_time[:quick])
+    added = sum(2.0 * sigma**2 * tau for sigma, tau in by_time[:fast])
     white = math.sqrt(complete.terms.N**2 + added)
     terms = replace(complete.terms, N=0.0)
-    drift = replace(complete, terms=terms, gauss_markov=tuple(by_time[quick:]))
+    drift = replace(complete, terms=terms, gauss_markov=tuple(by_time[fast:]))
     with_white = replace(drift, terms=replace(terms, N=white))
     walk = 0.0
     processes: Processes = ()
     if states == 'none':
-        needed = _variance(drift, horizons) / _unit_variance('N', 0.0, horizons)
-        white = math.sqrt(white**2 + float(np.max(needed)))
+        squared = _variance(drift, horizons) / _unit_variance('N', 0.0, horizons)
+        white = math.sqrt(white**2 + float(np.max(squared)))
     elif states == 'gauss_markov':
         closest = closest_process(with_white, horizons)
         processes = (closest,) if closest else ()
     else:
-        if states == 'processes':  # only ramp and sinusoids have no states
+        if states == 'processes':  # only the ramp and sinusoids have no states
             space = state_space(with_white)
             processes = space.gauss_markov
             terms = NoiseTerms(K=space.walk, R=terms.R)
             drift = ProcessModel(terms, sinusoids=drift.sinusoids)
-        needed = _variance(drift, horizons) / _unit_variance('K', 0.0, horizons)
-        walk = math.sqrt(float(np.max(needed)))
-    made = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
+        squared = _variance(drift, horizons) / _unit_variance('K', 0.0, horizons)
+        walk = math.sqrt(float(np.max(squared)))
+    reduction = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
     times = horizons.times()
-    top, bottom = (predicted_growth(m, times, horizons.high) for m in (made.model(), complete))
-    if np.any(bottom > 0.0):
-        ratio = top / bottom
-        return replace(made, ratio=(float(ratio.min()), float(ratio.max())))
-    return replace(made, ratio=(math.inf, math.inf)) if np.any(top > 0.0) else made
+    reduced, actual = (
+        predicted_growth(one, times, horizons.high) for one in (reduction.model(), complete)
+    )
+    if np.any(actual > 0.0):
+        ratio = reduced / actual
+        return replace(reduction, ratio=(float(ratio.min()), float(ratio.max())))
+    return replace(reduction, ratio=(math.inf, math.inf)) if np.any(reduced > 0.0) else reduction
 
 
 def _variance(model: ProcessModel, horizons: Horizons) -> Floats:
-    """Return the variance of the error at the times of a range."""
+    """Return the variance of the integrated error at each of ``horizons.times()``."""
     return predicted_growth(model, horizons.times(), horizons.high) ** 2
 
 
 @lru_cache(maxsize=512)
 def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
-    """Return the variance of the error for N = 1, K = 1, or a Gauss-Markov process with sigma =
-    1."""
+    """Return `_variance` for N = 1 or K = 1 (``term``), or, if ``term`` is '', for a Gauss-Markov
+    process with sigma = 1 and correlation time ``tau``.
+    """
     terms = NoiseTerms(**{term: 1.0}) if term else NoiseTerms()
     variance = _variance(ProcessModel(terms, () if term else ((1.0, tau),)), horizons)
     variance.setflags(write=False)
@@ -323,42 +340,49 @@ def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
 def closest_process(
     model: ProcessModel, horizons: Horizons, tau: float | None = None, bound: bool = True
 ) -> tuple[float, float] | None:
-    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model; None without
-    drift.
+    """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model, or None.
+
+    It replaces all drift of the model, such that the largest error of the logarithm of the error
+    growth over the horizons is minimal. The result is None if the model has no drift.
 
     Parameters
     ----------
     model : ProcessModel
-        The model. Its white noise hides drift at short horizons.
+        Noise of one axis.
     horizons : Horizons
+        Range of horizons in s.
     tau : float or None
-        Correlation time in s; None to choose it.
+        Correlation time in s; None to select it.
     bound : bool
-        Whether the growth is never below that of the model, as a filter needs it. Otherwise
-        deviations above and below are equal, as a simulation needs it.
+        Whether the growth must be at least that of the model, as for a filter. Otherwise it may
+        also be below, as for a simulation.
     """
     complete = drift_model(model)
     if not has_drift(complete):
         return None
     white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
-    # above 0 unless only rounding remains after white noise
-    needed = np.maximum(_variance(complete, horizons) - white, np.finfo(float).tiny)
+    # the minimum applies only if the drift is below the rounding error of the white noise
+    drift = np.maximum(_variance(complete, horizons) - white, np.finfo(float).tiny)
     grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
     own = [pair[1] for pair in complete.gauss_markov]
     best, least = (0.0, 1.0), math.inf
     for one in [*own, *grid] if tau is None else [tau]:
         unit = _unit_variance('', one, horizons)
-        ratio = needed / unit
+        ratio = drift / unit
         variances = [float(ratio.max())] if bound else np.geomspace(ratio.min(), ratio.max(), 9)
         for variance in variances:
-            off = np.log((white + variance * unit) / (white + needed))
-            error = float(np.abs(off).max())
+            errors = np.log((white + variance * unit) / (white + drift))
+            error = float(np.abs(errors).max())
             if error < least - 1e-9:
                 best, least = (math.sqrt(variance), one), error
     return best
 
 
 def common_correlation_time(models: Sequence[ProcessModel], horizons: Horizons) -> float:
-    """Return the correlation time in s for several axes, all of which drift."""
+    """Return one correlation time in s for the Gauss-Markov processes of several axes.
+
+    It is the geometric mean of the correlation times of `closest_process`. At least one of the
+    models must have drift.
+    """
     taus = [one[1] for model in models if (one := closest_process(model, horizons))]
     return math.exp(sum(math.log(tau) for tau in taus) / len(taus))
