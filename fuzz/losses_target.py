@@ -11,7 +11,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import open_recordings
 from allan_ros.io.writing import write_recording
 
 from .damage import damaged

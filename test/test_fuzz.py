@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import open_recordings
 from fuzz import documents_target, mcap_target, ros1_target, sqlite3_target
 from fuzz.reading import MESSAGES, read_and_check
 from fuzz.targets import TARGETS

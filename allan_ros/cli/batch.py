@@ -27,7 +27,7 @@ from ..io.documents import results_to_document
 from ..io.files import write_atomic
 from ..io.format import known_numbers, markdown_rows, shown_unit, value_text
 from ..io.plot_style import PictureSettings
-from ..io.readers.open import topics_of
+from ..io.readers.recording import topics_of
 from ..io.recorded import ReadJob, RecordingSums, read_recording
 from ..io.results import Results
 from ..io.verdict import WORDS, verdict_of

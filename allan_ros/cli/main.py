@@ -306,7 +306,7 @@ def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) ->
 def _topics(parsed_args: argparse.Namespace) -> list[str]:
     """Return the Imu topics of the bags on the command line; all topics if there is none."""
     from ..io.readers.cdr import IMU_TYPE
-    from ..io.readers.open import bag_files, open_storage
+    from ..io.readers.recording import bag_files, open_storage
 
     topics = []
     for path in getattr(parsed_args, 'inputs', None) or ():

@@ -25,8 +25,7 @@ from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Segment
 from ..core.stream.pipeline import ImuStream
-from .readers.open import open_recordings
-from .readers.recording import ReadOptions, Recording, SourceInfo
+from .readers.recording import ReadOptions, Recording, SourceInfo, open_recordings
 from .signal import SignalEnvelope, TemperatureTrace
 
 if TYPE_CHECKING:

@@ -32,8 +32,7 @@ from ..core.imu import ImuBatch
 from ..core.noise import NoiseTerms
 from ..core.simulate import simulate_imu
 from ..io.readers.cdr import encode_imus
-from ..io.readers.open import open_recordings
-from ..io.readers.recording import ReadOptions, Recording
+from ..io.readers.recording import ReadOptions, Recording, open_recordings
 from .imu_input import NAMELESS
 from .shell import STEADY, run
 

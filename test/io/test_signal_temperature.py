@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import open_recordings
 from allan_ros.io.signal import Decimated, trace_of
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples in memory, and numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
+"""Reads samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
 
-``imu`` is float64 with columns t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2). ``stamps_ns`` (int64)
-replaces t; ``record_ns`` (int64) and ``frame_id`` (one string) are optional. Arrays are read in
-blocks, never as a whole.
+``imu`` is float64 with columns t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2). The array ``stamps_ns``
+(int64) replaces t. ``record_ns`` (int64) and ``frame_id`` (one string) are optional. Files are read
+in blocks of rows, so the memory does not depend on their size.
 """
 
 from __future__ import annotations
@@ -39,14 +39,17 @@ COLUMNS = 't, gx, gy, gz, ax, ay, az'
 SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 MAX_FRAME_BYTES = 4096
-"""Longest frame_id that is accepted, in bytes."""
+"""Largest size of a frame_id in bytes."""
 
 MAX_HEADER_BYTES = 1 << 16
 """Number of bytes within which the header of an array ends."""
 
 
 class _Column:
-    """One array of a numpy file, read sequentially in blocks of rows."""
+    """An array in a numpy file, which is read block by block.
+
+    ``name`` is its name in a .npz file, or '' for a .npy file. The files are closed by ``stack``.
+    """
 
     def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
         self.where = f'{path}: array {name!r}' if name else f'{path}'
@@ -56,7 +59,7 @@ class _Column:
             raise AllanError(f'{self.where} is of type {self.dtype}: save it as float64 or int64')
         self._by_column: list[IO[bytes]] = []
         if fortran and len(self.shape) == 2:
-            # Column by column: with one file handle each, memory stays constant.
+            # stored column by column: each is read with a separate file, so that memory is constant
             start = self._file.tell()
             for column in range(self.shape[1]):
                 file = stack.enter_context(_opened(path, name))
@@ -64,7 +67,7 @@ class _Column:
                 self._by_column.append(file)
 
     def take(self, rows: int) -> NDArray[Any]:
-        """Return the next rows."""
+        """Return the next ``rows`` rows; raise AllanError if the file has fewer."""
         if self._by_column:
             return np.column_stack([self._block(file, rows) for file in self._by_column])
         width = int(np.prod(self.shape[1:], dtype=np.int64))
@@ -80,7 +83,7 @@ class _Column:
 def open_array(path: Path, options: ReadOptions) -> Recording:
     """Open a ``.npz`` or ``.npy`` file as a recording.
 
-    Raises AllanError when it is not such a file, or its arrays are inconsistent.
+    Raises AllanError when it is not such a file, or the shapes of its arrays do not match.
     """
     with open_regular(path) as file:
         zipped = file.read(4) == b'PK\x03\x04'
@@ -141,7 +144,10 @@ def _read_header(file: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np
 def _open_columns(
     path: Path, members: tuple[str, ...], options: ReadOptions, stack: ExitStack
 ) -> tuple[_Column, _Column | None, _Column | None]:
-    """Open samples, stamps and record times, and check their shapes."""
+    """Return the arrays of samples, stamps and record times, after checking their shapes.
+
+    ``members`` are the names of the arrays in the file. The last two are None if they are missing.
+    """
     name = SAMPLES if SAMPLES in members else ''
     samples = _Column(path, name, stack)
     stamps = _Column(path, STAMPS, stack) if STAMPS in members else None
@@ -192,7 +198,7 @@ def _read(path: Path, members: tuple[str, ...], options: ReadOptions) -> Iterato
 def _to_nanoseconds(
     times: NDArray[np.float64], unit: int, where: str, first: int
 ) -> NDArray[np.int64]:
-    with np.errstate(over='ignore'):  # rejected below
+    with np.errstate(over='ignore'):  # checked below
         times = times * unit
     bad = ~(np.abs(times) < np.iinfo(np.int64).max)
     if bad.any():
@@ -212,17 +218,19 @@ def _frame_id(path: Path) -> str:
 
 
 def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
-    """Write the batches as ``imu``, ``stamps_ns``, ``frame_id`` and, if known, ``record_ns``.
+    """Write the batches to a .npz file, and return the number of samples.
 
-    Column t is in seconds, for readers without support of ``stamps_ns``. Memory stays constant: the
-    arrays are collected in temporary files, because their length is known only at the end.
+    With ``deflate`` it is compressed. The arrays are ``imu`` (column t in s), ``stamps_ns``,
+    ``frame_id`` and, if known, ``record_ns``. They are first collected in temporary files, because
+    their length is known only at the end.
 
-    Raises AllanError when the batches have several frames, or only some of them have record times.
+    Raises AllanError when the batches have several frame_ids, or only some of them have record
+    times.
     """
     frames: list[str] = []
     counts = {SAMPLES: 0, STAMPS: 0, RECORD: 0}
     with ExitStack() as stack:
-        spools = {
+        files = {
             name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in counts
         }
         for batch in batches:
@@ -236,7 +244,7 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
             }
             for name, array in arrays.items():
                 if array is not None:
-                    spools[name].write(np.ascontiguousarray(array).tobytes())
+                    files[name].write(np.ascontiguousarray(array).tobytes())
                     counts[name] += len(array)
         n = counts[SAMPLES]
         if len(frames) > 1:
@@ -251,11 +259,11 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
                 (RECORD, (n,), np.dtype('<i8')),
             ):
                 if counts[name] or name != RECORD:
-                    spools[name].seek(0)
+                    files[name].seek(0)
                     header = {'descr': npy.dtype_to_descr(dtype), 'shape': shape}
                     with archive.open(f'{name}.npy', 'w', force_zip64=True) as member:
                         npy.write_array_header_1_0(member, {**header, 'fortran_order': False})
-                        shutil.copyfileobj(spools[name], member)
+                        shutil.copyfileobj(files[name], member)
             with archive.open(f'{FRAME}.npy', 'w') as member:
                 npy.write_array(member, np.array(frames[0] if frames else ''))
     return n
@@ -264,22 +272,24 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
 # --- samples in memory --------------------------------------------------------------------------
 
 NAME = 'array'
-"""Name of samples that are not from a file."""
+"""Path of samples that are not read from a file."""
 
 DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
-"""Number of columns -> axes that are assumed if none are named."""
+"""Number of columns -> default axes."""
 
 
 def recording_in_memory(
     samples: Any, options: ReadOptions, axes: str | Sequence[str] | None = None
 ) -> Recording:
-    """Return an ImuBatch, array, DataFrame or mapping of column name to array as a recording.
+    """Return samples in memory as a recording.
 
-    Columns of a DataFrame are recognized by their names, as in a table file; its times are its
-    index of dates or durations, or a column such as ``t`` or ``time``. A rate in the options takes
-    precedence; units in the options apply to columns that do not name theirs. ``axes`` are as in
-    `allan_ros.analyze`. Raises AllanError when the shape, a name, a unit or the rate is impossible,
-    or a time is missing.
+    ``samples`` is an ImuBatch, an array with one row per sample, a DataFrame, or a mapping from
+    column name to array. Columns with names are recognized as in a table. The times are the rate in
+    the options, else a column such as ``t`` or ``time``, else the index of the DataFrame if it
+    consists of dates or durations. Units in the options apply to columns whose names have no unit.
+    ``axes`` are the names of the axes, or 'gyro' or 'accel' for three of them; by default, the
+    columns of an array are gyro x, y, z and accel x, y, z. Raises AllanError when a shape, name,
+    unit or rate is invalid, or the times are missing.
     """
     if isinstance(samples, ImuBatch):
         return _recording(samples)
@@ -332,7 +342,7 @@ def _recording(
 
 
 def without_absent(findings: Sequence[Finding], axes: tuple[str, ...]) -> tuple[Finding, ...]:
-    """Return the findings without those about sensors and axes that an array never had."""
+    """Return the findings except those about absent sensors and about axes not in ``axes``."""
     return tuple(
         f
         for f in findings
@@ -341,7 +351,7 @@ def without_absent(findings: Sequence[Finding], axes: tuple[str, ...]) -> tuple[
 
 
 def _numbers(samples: Any) -> NDArray[np.float64]:
-    """Return the samples as (n, k) float64."""
+    """Return samples as a float64 array (n, k); raise AllanError when this is impossible."""
     try:
         values = np.asarray(np.ma.filled(samples, np.nan) if np.ma.is_masked(samples) else samples)
         if values.dtype.kind == 'c':
@@ -360,7 +370,7 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 
 
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
-    """Return the axes by name; ``columns`` is their number (0: any number)."""
+    """Return the names of the axes; ``columns`` is the number of columns, 0 if it may vary."""
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(
@@ -383,7 +393,7 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
 
 
 def _stamps(times: Any, scale: int) -> NDArray[np.int64]:
-    """Return times as int64 ns: dates, durations, whole numbers or floats of ``scale`` ns."""
+    """Convert times to int64 ns: dates, durations, or numbers in a unit of ``scale`` ns."""
     values = np.asarray(times)
     if values.dtype.kind in 'Mm':
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)

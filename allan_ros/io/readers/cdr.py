@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized `sensor_msgs/Imu` messages: conversion of batches to arrays and back, and covariances.
+"""Decodes and encodes serialized `sensor_msgs/Imu` messages, and changes their covariances.
 
-After ``header.frame_id`` the message has a fixed layout, so payloads of equal length are one numpy
-array of records. Two serializations are supported:
+The layout of a message depends only on the length of ``header.frame_id``. So messages of equal
+length are decoded together, as an array of records. Two serializations are supported:
 
 - ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second is the byte order),
-  then fields aligned to their size, counted from there (OMG DDSI-RTPS 2.3, section 10;
+  then fields aligned to multiples of their size (OMG DDSI-RTPS 2.3, section 10;
   CORBA 3.4 part 2, section 9.3).
 - ``ros1``: packed little-endian, with ``header.seq`` (https://wiki.ros.org/msg).
 """
@@ -29,14 +29,11 @@ IMU_TYPE = 'sensor_msgs/msg/Imu'
 
 Encoding = Literal['cdr', 'ros1']
 
-Rows = slice | NDArray[np.intp]
-"""Positions of messages in their batch; a slice if these are all messages."""
-
 ABSENT = -1.0
-"""covariance[0] of an absent sensor (sensor_msgs/Imu.msg)."""
+"""Value of covariance[0] that marks an absent sensor (sensor_msgs/Imu.msg)."""
 
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
-"""First two bytes of the encapsulation: CDR_BE and CDR_LE."""
+"""The first two bytes of the encapsulation as a number: CDR_BE and CDR_LE."""
 
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 """The first two bytes of the encapsulation -> byte order."""
@@ -46,7 +43,7 @@ _FRAME_AT = 16
 frame_id."""
 
 _LAYOUT_FIELDS = {'cdr': ('representation', 'frame_bytes'), 'ros1': ('frame_bytes',)}
-"""Fields that determine the layout of messages of one length."""
+"""Fields that must be equal in messages of equal length, so that their layout is the same."""
 
 _DOUBLE = 8
 
@@ -61,7 +58,7 @@ _VECTORS = (
 
 
 class MalformedMessage(Exception):
-    """A payload is not an Imu message; ``index`` is its position in the batch."""
+    """A message is not an Imu message; ``index`` is its position among the decoded ones."""
 
     def __init__(self, index: int, reason: str) -> None:
         super().__init__(reason)
@@ -70,18 +67,17 @@ class MalformedMessage(Exception):
 
 @dataclass(frozen=True)
 class DecodedImus:
-    """The messages of one batch."""
+    """The content of n Imu messages."""
 
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]  # (n,)
     samples: NDArray[np.float64]  # (n, 6), SI, in the order of `AXES`; NaN: the sensor is absent
     frame_ids: list[str]  # the distinct frame_ids
-    frames: NDArray[np.intp]  # index of the frame_id of each message
+    frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
+    # sensor -> number of messages that declare it absent, but contain valid data, which are used
     kept: dict[str, int] = field(default_factory=dict)
-    """Sensor -> messages that declare it absent by covariance[0] = -1 or NaN, but contain valid
-    data, which are kept."""
 
     def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
-        """Yield the messages, recorded at the given times, in batches of one frame_id."""
+        """Yield batches with one frame_id each; ``record_ns``, (n,), are the record times in ns."""
         edges = [0, len(self.frames)]
         if len(self.frame_ids) > 1:
             edges[1:1] = (np.flatnonzero(np.diff(self.frames)) + 1).tolist()
@@ -92,11 +88,11 @@ class DecodedImus:
 
 @lru_cache(maxsize=256)
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
-    """Return the record layout of an Imu message in byte order '<' or '>'.
+    """Return the layout of a serialized Imu message as a numpy record.
 
-    The size of the frame_id equals the length field: with the final NUL in CDR, without it in ROS
-    1. An ``itemsize`` above the size of the message means padding at the end; a smaller one raises
-    ValueError.
+    ``order`` is the byte order, '<' or '>'. ``frame_bytes`` is the serialized length of the
+    frame_id, in CDR with the final NUL. ``itemsize`` is the length of the message in bytes, which
+    may be padded at the end; 0 means no padding. Raises ValueError when it is too short.
     """
     start = 4
     if encoding == 'cdr':
@@ -122,10 +118,11 @@ def decode_imus(
     encoding: Encoding,
     trust_covariance: bool = False,
 ) -> DecodedImus:
-    """Decode serialized Imu messages; messages of one layout are decoded together.
+    """Decode serialized Imu messages.
 
-    With ``trust_covariance`` a sensor with covariance[0] = -1 or NaN is absent even if its data are
-    valid. Raises MalformedMessage for the first payload that is not an Imu message.
+    A sensor is absent where covariance[0] is -1 or NaN and its data are invalid. With
+    ``trust_covariance``, it is absent even if its data are valid. Raises MalformedMessage for the
+    first payload that is not an Imu message.
     """
     n = len(payloads)
     room = np.empty((len(AXES), n)).T
@@ -136,7 +133,7 @@ def decode_imus(
             for i, axis in enumerate(range(len(AXES))[axes]):
                 decoded.samples[rows, axis] = records[sensor][:, i]
             first = records[f'{sensor}_covariance'][:, 0].copy()
-            if not first.min() >= 0.0:  # false for NaN, too
+            if not first.min() >= 0.0:  # also for NaN
                 absent = np.arange(n)[rows][(first == ABSENT) | np.isnan(first)]
                 _drop_absent(decoded, sensor, absent, trust_covariance)
         distinct, which = _distinct(records['frame_id'])
@@ -153,9 +150,9 @@ def decode_imus(
 def _drop_absent(
     decoded: DecodedImus, sensor: str, absent: NDArray[np.intp], trust_covariance: bool
 ) -> None:
-    """Set a sensor to NaN in messages that declare it absent.
+    """Set a sensor to NaN in the messages that declare it absent, which have indices ``absent``.
 
-    Many drivers set -1 by mistake. So valid data (finite numbers, not all zero) are kept unless
+    Many drivers declare this by mistake. So valid data (finite, not all zero) are kept unless
     ``trust_covariance`` is set.
     """
     if not trust_covariance:
@@ -170,8 +167,8 @@ def _drop_absent(
 
 def _of_one_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
-) -> Iterator[tuple[Rows, NDArray[Any]]]:
-    """Yield the positions and the records of the messages of each layout."""
+) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
+    """Yield groups of messages with the same layout: their indices, and their records."""
     n, fields = len(payloads), _LAYOUT_FIELDS[encoding]
     several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
     if n and not several:
@@ -183,18 +180,18 @@ def _of_one_layout(
         if all((records[name] == records[name][0]).all() for name in fields):
             yield slice(0, n), records
             return
-    alike: dict[tuple[object, ...], list[int]] = {}
+    groups: dict[tuple[object, ...], list[int]] = {}
     for row, payload in enumerate(map(bytes, payloads)):
         kind = payload[:2] if encoding == 'cdr' else b'', payload[_FRAME_AT - 4 : _FRAME_AT]
-        alike.setdefault((len(payload), *kind), []).append(row)
-    for rows in alike.values():
+        groups.setdefault((len(payload), *kind), []).append(row)
+    for rows in groups.values():
         same = [bytes(payloads[row]) for row in rows]
         dtype = _layout_of(same[0], encoding, rows[0]).dtype
         yield np.array(rows), np.frombuffer(b''.join(same), dtype)
 
 
 class _Layout(NamedTuple):
-    """Layout of a message: byte order, record type, offsets of its fields, bytes of frame_id."""
+    """Layout of a message: byte order, record type, offsets of fields, and place of frame_id."""
 
     order: str
     dtype: np.dtype[Any]
@@ -203,7 +200,7 @@ class _Layout(NamedTuple):
 
 
 def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
-    """Return the layout of an Imu message; ``index`` is its position, for error messages."""
+    """Return the layout of an Imu message; ``index`` is its position for `MalformedMessage`."""
     order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
     try:
         return _layout(encoding, order, frame_bytes, len(payload))
@@ -214,7 +211,7 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 
 @lru_cache(maxsize=256)
 def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
-    """Return the layout of a message of ``length`` bytes (0: of the shortest message)."""
+    """Return the layout of a message of ``length`` bytes (0: without padding)."""
     if frame_bytes > MAX_NAME:
         raise ValueError(f'{frame_bytes} bytes are more than {MAX_NAME}')
     dtype = imu_dtype(encoding, order, frame_bytes, length)
@@ -223,7 +220,7 @@ def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -
 
 
 def is_imu(payload: bytes, encoding: Encoding) -> bool:
-    """Return whether a payload can be decoded."""
+    """Return whether a payload is a serialized Imu message."""
     try:
         decode_imus([payload], encoding)
     except MalformedMessage:
@@ -236,7 +233,7 @@ def _too_few(index: int, length: int) -> MalformedMessage:
 
 
 def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -> tuple[str, int]:
-    """Return the byte order of a message and the serialized size of its frame_id."""
+    """Return the byte order of a message, and the serialized length of its frame_id."""
     if len(payload) < _FRAME_AT:
         raise _too_few(index, len(payload))
     order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
@@ -248,22 +245,22 @@ def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -
 
 
 def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
-    """Return the distinct items of an array, and the index of each item among them."""
+    """Return the distinct byte strings of an array, and for each item the index of its string."""
     if not names.itemsize:
         return [b''], np.zeros(len(names), np.intp)
     size, flat = names.itemsize, names.copy().view(np.uint8)
     if (flat[size:] == flat[: len(flat) - size]).all():
         return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
     distinct, which = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
-    # numpy 2.0 returned a column
+    # reshaped because numpy 2.0 returns a column
     return [name.tobytes() for name in distinct], which.reshape(-1)
 
 
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
-    """Serialize a batch to one payload per sample.
+    """Serialize a batch to one message per sample, in byte order '<' or '>'.
 
-    A sensor whose axes are all NaN is written as absent (zeros, covariance[0] = -1). The
-    orientation is always absent.
+    A sensor whose axes are all NaN is declared absent (zeros, covariance[0] = -1), and so is the
+    orientation.
     """
     joined = memoryview(encode_records(batch, encoding, order).tobytes())
     size = len(joined) // max(len(batch), 1)
@@ -271,7 +268,10 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
 
 
 def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDArray[Any]:
-    """Serialize a batch to an array of records, as `encode_imus` does."""
+    """Serialize a batch to an array of message records, one per sample.
+
+    A sensor whose axes are all NaN is declared absent, and so is the orientation.
+    """
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
     dtype = imu_dtype(encoding, order, len(frame))
     records = np.zeros(len(batch), dtype)
@@ -291,9 +291,9 @@ def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDA
 
 
 def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
-    """Return header stamp in ns, frame_id and degC of a serialized sensor_msgs/Temperature.
+    """Return header stamp in ns, frame_id and temperature in degC of a Temperature message.
 
-    Raises MalformedMessage when the payload is not such a message.
+    Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
     order, frame_bytes = _order_and_frame_bytes(payload, encoding)
     if frame_bytes > len(payload):
@@ -317,11 +317,12 @@ _NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 
 
 class CovariancePatch:
-    """Writes known variances, in (rad/s)^2 and (m/s^2)^2, into the covariances of CDR payloads.
+    """Writes known variances into the covariances of Imu messages in CDR.
 
-    A covariance that begins with -1 or NaN marks an absent sensor and is never changed. A
-    covariance that is not all zeros was set by the driver and is changed only with ``overwrite``.
-    Messages with another frame_id are not changed, unless ``frame_id`` is ''.
+    ``variances`` maps a sensor to the variances of its axes in (rad/s)^2 or (m/s^2)^2. A covariance
+    that begins with -1 or NaN, which marks an absent sensor, is never changed. A covariance that is
+    not all zeros was set by the driver and is changed only with ``overwrite``. If ``frame_id`` is
+    not '', only messages with this frame_id are changed.
     """
 
     def __init__(
@@ -341,7 +342,7 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with its covariances filled in; the same object if none was filled in.
+        """Return the message with the known covariances; the same object if none was changed.
 
         Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """
@@ -352,15 +353,14 @@ class CovariancePatch:
         for sensor, covariance in self._packed[order]:
             start = offsets[f'{sensor}_covariance']
             stop = start + _COVARIANCE_BYTES
-            if not self._is_free(payload[start:stop], order):
+            if not self._may_change(payload[start:stop], order):
                 continue
             if patched is None:
                 patched = bytearray(payload)
             patched[start:stop] = covariance
         return payload if patched is None else bytes(patched)
 
-    def _is_free(self, covariance: bytes, order: str) -> bool:
-        """Return whether this covariance may be changed."""
+    def _may_change(self, covariance: bytes, order: str) -> bool:
         if covariance == _UNKNOWN:
             return True
         numbers = _NUMBERS[order].unpack(covariance)
@@ -372,11 +372,10 @@ class CovariancePatch:
 def without_gyro_bias(
     payload: bytes, bias: tuple[float, float, float], rate_limit: float, first_ns: int, last_ns: int
 ) -> bytes:
-    """Return an Imu message in CDR with a bias in rad/s subtracted from the angular velocity.
+    """Subtract ``bias``, in rad/s, from the angular velocity of an Imu message in CDR.
 
-    The bias is valid for stamps from ``first_ns`` to ``last_ns``. The payload is returned unchanged
-    for other stamps, or if an angular velocity is NaN or differs from the bias by more than
-    ``rate_limit`` in rad/s.
+    Returns the payload unchanged if its stamp is not between ``first_ns`` and ``last_ns``, or if an
+    angular velocity is NaN or differs from the bias by more than ``rate_limit`` in rad/s.
 
     Raises MalformedMessage when the payload is not an Imu message in plain CDR.
     """

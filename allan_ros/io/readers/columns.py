@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Meaning of the columns of a table or DataFrame, from their names.
+"""Recognizes the columns of a table or DataFrame by their names.
 
-Names are recognized by their ends, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
+Only the end of a name matters, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
 ``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. A unit in brackets takes
 precedence over the unit in the options.
 """
@@ -19,6 +19,7 @@ from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNI
 from .recording import ReadOptions
 
 LEFT_OUT = '-'
+"""Name of a column that is not used."""
 
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
@@ -37,10 +38,10 @@ _KINDS = {
         'temperature': '(?:^|_)(?:temp|temperature)(?:_(c|degc|celsius))?$',
     }.items()
 }
-"""Kind of a column -> its names, and the group that contains axis or unit."""
+"""Kind of a column -> pattern of its names, with a group for the axis or the unit."""
 
 _STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',))
-"""Columns whose sum is a stamp; a stamp of the sensor takes precedence over other times."""
+"""Kinds of columns whose sum is the stamp; the first that are present are used."""
 
 _UNIT_SPELLINGS = {
     'rads^-1': 'rad/s', 'degs^-1': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'rad/sec': 'rad/s',
@@ -49,30 +50,31 @@ _UNIT_SPELLINGS = {
 
 
 class Meaning(NamedTuple):
-    """Meaning of one column: a key of `_KINDS` or '', its axis or unit of time, and its unit."""
+    """Meaning of one column."""
 
-    kind: str
-    detail: str
-    unit: str
-    is_si: bool
+    kind: str  # a key of `_KINDS`, '' if unknown
+    detail: str  # axis 'x', 'y' or 'z', or the unit of a time in the name; '' if there is none
+    unit: str  # in brackets after the name; '' if there is none
+    is_si: bool  # whether samples with this name are always in SI
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Meaning of the columns of a table."""
+    """Which columns of a table contain samples, times and temperature."""
 
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
-    stamp: tuple[tuple[int, int], ...]  # (column, factor to ns), whose sum is the stamp
+    stamp: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the stamp
     record: tuple[tuple[int, int], ...]  # the same for the record time
     temperature: int | None  # column of the temperature in degC
     units: dict[str, str]  # sensor -> unit of its columns
-    assumed: dict[str, str]  # sensor -> a column, where neither names nor options state a unit
+    assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
 
 
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
-    """Return the meaning of the columns with these names; of equal ones, the first is used.
+    """Return which columns contain what, from the names of all columns.
 
-    Raises AllanError, which names the table ``where``, when the unit of a column is unknown.
+    If two columns have the same meaning, the first is used. Raises AllanError when the unit of a
+    column is unknown; ``where`` is the name of the table in the message.
     """
     axes: dict[int, tuple[int, float]] = {}
     units: dict[str, str] = {}
@@ -113,30 +115,33 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
 
 
 def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of all columns, from pairs such as ``gx=w_x``.
+    """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 
-    The unit of a header name is kept; columns that are not in the pairs are left out.
+    Returns one name per column: a new name, with the unit in the header, or '-' for columns that
+    are not in the pairs. Raises AllanError, which names the table ``where``, when a pair does not
+    match exactly one column.
     """
-    meanings = [LEFT_OUT] * len(names)
-    bare = [_base_and_unit(name)[0] for name in names]
+    renamed = [LEFT_OUT] * len(names)
+    bases = [_base_and_unit(name)[0] for name in names]
     for pair in pairs:
-        meaning, _, wanted = (word.strip() for word in pair.partition('='))
+        new, _, wanted = (word.strip() for word in pair.partition('='))
         places = [at for at, name in enumerate(names) if name == wanted]
-        places = places or [at for at, name in enumerate(bare) if name == _base_and_unit(wanted)[0]]
+        base = _base_and_unit(wanted)[0]
+        places = places or [at for at, name in enumerate(bases) if name == base]
         if len(places) != 1:
             raise AllanError(
                 f'{where}: {len(places)} columns ({listed(names)}) are named {wanted!r}: '
                 f'correct --columns {pair}'
             )
         unit = _BRACKET.match(names[places[0]])
-        if unit and not _BRACKET.match(meaning):
-            meaning = f'{meaning} [{unit[2]}]'
-        meanings[places[0]] = meaning
-    return tuple(meanings)
+        if unit and not _BRACKET.match(new):
+            new = f'{new} [{unit[2]}]'
+        renamed[places[0]] = new
+    return tuple(renamed)
 
 
 def listed(names: tuple[str, ...], most: int = 10) -> str:
-    """Return the first names, and the number of further ones."""
+    """Return the first ``most`` names and the number of further ones, as text for messages."""
     text = ', '.join(names[:most])
     return f'{text} and {len(names) - most} more' if len(names) > most else text
 
@@ -153,7 +158,7 @@ def _meaning(name: str) -> Meaning:
     unit = unit.replace(' ', '').replace('°', 'deg')
     unit = _UNIT_SPELLINGS.get(unit, unit)
     base = re.sub(r'[^a-z0-9]+', '_', base).strip('_')
-    # these names are used by `write_table` and the ROS messages, which are in SI
+    # names in tables written by this package and in ROS messages, which are in SI
     is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
     for kind, pattern in _KINDS.items():
         if match := pattern.search(base):

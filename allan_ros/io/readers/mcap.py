@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An mcap file, with or without its summary (https://mcap.dev/spec).
+"""Reads an mcap file, with or without its summary (https://mcap.dev/spec).
 
-The summary at the end lists the chunks. The rest of the file is also searched for messages outside
-chunks and for chunks that the summary does not list. Without a summary, because the recorder was
-killed, the complete file is searched. One chunk is decompressed at a time, so memory does not grow
-with the file.
+The summary at the end lists the chunks. The rest of the file is searched for messages outside
+chunks, and for chunks that the summary does not list. If the recorder was killed, there is no
+summary, and the complete file is searched. One chunk is decompressed at a time, so the memory does
+not depend on the size of the file.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .storage import (
-    Block,
     Chunk,
     ChunkStorage,
-    Cut,
+    Messages,
     Payloads,
     Topic,
+    Truncation,
     among,
     damaged,
     gathered,
@@ -51,30 +51,33 @@ HEAD = np.dtype(
 """A message record up to its payload."""
 
 MAX_GAPS = 64
-"""Number of stretches of other records in a chunk above which reading record by record is as
-fast."""
+"""Number of places in a chunk with records other than messages above which the index is not used,
+because reading record by record is as fast."""
 
 
-def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Block:
-    """Return the messages of these channels in decompressed records, in their order.
+def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Messages:
+    """Return the messages of the channels ``ids`` in a decompressed chunk, in the order stored.
 
-    ``index`` returns the MessageIndex records of the chunk, which may be empty.
+    ``index`` is called if needed and returns the MessageIndex records of the chunk, or b''.
     Raises struct.error when a record extends beyond the end of the data.
     """
-    start = _of_one_length(data)
+    start = _starts_if_equal(data)
     if start is None:
-        start = _listed(data, index())
+        start = _starts_by_index(data, index())
     if start is None:
-        start = _searched(data)
+        start = _starts_by_search(data)
     head = _records_at(data, start, HEAD)
     mine = among(head['channel'], ids)
     if not mine.all():
         head, start = head[mine], start[mine]
-    return Block(head['log_time'].astype(np.int64), _payloads(data, start, head['length']))
+    return Messages(head['log_time'].astype(np.int64), _payloads(data, start, head['length']))
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, first byte and end of each record."""
+    """Yield opcode, offset and end offset of the content of each record.
+
+    Raises struct.error when a record extends beyond the end of the data.
+    """
     at, size = 0, len(data)
     while at + RECORD.size <= size:
         opcode, length = RECORD.unpack_from(data, at)
@@ -85,8 +88,11 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, at
 
 
-def _of_one_length(data: bytes) -> NDArray[np.int64] | None:
-    """Return the start of each message if all records after the first message have its length."""
+def _starts_if_equal(data: bytes) -> NDArray[np.int64] | None:
+    """Return the offset of each message if all records from the first message on have its length.
+
+    Otherwise, return None.
+    """
     message = next((record for record in records(data) if record[0] == MESSAGE), None)
     if message is None:
         return np.empty(0, np.int64)
@@ -96,12 +102,12 @@ def _of_one_length(data: bytes) -> NDArray[np.int64] | None:
         return None
     starts = np.arange(first, len(data), size)
     head = _records_at(data, starts, HEAD)
-    alike = (head['opcode'] == MESSAGE) & (head['length'] == size - RECORD.size)
-    return starts if alike.all() else None
+    equal = (head['opcode'] == MESSAGE) & (head['length'] == size - RECORD.size)
+    return starts if equal.all() else None
 
 
-def _listed(data: bytes, index: bytes) -> NDArray[np.int64] | None:
-    """Return the start of each message according to the index; None if the index is wrong."""
+def _starts_by_index(data: bytes, index: bytes) -> NDArray[np.int64] | None:
+    """Return the offset of each message according to the index; None if it is wrong or missing."""
     found = [np.empty(0, np.int64)]
     for opcode, at, _ in records(index):
         if opcode == MESSAGE_INDEX:
@@ -116,17 +122,17 @@ def _listed(data: bytes, index: bytes) -> NDArray[np.int64] | None:
     if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
         return None
     # The index is complete if there are no messages between the listed ones.
-    before, behind = np.append(0, end), np.append(start, len(data))
-    gaps = np.flatnonzero(before != behind)
-    if (before > behind).any() or len(gaps) > MAX_GAPS:
+    gap_start, gap_end = np.append(0, end), np.append(start, len(data))
+    gaps = np.flatnonzero(gap_start != gap_end)
+    if (gap_start > gap_end).any() or len(gaps) > MAX_GAPS:
         return None
-    between = [records(data[before[gap] : behind[gap]]) for gap in gaps]
-    unlisted = any(opcode == MESSAGE for opcode, _, _ in chain.from_iterable(between))
+    others = [records(data[gap_start[gap] : gap_end[gap]]) for gap in gaps]
+    unlisted = any(opcode == MESSAGE for opcode, _, _ in chain.from_iterable(others))
     return None if unlisted else start
 
 
-def _searched(data: bytes) -> NDArray[np.int64]:
-    """Return the start of each message, found record by record."""
+def _starts_by_search(data: bytes) -> NDArray[np.int64]:
+    """Return the offset of each message, found record by record."""
     found = [(at, end - at) for opcode, at, end in records(data) if opcode == MESSAGE]
     if any(length < MESSAGE_HEAD.size for _, length in found):
         raise struct.error('a message record is too short')
@@ -134,7 +140,7 @@ def _searched(data: bytes) -> NDArray[np.int64]:
 
 
 def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the records at these offsets, without a copy if they are evenly spaced."""
+    """Return the records at these offsets, (n,); a view of the data if they are evenly spaced."""
     step = np.diff(start)
     if len(step) and (step == step[0]).all():
         return np.ndarray((len(start),), dtype, data, int(start[0]), (int(step[0]),))
@@ -142,7 +148,7 @@ def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> 
 
 
 def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64]) -> Payloads:
-    """Return the payloads of message records: one array if they have the same length."""
+    """Return the content of messages whose records begin at these offsets."""
     head = HEAD.itemsize
     if len(length) and (length == length[0]).all() and length[0] > MESSAGE_HEAD.size:
         dtype = _message_dtype(int(length[0]))
@@ -153,7 +159,7 @@ def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64])
 
 @lru_cache(maxsize=64)
 def _message_dtype(length: int) -> np.dtype[np.void]:
-    """Return the layout of message records of ``length`` bytes."""
+    """Return the layout of a message record whose content has ``length`` bytes."""
     return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
 
 
@@ -164,7 +170,7 @@ FOOTER, SCHEMA, CHANNEL, CHUNK = 0x02, 0x03, 0x04, 0x06
 CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
 FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
-"""Opcode -> fixed length of a record. With another length, the record is damaged."""
+"""Opcode -> only valid length of a record."""
 
 CHUNK_HEAD = struct.Struct('<QQQI')
 """First and last log time, uncompressed size, CRC-32 (0: none)."""
@@ -173,24 +179,24 @@ CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
 """First and last log time, start and length of the chunk, size of the map that follows."""
 
 STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
-"""Message, schema, channel, attachment, metadata and chunk count, first and last log time, and
-size of the map channel -> messages that follows."""
+"""Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last log
+time, and size of the map from channel to number of messages that follows."""
 
 FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 
 LOOSE_BYTES = 1 << 20
-"""Messages outside chunks are read in stretches of about this many bytes."""
+"""Messages outside chunks are read about this many bytes at a time."""
 
 
 class McapStorage(ChunkStorage):
-    """An open .mcap file."""
+    """An open mcap file."""
 
     DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
     REMEDY = 'copy it again, or repair it with "mcap recover"'
 
     def _survey(self) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}
-        # messages by MessageIndex records, and messages outside chunks
+        # number of messages in MessageIndex records and outside chunks
         self._indexed: Counter[int] = Counter()
         if self._read(0, len(MAGIC)) != MAGIC:
             raise damaged(self._path, 'it is not an mcap file', 'give a recording')
@@ -207,29 +213,29 @@ class McapStorage(ChunkStorage):
             self._stated = self._counts | self._indexed
         magic_at = end - len(MAGIC)
         ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
-        if not self.cut and not ended:
-            self.cut = Cut(at, end)
+        if not self.truncation and not ended:
+            self.truncation = Truncation(at, end)
 
-    def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
         index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
         return chunk_messages(self._data(chunk), ids, index)
 
-    def _data(self, stretch: Chunk) -> bytes:
-        """Return the records of a stretch, decompressed."""
-        data = self._read(stretch.offset, stretch.length)
-        if stretch.loose:
+    def _data(self, chunk: Chunk) -> bytes:
+        """Return the decompressed records of a chunk."""
+        data = self._read(chunk.offset, chunk.length)
+        if chunk.loose:
             return data
         _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
         compression, at = _text(data, CHUNK_HEAD.size)
         (stored,) = struct.unpack_from('<Q', data, at)
         packed = memoryview(data)[at + 8 : at + 8 + stored]
-        return self._unpacked(stretch.offset, packed, compression, size, checksum)
+        return self._unpacked(chunk.offset, packed, compression, size, checksum)
 
     def _read_summary(self) -> tuple[list[Chunk], int]:
         """Read schemas, channels and counts from the summary.
 
-        Returns the listed chunks in the order of the file and the start of the summary; no chunks
-        and the end of the file if the summary cannot be used.
+        Returns the chunks in the order of the file, and the offset of the summary. Without a valid
+        summary, there are no chunks, and the offset is the end of the file.
         """
         unusable: tuple[list[Chunk], int] = ([], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
@@ -251,9 +257,9 @@ class McapStorage(ChunkStorage):
         return [chunks[offset] for offset in sorted(chunks)], start if chunks else self._size
 
     def _scan(self, at: int, stop: int) -> int:
-        """Read the records from one offset to another, and return the offset of the end.
+        """Read the records from offset ``at`` on, and return the offset of the first unread byte.
 
-        Reading ends at a record that extends beyond ``stop``.
+        Reading ends at ``stop``, or at the first record that extends beyond it.
         """
         skipped = 0
         while at + RECORD.size <= stop:
@@ -285,11 +291,14 @@ class McapStorage(ChunkStorage):
                 self._learn(opcode, self._read(start, length), 0, length)
             at = end
         if skipped:
-            self.cut = Cut(self._size - skipped, self._size)
+            self.truncation = Truncation(self._size - skipped, self._size)
         return at
 
     def _add_loose(self, head: bytes, offset: int, length: int) -> None:
-        """Add a message outside chunks to the stretch before it, or begin a new one."""
+        """Add the message record at ``offset``, which is outside chunks, to the list of chunks.
+
+        ``head`` is the beginning of its content. Adjoining messages form one chunk.
+        """
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1
         last = self._chunks[-1] if self._chunks else None
@@ -301,7 +310,7 @@ class McapStorage(ChunkStorage):
             self._chunks.append(Chunk(log_time, offset, length, loose=True))
 
     def _learn(self, opcode: int, data: bytes, at: int, stop: int) -> None:
-        """Count a message, or record a schema, a channel or the statistics."""
+        """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
         if opcode == MESSAGE:
             self._counts[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1
         elif opcode == SCHEMA:
@@ -323,7 +332,7 @@ class McapStorage(ChunkStorage):
 
 
 def _listed_chunk(data: bytes, at: int) -> Chunk:
-    """Return the chunk that a ChunkIndex record describes."""
+    """Return the chunk that the ChunkIndex record at ``data[at:]`` describes."""
     first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
     (index_length,) = struct.unpack_from('<Q', data, at + CHUNK_INDEX_HEAD.size + map_bytes)
     start, length = offset + RECORD.size, length - RECORD.size
@@ -331,7 +340,7 @@ def _listed_chunk(data: bytes, at: int) -> Chunk:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return a string and the offset of the next field."""
+    """Return the string at ``data[at:]``, and the offset of the next field."""
     (length,) = struct.unpack_from('<I', data, at)
     end = at + 4 + length
     return data[at + 4 : end].decode(errors='replace'), end

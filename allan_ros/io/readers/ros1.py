@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS 1 bag, version 2.0, with or without its index (https://wiki.ros.org/Bags/Format/2.0).
+"""Reads a ROS 1 bag, version 2.0, also without an index (https://wiki.ros.org/Bags/Format/2.0).
 
-The chunks are found by reading the file record by record, so a bag that was not closed
-(``.bag.active``) or is truncated is read up to its last complete chunk.
+The file is searched for chunks record by record. So a bag that was not closed (``.bag.active``) or
+that is truncated can be read up to its last complete chunk.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.imu import NANOSECONDS
-from .storage import Block, Chunk, ChunkStorage, Cut, Topic, damaged, normal_type
+from .storage import Chunk, ChunkStorage, Messages, Topic, Truncation, damaged, normal_type
 
 MAGIC = b'#ROSBAG V2.0\n'
 
@@ -27,17 +27,16 @@ LENGTH = struct.Struct('<I')
 TIME = struct.Struct('<II')
 
 INDEX_ENTRY = np.dtype([('sec', '<u4'), ('nanosec', '<u4'), ('offset', '<u4')])
-"""Layout of an index entry: record time of a message, and its offset in the chunk."""
+"""Layout of an index entry: record time and offset of a message."""
 
 CHUNK_COUNT = struct.Struct('<II')
-"""Layout of a count: connection, and its number of messages in a chunk."""
+"""Layout of a pair: connection, and its number of messages in a chunk."""
 
 NO_INDEX = np.iinfo(np.int64).max
-"""Marks the start time of a chunk without an index."""
+"""Start time of a chunk without an index."""
 
 MAX_HEADER = 1 << 20
-"""Longest record header in bytes; real headers are far shorter, so a longer one indicates
-damage."""
+"""Length of a record header in bytes above which the bag is damaged."""
 
 
 class Ros1Storage(ChunkStorage):
@@ -64,21 +63,21 @@ class Ros1Storage(ChunkStorage):
             if opcode == OP_CHUNK:
                 self._chunks.append(Chunk(NO_INDEX, at, end - at))
             elif opcode == OP_INDEX:
-                self._take_index(header, self._read(start, end - start))
+                self._add_index(header, self._read(start, end - start))
             elif opcode == OP_CONNECTION:
-                self._take_connection(header, self._read(start, end - start))
+                self._add_connection(header, self._read(start, end - start))
             elif opcode == OP_CHUNK_INFO:
                 for connection, count in CHUNK_COUNT.iter_unpack(self._read(start, end - start)):
                     listed[connection] += count
             at = end
         ended = bool(self._topics) or not self._chunks
         if at < self._size or not ended:
-            self.cut = Cut(at, self._size)
-        self._chunks = [self._searched(chunk, ended) for chunk in self._chunks]
+            self.truncation = Truncation(at, self._size)
+        self._chunks = [self._completed(chunk, ended) for chunk in self._chunks]
         self._chunks = [chunk for chunk in self._chunks if chunk.start_ns != NO_INDEX]
         self._stated = self._counts | listed
 
-    def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
         data = self._data(chunk)
         view = memoryview(data)
         times: list[int] = []
@@ -87,10 +86,13 @@ class Ros1Storage(ChunkStorage):
             if header['op'][0] == OP_MESSAGE and _number(header['conn']) in ids:
                 times.append(_time(header['time']))
                 payloads.append(view[start:end])
-        return Block(np.array(times, dtype=np.int64), payloads)
+        return Messages(np.array(times, dtype=np.int64), payloads)
 
     def _record(self, at: int) -> tuple[dict[str, bytes], int, int] | None:
-        """Return header, first byte and end of the record at ``at``; None if it is incomplete."""
+        """Return header fields, offset and end offset of the data of the record at offset ``at``.
+
+        Returns None if the record is incomplete.
+        """
         self._file.seek(at)
         prefix = self._file.read(LENGTH.size)
         if len(prefix) < LENGTH.size:
@@ -103,8 +105,8 @@ class Ros1Storage(ChunkStorage):
         end = start + LENGTH.unpack_from(raw, header_length)[0]
         return None if end > self._size else (_fields(raw[:header_length]), start, end)
 
-    def _take_index(self, header: dict[str, bytes], entries: bytes) -> None:
-        """Count the messages of one connection in the last chunk, and store its first time."""
+    def _add_index(self, header: dict[str, bytes], entries: bytes) -> None:
+        """Count the messages in an index record, and update the start time of the last chunk."""
         index = np.frombuffer(entries, INDEX_ENTRY)
         times = index['sec'].astype(np.int64) * NANOSECONDS + index['nanosec']
         self._counts[_number(header['conn'])] += len(times)
@@ -112,22 +114,24 @@ class Ros1Storage(ChunkStorage):
             last = self._chunks[-1]
             self._chunks[-1] = replace(last, start_ns=int(times.min(initial=last.start_ns)))
 
-    def _searched(self, chunk: Chunk, ended: bool) -> Chunk:
-        """Read the content of the records after a chunk from the chunk: its index, and the
-        connections.
+    def _completed(self, chunk: Chunk, ended: bool) -> Chunk:
+        """Return a chunk with its start time, read from its messages if it has no index.
+
+        If the file is truncated (not ``ended``), the connections are read from the chunk, too.
         """
         if ended and chunk.start_ns != NO_INDEX:
             return chunk
         data, start_ns = self._data(chunk), chunk.start_ns
         for header, start, end in _records(data):
             if header['op'][0] == OP_CONNECTION and not ended:
-                self._take_connection(header, data[start:end])
+                self._add_connection(header, data[start:end])
             elif header['op'][0] == OP_MESSAGE and chunk.start_ns == NO_INDEX:
                 self._counts[_number(header['conn'])] += 1
                 start_ns = min(start_ns, _time(header['time']))
         return replace(chunk, start_ns=start_ns)
 
-    def _take_connection(self, header: dict[str, bytes], data: bytes) -> None:
+    def _add_connection(self, header: dict[str, bytes], data: bytes) -> None:
+        """Add the topic of a connection record."""
         number = _number(header['conn'])
         fields = _fields(data)
         self._topics[number] = Topic(
@@ -141,7 +145,7 @@ class Ros1Storage(ChunkStorage):
         )
 
     def _data(self, chunk: Chunk) -> bytes:
-        """Return the records of a chunk, decompressed."""
+        """Return the decompressed records of a chunk."""
         record = self._read(chunk.offset, chunk.length)
         ((header, start, end),) = _records(record)
         compression, size = header['compression'].decode(errors='replace'), _number(header['size'])
@@ -149,7 +153,10 @@ class Ros1Storage(ChunkStorage):
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], int, int]]:
-    """Yield header, first byte and end of each record of a chunk."""
+    """Yield header fields, offset and end offset of the data of each record in a chunk.
+
+    Raises struct.error when a record extends beyond the end of the chunk.
+    """
     at = 0
     while at < len(data):
         (header_length,) = LENGTH.unpack_from(data, at)
@@ -162,7 +169,7 @@ def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], int, int]]:
 
 
 def _fields(raw: bytes) -> dict[str, bytes]:
-    """Return the ``name=value`` fields of a record header."""
+    """Return the fields of a record header, by name."""
     fields = {}
     at = 0
     while at < len(raw):

@@ -1,38 +1,281 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: the messages of an Imu topic as batches, and the temperature of the IMU."""
+"""Reads the samples of an Imu topic, and the temperature of the IMU, from a bag.
+
+The Imu topic is selected by its type. If there is none, Imu fields of other messages are used.
+Messages are decoded in blocks, so the memory does not depend on the size of the bag.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial, reduce
 from pathlib import Path
+from typing import Any
 
 from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
-from .bag_topics import ENCODINGS, ImuSource, chosen_source, definitions_of, no_message, survey_bag
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
-from .open import METADATA, BagFiles, bag_files, open_storage
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
+from .recording import (
+    BATCH,
+    METADATA,
+    BagFiles,
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    bag_files,
+    in_batches,
+    open_storage,
+)
 from .storage import (
     MAX_MESSAGE_BYTES,
-    Block,
+    Messages,
     Payloads,
     Topic,
+    Truncation,
     as_list,
     decompress,
     frame_compression,
+    optional_package,
 )
+
+ENCODINGS = ('cdr', 'ros1')
+"""Supported serializations."""
+
+LISTED = 10
+"""Largest number of topics that a message lists."""
+
+Key = tuple[str, str]
+"""Topic name and type, which identify a topic in all files of a bag."""
+
+
+@dataclass
+class Survey:
+    """The topics of all files of a bag, and their numbers of messages."""
+
+    topics: dict[Key, Topic] = field(default_factory=dict)
+    counts: Counter[Key] = field(default_factory=Counter)
+    storage: str = ''  # format of the files: 'mcap', 'sqlite3' or 'ros1'
+    truncation: Truncation | None = None  # of the first truncated file
+
+    def listed(self, keys: Iterable[Key]) -> str:
+        """Return a text with name, type and number of messages of some topics, for messages."""
+        shown = []
+        for key in keys:
+            encoding = self.topics[key].encoding
+            unsupported = '' if encoding in ENCODINGS else f', serialized as {encoding}'
+            shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
+        more = f' and {len(shown) - LISTED} more' if len(shown) > LISTED else ''
+        return ', '.join(shown[:LISTED]) + more
+
+    def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
+        """Return the Imu topics among ``keys`` (None: all topics).
+
+        If there are none, return the Imu fields in messages of other types.
+        """
+        keys = self.topics if keys is None else list(keys)
+        plain = [ImuSource(key) for key in keys if key[1] == IMU_TYPE]
+        return plain or [ImuSource(key, p) for key in keys for p in imu_fields(self.topics[key])]
+
+
+@dataclass(frozen=True)
+class ImuSource:
+    """A topic, and the path of field names of an Imu in its messages, () for the message itself."""
+
+    key: Key
+    field: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Name for users: 'topic', or 'topic:field' for an Imu in a field."""
+        return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
+
+
+def imu_topics(path: Path) -> list[str]:
+    """Return the Imu topics of a bag, as `ReadOptions.topic` accepts them.
+
+    Topics without messages are only listed if no Imu topic has messages.
+    """
+    return [source.label for source in _candidates(survey_bag(bag_files(path)))]
+
+
+def survey_bag(bag: BagFiles) -> Survey:
+    """Return the topics of a bag; files are opened until all topics with messages are found."""
+    survey = Survey()
+    described = bag.described
+    expected = None if described is None else {k for k, d in described.items() if d.messages}
+    for file in bag.files:
+        with open_storage(file) as (storage, survey.storage):
+            counts = storage.counts() if described is None else {}
+            for topic in storage.topics:
+                key = (topic.name, topic.type)
+                survey.topics.setdefault(key, topic)
+                survey.counts[key] += counts.get(topic.id, 0)
+            survey.truncation = survey.truncation or storage.truncation
+        if expected is not None and expected <= set(survey.topics):
+            break
+    for key, stated in (described or {}).items():
+        if key in survey.topics:
+            survey.counts[key] = stated.messages
+            survey.topics[key] = replace(survey.topics[key], encoding=stated.encoding)
+    return survey
+
+
+def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
+    """Return the Imu with the name ``wanted``, or the only Imu if it is ''.
+
+    Raises AllanError when there is no such Imu, there are several, or it cannot be decoded.
+    """
+    candidates = [_named(path, survey, wanted)] if wanted else _candidates(survey)
+    if not candidates:
+        raise _no_imu(path, survey)
+    if len(candidates) > 1:
+        listed = ', '.join(f'{c.label} ({survey.counts[c.key]})' for c in candidates)
+        raise AllanError(
+            f'{path}: has {len(candidates)} Imu topics: {listed}: choose one with --topic'
+        )
+    (chosen,) = candidates
+    topic = survey.topics[chosen.key]
+    if topic.encoding not in ENCODINGS:
+        raise AllanError(
+            f'{path}: topic {chosen.label} is serialized as {topic.encoding!r}: only '
+            f'{" and ".join(ENCODINGS)} can be read; convert the bag with "ros2 bag convert"'
+        )
+    if not survey.counts[chosen.key]:
+        raise no_message(path, chosen)
+    return chosen
+
+
+def _candidates(survey: Survey) -> list[ImuSource]:
+    """Return the Imus with messages; all Imus if none has messages."""
+    sources = survey.imus()
+    return [source for source in sources if survey.counts[source.key]] or sources
+
+
+def no_message(path: Path, source: ImuSource) -> AllanError:
+    return AllanError(
+        f'{path}: topic {source.label} has no message: check that the driver was running and '
+        'record again'
+    )
+
+
+def _named(path: Path, survey: Survey, wanted: str) -> ImuSource:
+    """Return the Imu with the name ``wanted``, 'topic' or 'topic:field'."""
+    name, _, field = wanted.lstrip('/').partition(':')
+    keys = [key for key in survey.topics if key[0].lstrip('/') == name]
+    matching = [s for s in survey.imus(keys) if field in ('', '.'.join(s.field))]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        labels = ', '.join(source.label for source in matching)
+        problem = f'topic {wanted} contains several Imus: choose one of {labels}'
+    elif not keys:
+        imus = [key for key in survey.topics if key[1] == IMU_TYPE]
+        shown = survey.listed(imus or survey.topics) or 'none'
+        problem = f'has no topic {wanted}; it has {shown}: check --topic'
+    elif _is_unknown(topic := survey.topics[keys[0]]):
+        problem = (
+            f'topic {wanted} is of type {topic.type}, and the bag has no schema that '
+            'describes it: record it as mcap, which stores the schemas'
+        )
+    else:
+        problem = (
+            f'topic {wanted} is of type {topic.type}, which contains no sensor_msgs/Imu: '
+            'choose another with --topic'
+        )
+    raise AllanError(f'{path}: {problem}')
+
+
+def _no_imu(path: Path, survey: Survey) -> AllanError:
+    cut = survey.truncation
+    read = cut and f'{cut.read} of {cut.size} bytes could be read'
+    if read and not survey.topics:
+        return AllanError(
+            f'{path}: is truncated: {read}, without a complete message: copy or record it again'
+        )
+    busiest = sorted(survey.topics, key=lambda key: -survey.counts[key])
+    unknown = sum(map(_is_unknown, survey.topics.values()))
+    schemas = f', {unknown} of them of unknown type without a schema' if unknown else ''
+    truncated = f'; {read}' if read else ''
+    return AllanError(
+        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
+        f'{schemas}{truncated}: record the topic of the IMU'
+    )
+
+
+MAX_DEPTH = 8
+"""Largest depth of nested messages that is searched."""
+
+STANDARD_PACKAGES = re.compile(
+    '(actionlib|diagnostic|geometry|map|nav|rosgraph|sensor|shape|std|stereo|tf2|trajectory|'
+    'unique_identifier|visualization)_msgs|builtin_interfaces|rcl_interfaces'
+)
+"""Packages whose message types are known to contain no Imu, so that no schema is needed."""
+
+IDL_SEPARATOR = '=' * 80 + '\n'
+
+
+def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
+    """Return the path of each Imu in the messages of a topic, as field names.
+
+    The result is empty if the schema is missing or invalid. Raises AllanError when the package
+    ``rosbags``, which parses the schema, is not installed.
+    """
+    definitions = definitions_of(topic)
+
+    def search(name: str, above: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        if name == IMU_TYPE:
+            yield above
+        elif name in definitions and len(above) < MAX_DEPTH:
+            for inside, (kind, inner) in definitions[name][1]:
+                if kind == kind.NAME:
+                    yield from search(inner, (*above, inside))
+
+    return list(search(topic.type, ())) if definitions else []
+
+
+def _is_unknown(topic: Topic) -> bool:
+    """Return whether the message type has no schema and is not from a standard package."""
+    return not topic.schema and not STANDARD_PACKAGES.fullmatch(topic.type.split('/')[0])
+
+
+def definitions_of(topic: Topic) -> dict[str, Any]:
+    """Return type name -> definition from the schema of a topic, as ``rosbags`` parses it.
+
+    The result is empty if the schema contains no Imu or is invalid.
+    """
+    if 'Imu' not in topic.schema:
+        return {}
+    typesys = optional_package('rosbags.typesys', f'reading an Imu inside {topic.type}')
+    definitions: dict[str, Any] = {}
+    try:
+        if topic.schema_format in ('ros2msg', 'ros1msg'):
+            definitions = dict(typesys.get_types_from_msg(topic.schema, topic.type))
+        elif topic.schema_format in ('ros2idl', 'omgidl'):
+            for part in topic.schema.split(IDL_SEPARATOR):
+                text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
+                if text.strip():
+                    definitions.update(typesys.get_types_from_idl(text))
+    except typesys.TypesysError:
+        return {}
+    return definitions
+
+
+# --- samples --------------------------------------------------------------------------------------
 
 
 def open_bag(path: Path, options: ReadOptions) -> Recording:
-    """Open a bag as one recording of its Imu topic.
+    """Open the Imu topic of a bag as a recording; ``path`` is a bag folder or a bag file.
 
-    Raises AllanError when it is not a readable bag, or the Imu topic is ambiguous.
+    Raises AllanError when the bag cannot be read or has no Imu topic, or when it has several and
+    the options select none.
     """
     bag = bag_files(path)
     survey = survey_bag(bag)
@@ -52,12 +295,12 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
 def _read(
     bag: BagFiles, topic: Topic, source: ImuSource, options: ReadOptions, report: Report
 ) -> Iterator[ImuBatch]:
-    """Yield the samples of the chosen topic in all files, in order."""
+    """Yield the samples of the selected topic in all files, in order."""
     extract = extractor(topic, source.field) if source.field else None
-    kept: Counter[str] = Counter()  # number of messages per sensor whose covariance was ignored
+    kept: Counter[str] = Counter()  # sensor -> messages that declare it absent wrongly
     total = 0
 
-    def decoded(file: Path, blocks: Iterable[Block]) -> Iterator[ImuBatch]:
+    def decoded(file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
         done = 0  # number of messages of this file
         for block in blocks:
             at = 0
@@ -76,11 +319,11 @@ def _read(
 
     for file in bag.files:
         with open_storage(file) as (storage, _):
-            if storage.cut:
-                report(finding('bag_cut', path=file, read=storage.cut.read, size=storage.cut.size))
+            if found := storage.truncation:
+                report(finding('bag_cut', path=file, read=found.read, size=found.size))
             ids = {t.id for t in storage.topics if (t.name, t.type) == source.key}
             read = 0
-            for batch in _gathered(decoded(file, storage.blocks(ids))):
+            for batch in _rebatched(decoded(file, storage.blocks(ids))):
                 read += len(batch)
                 yield options.in_si(batch)
             _compare(storage.stated(ids, read), read, file, report)
@@ -95,7 +338,7 @@ def _read(
 
 
 def _compare(stated: int, read: int, where: Path, report: Report) -> None:
-    """Report if the number of read messages differs from the stated number."""
+    """Report a finding if the number of read messages differs from the stated number."""
     if stated != read:
         report(finding('count_differs', path=where, stated=stated, read=read))
 
@@ -104,23 +347,24 @@ def _encoding(topic: Topic) -> Encoding:
     return 'ros1' if topic.encoding == 'ros1' else 'cdr'
 
 
-def _gathered(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
-    """Join the batches of one frame_id to about `BATCH` samples, and split longer ones."""
-    held: list[ImuBatch] = []
+def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
+    """Yield the same samples in batches of about `BATCH` samples with one frame_id each."""
+    parts: list[ImuBatch] = []
     count = 0
     for batch in batches:
-        if held and (batch.frame_id != held[0].frame_id or count >= BATCH):
-            yield from in_batches(joined(held))
-            held, count = [], 0
-        held.append(batch)
+        if parts and (batch.frame_id != parts[0].frame_id or count >= BATCH):
+            yield from in_batches(joined(parts))
+            parts, count = [], 0
+        parts.append(batch)
         count += len(batch)
-    if held:
-        yield from in_batches(joined(held))
+    if parts:
+        yield from in_batches(joined(parts))
 
 
 def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iterator[Payloads]:
-    """Yield the Imu messages, decompressed or extracted from other messages if necessary.
+    """Yield serialized Imu messages from messages that may be compressed.
 
+    ``extract`` returns the Imu message inside another message; None if it is not inside another.
     Converted messages are yielded in groups of limited total size.
     """
     compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
@@ -144,7 +388,11 @@ def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iter
 
 
 def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
-    """Return a function that extracts the serialized Imu from a field of the topic's messages."""
+    """Return a function that extracts the serialized Imu message from a message of the topic.
+
+    ``field`` is the path of the Imu in the message. The function raises ValueError when a message
+    does not match its schema.
+    """
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -163,6 +411,8 @@ def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
     return extract
 
 
+# --- temperature ----------------------------------------------------------------------------------
+
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
 Message = tuple[int, bytes]
@@ -172,10 +422,11 @@ Message = tuple[int, bytes]
 def bag_temperature(
     files: Sequence[Path], topics: Sequence[Topic], imu_topic: str, frame_id: str
 ) -> TemperatureTrace | None:
-    """Return the temperature of an IMU, or None if the bag has none or it is ambiguous.
+    """Return the temperature of an IMU from the Temperature topics of a bag.
 
-    A topic belongs to the IMU when it is the only one of its type, the only one in the namespace
-    of the Imu topic, or, among several of these, the only one with the frame_id of the IMU.
+    Only topics whose names have the longest common namespace with ``imu_topic`` are considered. If
+    there are several, the one with the ``frame_id`` of the IMU is used. Returns None if there is no
+    such topic, or more than one.
     """
     near = _nearest([t for t in topics if t.type == TEMPERATURE_TYPE], imu_topic)
     if len(near) > 1:
@@ -192,7 +443,7 @@ def bag_temperature(
 
 
 def _nearest(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
-    """Return the topics that share the longest part of their namespace with the Imu topic."""
+    """Return the topics that have the longest common namespace with the Imu topic."""
 
     def shared(topic: Topic) -> int:
         pairs = list(zip(topic.name.strip('/').split('/'), imu_topic.strip('/').split('/')))
@@ -214,7 +465,10 @@ def _messages(files: Sequence[Path], topic: Topic) -> Iterator[Message]:
 def _temperature(
     topic: Topic, record_ns: int, payload: bytes
 ) -> tuple[tuple[int, int, float], str] | None:
-    """Return (header stamp, record time, degC) and the frame_id; None for a damaged message."""
+    """Return header stamp in ns, record time in ns and temperature in degC, and the frame_id.
+
+    Returns None for a damaged message.
+    """
     with suppress(MalformedMessage, ValueError):
         plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
         header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))

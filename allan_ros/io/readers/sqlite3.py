@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A rosbag2 storage file in SQLite (.db3), all schema versions."""
+"""Reads a bag file of rosbag2 in SQLite format (.db3), in all versions of its schema."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from urllib.parse import quote
 import numpy as np
 
 from ..files import open_regular
-from .sqlite3_pages import MessagePages, Rows, Unusual
-from .storage import Block, Cut, Topic, damaged, normal_type, translated
+from .sqlite3_pages import MessagePages, MessageRows, Unusual
+from .storage import Messages, Topic, Truncation, damaged, normal_type, translated
 
 ROWS = 2048
-"""Rows fetched at a time when SQLite returns them one by one."""
+"""Number of rows that are fetched from SQLite at a time."""
 
 _COLUMNS = ('id', 'topic_id', 'timestamp', 'data')
 """Columns of the table ``messages`` in all versions of the schema."""
@@ -31,35 +31,36 @@ _TIME_INDEX = """
 SELECT list.name FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS part
 WHERE NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
 """
-"""Query for the names of the indexes of the record times."""
+"""Query for the names of the indexes on the record times."""
 
 _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
-"""Exceptions while reading a damaged database: errors of SQLite, and cells of another type."""
+"""Exceptions when a database is damaged: of SQLite, or because a value has another type."""
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
 HEAD = struct.Struct('>16xH6xII60xI')
-"""Start of a database (file format, section 1.3): page size (1 stands for 65536), change counter,
-number of pages, and the change counter when they were counted."""
+"""Fields at the start of a database (file format, section 1.3): page size (1 means 65536), change
+counter, number of pages, and value of the change counter for which this number is valid."""
 
 
 class Sqlite3Storage:
-    """An open .db3 file; ``path`` is its name for messages.
+    """An open .db3 file; error messages name it ``path``.
 
-    ``pages`` reads the file directly; it is None if a log contains a part of the content.
+    ``pages`` is the open file, from which rows are read directly. It is None if a write-ahead log
+    contains a part of the rows.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, pages: BinaryIO | None) -> None:
         self._path = path
         self._connection = connection
         self._pages = pages
-        # number of rows read from the pages; None if SQLite read them
-        self._rows_seen: int | None = 0
-        self.cut = _truncation(pages) if pages else None
+        # number of rows that were read directly; None if SQLite read some of them
+        self._rows_read: int | None = 0
+        self.truncation = _truncation(pages) if pages else None
         self.topics = self._read_topics()
 
     def _read_topics(self) -> list[Topic]:
-        # A view instead of a table could run an endless computation.
+        # otherwise a view instead of a table could run an endless computation
         self._query('PRAGMA trusted_schema = OFF')
         tables = {n for (n,) in self._query("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if missing := {'topics', 'messages'} - tables:
@@ -86,48 +87,45 @@ class Sqlite3Storage:
             return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return ``read`` plus the number of messages of any topic that are only in the index of
-        times.
+        """Return ``read`` plus the number of rows that the index of the times lists in addition.
 
-        SQLite counts the index in a few milliseconds per million messages.
+        ``read`` is the number of messages that were read. The rows may belong to any topic.
         """
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             index = next(self._query(_TIME_INDEX), None)
             if index is None:
                 return read
             (listed,) = next(self._query('SELECT count(*) FROM messages'))
-            seen = self._rows_seen
-            if seen is None:
+            rows = self._rows_read
+            if rows is None:
                 name = index[0].replace('"', '""')
-                # counts the rows found by the index; count(*) would count only the index
+                # reads each row that the index lists; count(*) would read only the index
                 sql = f'SELECT count(topic_id) FROM messages INDEXED BY "{name}"'
-                (seen,) = next(self._query(f'{sql} WHERE timestamp >= ?', -(2**63)))
-        return read + max(0, int(listed) - int(seen or 0))
+                (rows,) = next(self._query(f'{sql} WHERE timestamp >= ?', -(2**63)))
+        return read + max(0, int(listed) - int(rows or 0))
 
-    def blocks(self, ids: set[int]) -> Iterator[Block]:
-        """Yield the messages of these topics in the order of their record time."""
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the messages of the topics with these ids in the order of their record time."""
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             yield from self._blocks(ids)
 
-    def _blocks(self, ids: set[int]) -> Iterator[Block]:
-        # two queries: for a single query with both, SQLite reads the complete table
+    def _blocks(self, ids: set[int]) -> Iterator[Messages]:
+        # two queries, because SQLite reads the complete table for a query of both
         (first,), (last,) = (
             next(self._query(f'SELECT {which}(id) FROM messages')) for which in ('min', 'max')
         )
         if first is None:
             return
-        done, self._rows_seen = first - 1, 0
+        done, self._rows_read = first - 1, 0
         if self._pages is not None and self._is_usual():
-            done = yield from self._batches(ids, done, self._pages)
+            done = yield from self._direct_blocks(ids, done, self._pages)
         if done < last:
-            self._rows_seen = None
-            # the plus sign prevents SQLite from sorting the complete table instead of using the
-            # time index
+            self._rows_read = None
+            # because of the plus sign, SQLite uses the time index and does not sort the table
             yield from self._rows(ids, '+id > ? ORDER BY timestamp, id', done)
 
     def _is_usual(self) -> bool:
-        """Return whether the table is as recorders create it: ids are row ids, and times are
-        indexed."""
+        """Return whether the table is as recorders create it: with row ids and a time index."""
         columns = list(
             self._query("SELECT name, upper(type), pk FROM pragma_table_xinfo('messages')")
         )
@@ -135,50 +133,53 @@ class Sqlite3Storage:
         names = tuple(name for name, _, _ in columns)
         return bool(of_ids and names == _COLUMNS and list(self._query(_TIME_INDEX)))
 
-    def _batches(self, ids: set[int], done: int, file: BinaryIO) -> Generator[Block, None, int]:
-        """Yield messages by ranges of ids as long as these are in the order of time.
+    def _direct_blocks(
+        self, ids: set[int], done: int, file: BinaryIO
+    ) -> Generator[Messages, None, int]:
+        """Yield messages read directly from the pages, as long as their times increase.
 
-        Returns the id up to which all messages have been yielded.
+        ``done`` is the id before the first row. Returns the last id that was read.
         """
         (root,) = next(self._query("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"))
-        end_ns, seen_ns = -(2**63), np.empty(0, np.int64)
+        end_ns, known_ns = -(2**63), np.empty(0, np.int64)
         with suppress(Unusual):
             for rows in MessagePages(file, root).rows():
                 if rows.first_id <= done:
-                    return done  # in a damaged tree, the same pages occur twice
-                self._rows_seen = (self._rows_seen or 0) + len(rows.topics)
+                    return done  # a damaged tree contains a page twice
+                self._rows_read = (self._rows_read or 0) + len(rows.topics)
                 blocks = self._blocks_of(rows, ids, done)
                 times = [block.record_ns for block in blocks if len(block.record_ns)]
-                seen_ns = np.append(seen_ns, rows.record_ns) if times else seen_ns[:0]
+                known_ns = np.append(known_ns, rows.record_ns) if times else known_ns[:0]
                 if times:
                     start_ns, end_ns = end_ns, int(times[-1][-1])
-                    seen_ns = seen_ns[seen_ns >= start_ns]
-                    known = int(np.count_nonzero(seen_ns <= end_ns))
-                    if self._is_overtaken(ids, start_ns, end_ns, known, rows.last_id):
-                        return done  # a later row has an earlier record time
+                    known_ns = known_ns[known_ns >= start_ns]
+                    known = int(np.count_nonzero(known_ns <= end_ns))
+                    if self._has_earlier(ids, start_ns, end_ns, known, rows.last_id):
+                        return done
                     yield from blocks
                 done = rows.last_id
         return done
 
-    def _blocks_of(self, rows: Rows, ids: set[int], done: int) -> list[Block]:
-        """Return the messages in rows after the id ``done``."""
+    def _blocks_of(self, rows: MessageRows, ids: set[int], done: int) -> list[Messages]:
+        """Return the messages of rows after the id ``done``; SQLite reads unusual rows."""
         try:
             return [rows.block(ids)]
         except Unusual:
             which = 'id > ? AND id <= ? ORDER BY +timestamp, id'
             return list(self._rows(ids, which, done, rows.last_id))
 
-    def _is_overtaken(
+    def _has_earlier(
         self, ids: set[int], start_ns: int, end_ns: int, known: int, last_id: int
     ) -> bool:
-        """Return whether a message after ``last_id`` was recorded before ``end_ns``.
+        """Return whether a message after the row ``last_id`` was recorded before ``end_ns``.
 
-        No message was recorded before ``start_ns``, and ``known`` rows are between the two times.
+        All messages after this row were recorded at ``start_ns`` or later. Up to this row, there
+        are ``known`` rows with times from ``start_ns`` to ``end_ns``.
         """
-        # SQLite skips entries of the index in a fifth of the time it takes to read them. If there
-        # are not more entries up to the end than the known ones, no further check is needed.
-        behind = 'SELECT timestamp FROM messages WHERE timestamp >= ? ORDER BY timestamp LIMIT 1'
-        following = next(self._query(f'{behind} OFFSET ?', start_ns, known), None)
+        # If the index has no more than the known entries up to the end, no further check is needed.
+        # SQLite skips entries of the index in a fifth of the time that it needs to read them.
+        sql = 'SELECT timestamp FROM messages WHERE timestamp >= ? ORDER BY timestamp LIMIT 1'
+        following = next(self._query(f'{sql} OFFSET ?', start_ns, known), None)
         if following is None or following[0] > end_ns:
             return False
         earlier = (
@@ -187,15 +188,15 @@ class Sqlite3Storage:
         )
         return next(self._query(earlier, start_ns, end_ns, last_id), None) is not None
 
-    def _rows(self, ids: set[int], which: str, *values: int) -> Iterator[Block]:
-        """Yield messages row by row."""
+    def _rows(self, ids: set[int], which: str, *values: int) -> Iterator[Messages]:
+        """Yield the messages that SQLite finds; ``which`` is a condition with parameters."""
         sql = f'SELECT timestamp, data FROM messages WHERE {_topics(ids)} AND {which}'
         rows = self._query(sql, *values)
         while batch := rows.fetchmany(ROWS):
             times, payloads = zip(*batch)
             if set(map(type, payloads)) != {bytes}:
                 raise ValueError('a message is not a BLOB')
-            yield Block(np.array(times, dtype=np.int64), list(payloads))
+            yield Messages(np.array(times, dtype=np.int64), list(payloads))
 
     def _query(self, sql: str, *values: int) -> sqlite3.Cursor:
         return self._connection.execute(sql, values)
@@ -205,25 +206,25 @@ def _topics(ids: set[int]) -> str:
     return f'topic_id IN ({", ".join(str(int(number)) for number in sorted(ids))})'
 
 
-def _truncation(file: BinaryIO) -> Cut | None:
-    """Return the part of the database that exists, if it has fewer pages than its header states."""
+def _truncation(file: BinaryIO) -> Truncation | None:
+    """Return how much of a database exists; None if it has all pages that its header states."""
     file.seek(0)
     head = file.read(HEAD.size)
     if len(head) < HEAD.size:
         return None
     page_size, changes, pages, counted_at = HEAD.unpack(head)
     size, stated = os.fstat(file.fileno()).st_size, pages * (65536 if page_size == 1 else page_size)
-    return Cut(size, stated) if changes == counted_at and size < stated else None
+    return Truncation(size, stated) if changes == counted_at and size < stated else None
 
 
 @contextmanager
 def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
-    """Open a .db3 file for reading only, without creating a file next to it.
+    """Open a .db3 file for reading; no file is created next to it.
 
-    ``shown`` is the name in messages, which differs for a decompressed copy. Raises AllanError when
-    it is not a rosbag2 database or damaged.
+    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
+    when it is not a rosbag2 database, or is damaged.
     """
-    # A write-ahead log contains the last messages of a recorder that was killed. Without a log, the
+    # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the
     # file is opened as immutable, which also works on read-only media.
     log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
     with translated(shown, _LIBRARY_ERRORS, REMEDY):

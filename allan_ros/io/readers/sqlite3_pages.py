@@ -1,12 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of a rosbag2 database read directly from its pages, thousands at a time.
+"""Reads the messages of a rosbag2 database directly from its pages, thousands at a time.
 
 SQLite returns one row at a time, which takes three times as long as decoding the messages. The
-file format is documented and stable (https://www.sqlite.org/fileformat2.html; the sections are
-given below): a table is a tree of pages whose leaves contain the rows in the order of their ids.
-For anything but a plain row of such a table, `Unusual` is raised, and SQLite reads the rows
-instead.
+file format is documented and stable (https://www.sqlite.org/fileformat2.html; the comments name
+its sections). A table is a tree of pages, whose leaves contain the rows in the order of their ids.
+If the file contains anything unexpected, `Unusual` is raised, and SQLite reads the rows instead.
 """
 
 from __future__ import annotations
@@ -19,67 +18,69 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .storage import Block, Payloads, among, gathered
+from .storage import Messages, Payloads, among, gathered
 
 LEAF, INTERIOR = 13, 5
-"""Page types of a table (section 1.6)."""
+"""Types of the pages of a table (section 1.6)."""
 
 PAGE_SIZE = slice(16, 18)
-"""Offset of the page size in the first page; 1 stands for 65536 (section 1.3.2)."""
+"""Place of the page size in the file header; 1 means 65536 (section 1.3.2)."""
 
 RESERVED = 20
-"""Offset of the number of reserved bytes at the end of each page (section 1.3.4)."""
+"""Place, in the file header, of the number of unused bytes at the end of pages (section 1.3.4)."""
 
 FILE_HEAD = 100
-"""Size of the file header (section 1.3)."""
+"""Size of the file header in bytes (section 1.3)."""
 
 LEAF_HEAD = np.dtype([('kind', 'u1'), ('free', '>u2'), ('cells', '>u2'), ('content', 'V3')])
-"""Size of the header of a leaf; the offsets of its cells follow, two bytes each (section 1.6)."""
+"""Header of a leaf, which the offsets of its cells follow, two bytes each (section 1.6)."""
 
 INTERIOR_HEAD = np.dtype([*LEAF_HEAD.descr, ('last', '>u4')])
-"""Size of the header of an interior page, which also has the number of its last child (section
-1.6)."""
+"""Header of an interior page, which ends with the number of its last child (section 1.6)."""
 
 OVERFLOW_MARGIN = 35
-"""Rows larger than a page minus this many bytes continue in other pages (section 1.6)."""
+"""A row larger than a page minus this many bytes continues in other pages (section 1.6)."""
 
 MAX_DEPTH = 20
 """Largest depth of a tree that SQLite allows."""
 
 WORD = 8
-"""Bytes of a cell that contain its first two varints: the size of the row, and its id."""
+"""Number of bytes at the start of a cell that contain two varints: size and id of the row."""
 
 LAST_BYTES = np.uint64(0x8080808080808080)
-"""Bits of a word that are clear in the last byte of a varint (section 1.6)."""
+"""Highest bit of each byte of a word. It is clear in the last byte of a varint (section 1.6)."""
 
 INTEGER_BYTES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-"""Serial type of an integer -> its size; 8 and 9 are 0 and 1 without a byte (section 2.1)."""
+"""Serial type of an integer -> its size in bytes. Types 8 and 9 are the constants 0 and 1 (section
+2.1)."""
 
 FIRST_BLOB = 12
-"""Serial types from 12 are blobs (even) and texts (odd) of (type - 12) / 2 bytes (section 2.1)."""
+"""Serial types from 12 on are blobs (even) and texts (odd) of (type - 12) / 2 bytes (section 2.1).
+"""
 
 KIND_BYTES = 4
-"""Bytes of a row header up to the serial type of the blob: header size, id, topic, time."""
+"""Number of bytes of a row header before the serial type of the blob. They are the header size and
+the serial types of id, topic and time."""
 
 READ_BYTES = 1 << 20
-"""Leaves are read in parts of about this many bytes, which stay in the processor cache."""
+"""Leaves are read in parts of about this many bytes, which fit into the processor cache."""
 
 CELL_HEAD = 4 * WORD
-"""Bytes of a cell without the message: size and id, row header, topic, time."""
+"""Largest number of bytes of a cell before the message: size, id, row header, topic, time."""
 
 PADDING = CELL_HEAD
-"""Bytes allocated after the pages, so that a full cell head can be read from the last cell."""
+"""Number of bytes after the pages, so that `CELL_HEAD` bytes can be read from the last cell."""
 
 Bytes = NDArray[np.uint8]
 
 
 class Unusual(Exception):
-    """The pages contain anything other than plain rows of messages."""
+    """The pages contain something other than usual rows of messages."""
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Consecutive rows in the order of their ids; valid until the next rows are read."""
+class MessageRows:
+    """Consecutive rows of messages in the order of their ids; valid until the next are read."""
 
     first_id: int
     last_id: int
@@ -90,8 +91,8 @@ class Rows:
     _length: NDArray[np.int64]
     _page_end: NDArray[np.int64]  # 0 if a row continues in other pages
 
-    def block(self, ids: set[int]) -> Block:
-        """Return the messages of these topics in the order of their record time.
+    def block(self, ids: set[int]) -> Messages:
+        """Return the messages of the topics with these ids in the order of their record time.
 
         Raises Unusual when one of them continues in other pages.
         """
@@ -103,7 +104,7 @@ class Rows:
         start, end = self._start[mine], self._start[mine] + self._length[mine]
         if (end > self._page_end[mine]).any():
             raise Unusual('a message is larger than a page')
-        return Block(times, self._payloads(start, end))
+        return Messages(times, self._payloads(start, end))
 
     def _payloads(self, start: NDArray[np.int64], end: NDArray[np.int64]) -> Payloads:
         length = end - start
@@ -114,9 +115,10 @@ class Rows:
 
 
 class MessagePages:
-    """The pages of the table ``messages``, from ``root`` on, of a database without a writer.
+    """The table of messages in a database file to which no other program writes.
 
-    Raises Unusual when the file is not an SQLite database.
+    ``root`` is the number of the root page of the table. Raises Unusual when the file is not an
+    SQLite database.
     """
 
     def __init__(self, file: BinaryIO, root: int) -> None:
@@ -132,23 +134,26 @@ class MessagePages:
         self._usable = self._page_bytes - head[RESERVED]
         self._pages_left = os.fstat(file.fileno()).st_size // self._page_bytes
 
-    def rows(self) -> Iterator[Rows]:
+    def rows(self) -> Iterator[MessageRows]:
         """Yield the rows in the order of their ids.
 
-        Raises Unusual when the next row is not a plain row.
+        Raises Unusual when the next rows are not usual rows of messages.
         """
         at_a_time = max(1, READ_BYTES // self._page_bytes)
-        waiting = np.empty(0, np.int64)
+        pending = np.empty(0, np.int64)
         for leaves in self._leaves(self._root, MAX_DEPTH):
-            waiting = np.append(waiting, leaves)
-            while len(waiting) >= at_a_time:
-                yield self._rows_of(waiting[:at_a_time])
-                waiting = waiting[at_a_time:]
-        if len(waiting):
-            yield self._rows_of(waiting)
+            pending = np.append(pending, leaves)
+            while len(pending) >= at_a_time:
+                yield self._rows_of(pending[:at_a_time])
+                pending = pending[at_a_time:]
+        if len(pending):
+            yield self._rows_of(pending)
 
     def _leaves(self, number: int, depth: int) -> Iterator[NDArray[np.int64]]:
-        """Yield the page numbers of the leaves below a page in order, one array per parent."""
+        """Yield the page numbers of all leaves below page ``number``, one array per parent page.
+
+        The tree below this page has at most ``depth`` levels.
+        """
         page = self._read(number)
         self._pages_left -= 1
         if page[0] == LEAF and depth == MAX_DEPTH:
@@ -170,8 +175,10 @@ class MessagePages:
         yield children
 
     def _read(self, first: int, count: int = 1) -> Bytes:
-        """Return ``count`` pages from ``first`` on and `PADDING` bytes; valid until the next
-        call."""
+        """Return ``count`` pages from number ``first`` on, and `PADDING` more bytes.
+
+        The next call overwrites them.
+        """
         size = count * self._page_bytes
         if len(self._buffer) < size + PADDING:
             self._buffer = np.zeros(size + PADDING, np.uint8)
@@ -182,17 +189,17 @@ class MessagePages:
             raise Unusual('a page is beyond the end of the file')
         return self._buffer[: size + PADDING]
 
-    def _rows_of(self, leaves: NDArray[np.int64]) -> Rows:
-        """Return the rows of the given leaves."""
+    def _rows_of(self, leaves: NDArray[np.int64]) -> MessageRows:
+        """Return the rows of the leaves with these page numbers."""
         try:
             return self._parsed(*self._pages(leaves))
         except IndexError as error:
             raise Unusual('a cell lies outside its page') from error
 
-    def _parsed(self, data: Bytes, pages: NDArray[np.int64]) -> Rows:
-        """Return the rows of the leaves that begin at the given offsets."""
+    def _parsed(self, data: Bytes, pages: NDArray[np.int64]) -> MessageRows:
+        """Return the rows of the leaves that begin at the offsets ``pages``."""
         start, page_end, counts = self._cells(data, pages)
-        # copied to contiguous memory, because they are read several times
+        # a copy without gaps, because it is read several times
         heads = gathered(data, start, np.dtype((np.void, CELL_HEAD))).view(np.uint8)
         cell = np.arange(len(start)) * CELL_HEAD
         header = cell + _varints_bytes(heads, cell)
@@ -210,13 +217,13 @@ class MessagePages:
         row_bytes = blob + length - (header + start - cell)
         page_end[row_bytes > self._usable - OVERFLOW_MARGIN] = 0
         first_id, last_id = _id_range(heads.reshape(-1, CELL_HEAD), counts)
-        return Rows(first_id, last_id, topics, record_ns, data, blob, length, page_end)
+        return MessageRows(first_id, last_id, topics, record_ns, data, blob, length, page_end)
 
     def _pages(self, leaves: NDArray[np.int64]) -> tuple[Bytes, NDArray[np.int64]]:
-        """Return the bytes of leaves, and the offset of each."""
+        """Return the content of pages, and the offset of each page in it."""
         first, last = int(leaves.min()), int(leaves.max())
         size = self._page_bytes
-        if last - first < 2 * len(leaves):  # there are few other pages between them
+        if last - first < 2 * len(leaves):  # few other pages are between them
             return self._read(first, last - first + 1), (leaves - first) * size
         parts = [self._read(number).copy() for number in leaves.tolist()]
         return np.concatenate(parts), np.arange(len(leaves)) * len(parts[0])
@@ -224,8 +231,10 @@ class MessagePages:
     def _cells(
         self, data: Bytes, pages: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return the offset of each cell and of the usable end of its page, and the cells per
-        page."""
+        """Return the offset of each cell, of the end of its page, and the number of cells per page.
+
+        The first two are (rows,), the last one is (pages,).
+        """
         head = gathered(data, pages, LEAF_HEAD)
         counts = head['cells'].astype(np.int64)
         if (head['kind'] != LEAF).any() or not counts.all():
@@ -238,15 +247,12 @@ class MessagePages:
 
 
 def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the size of the first two varints of each cell (section 1.6).
-
-    In the last byte of a varint, the highest bit is clear.
-    """
+    """Return the total size in bytes of the first two varints of each cell (section 1.6)."""
     last = ~gathered(data, start, np.dtype('<u8')) & LAST_BYTES
-    second = last & (last - 1)  # the lowest bit ends the first varint
+    second = last & (last - 1)  # without the lowest bit, which is in the first varint
     if not second.all():
         raise Unusual('an id of many bytes')
-    # the exponent of a power of two as a floating-point number is the position of its bit
+    # the position of the lowest bit is the exponent of its value as a floating-point number
     bit = (second & -second).astype(np.float64).view(np.int64) >> 52
     places: NDArray[np.int64] = (bit - (1023 - 1)) >> 3
     return places
@@ -255,10 +261,10 @@ def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
 def _columns(
     data: Bytes, header: NDArray[np.int64], head: NDArray[np.uint64], kind: int
 ) -> tuple[Any, ...]:
-    """Return topics, record times, and start and length of the blobs of rows of one layout.
+    """Return topics, record times, and offsets and lengths of the blobs, of rows of one layout.
 
-    The rows begin at the offsets ``header`` with the eight bytes ``head``. Their first `KIND_BYTES`
-    are ``kind`` in all rows and determine the layout (section 2.1).
+    ``header`` are the offsets of the row headers, and ``head`` their first eight bytes. The first
+    `KIND_BYTES` bytes, ``kind``, are the same in all rows and determine the layout (section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)
@@ -282,7 +288,7 @@ def _columns(
 
 
 def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int64]:
-    """Return the integers of a serial type at these offsets (section 2.1)."""
+    """Return the integers at the offsets ``at``, all of one serial type (section 2.1)."""
     size = INTEGER_BYTES[serial]
     if not size:
         return np.full(len(at), serial == 9, np.int64)
@@ -292,9 +298,10 @@ def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int
 
 
 def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the first and the last id of pages with ``counts`` rows, which begin with ``heads``.
+    """Return the first and the last id of the rows of several pages.
 
-    Raises Unusual when the ids do not increase from page to page: a damaged tree contains pages
+    ``heads`` are the first bytes of all cells, and ``counts`` the numbers of cells per page. Raises
+    Unusual when the ids do not increase from page to page, because a damaged tree contains a page
     twice.
     """
     last = np.cumsum(counts) - 1
@@ -306,7 +313,7 @@ def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def _ids_of(heads: Bytes) -> NDArray[np.int64]:
-    """Return the ids of cells, which are their second varints (section 1.6)."""
+    """Return the ids of the cells that begin with ``heads``: their second varint (section 1.6)."""
     ids = np.zeros(len(heads), np.int64)
     varint = np.zeros(len(heads), np.int64)
     for byte in heads[:, : 2 * WORD].T:

@@ -1,7 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of all storage formats of bags: topics, blocks of messages, chunks,
-decompression."""
+"""Common parts of the readers of bag files: topics, messages, chunks, decompression."""
 
 from __future__ import annotations
 
@@ -26,19 +25,16 @@ from ...core.errors import AllanError
 from ..files import open_regular
 
 MAX_CHUNK_BYTES = 128 * 2**20
-"""Largest chunk or record in bytes that is read, stored or decompressed. Recorders write about 1
-MB."""
+"""Largest size in bytes of a chunk or record, compressed or not; recorders write about 1 MB."""
 
 MAX_MESSAGE_BYTES = 4 * 2**20
-"""Largest single message in bytes that is decompressed."""
+"""Largest decompressed size of a single message in bytes."""
 
 MAX_FILE_RATIO = 250
-"""Largest expansion of a compressed storage file; expansion by `MAX_CHUNK_BYTES` is always
-allowed."""
+"""Largest expansion of a compressed bag file; expansion by `MAX_CHUNK_BYTES` is always allowed."""
 
-MAX_HELD_BYTES = 512 * 2**20
-"""Largest size in bytes of the messages of overlapping chunks that are kept in memory for
-sorting."""
+MAX_SORT_BYTES = 512 * 2**20
+"""Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
 
 MAX_FRAME_HEADER = 18
 """Longest header of a zstd frame in bytes (RFC 8878, section 3.1.1)."""
@@ -50,11 +46,12 @@ _FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of one storage file: number, name, message type (``package/msg/Name``).
+    """A topic of one bag file: its number in the file, name, and type (``package/msg/Name``).
 
-    The ``encoding`` of the messages is 'cdr', 'ros1', or one that cannot be read. The ``schema`` of
-    the type has the format 'ros2msg', 'ros2idl' or 'ros1msg', or '' if the file has none. Raises
-    ValueError when a name contains control characters, which means that the file is damaged.
+    ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
+    ``schema`` is the text that defines the message type, in the format 'ros2msg', 'ros2idl' or
+    'ros1msg'. Both are '' if the file has none. Raises ValueError when a name contains control
+    characters, because then the file is damaged.
     """
 
     id: int
@@ -70,48 +67,47 @@ class Topic:
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]
-"""Serialized messages; one array if all have the same length."""
+"""Serialized messages: one array if all have the same length, else a list."""
 
 
 @dataclass
-class Block:
-    """Consecutive messages: record times in ns, and serialized bytes."""
+class Messages:
+    """Consecutive messages of a bag: record times in ns, (n,), and serialized content."""
 
     record_ns: NDArray[np.int64]
     payloads: Payloads
 
 
 @dataclass(frozen=True)
-class Cut:
-    """Number of bytes of a truncated file that could be read, and its size (or its intended
-    size)."""
+class Truncation:
+    """How much of a truncated file can be read: number of bytes, and original size if known."""
 
     read: int
     size: int
 
 
 class Storage(Protocol):
-    """An open storage file."""
+    """An open bag file; ``truncation`` is None if it is complete."""
 
     topics: list[Topic]
-    cut: Cut | None
+    truncation: Truncation | None
 
     def counts(self) -> dict[int, int]:
         """Return topic id -> number of messages."""
 
-    def blocks(self, ids: set[int]) -> Iterator[Block]:
-        """Yield the messages of these topics in the order of their record time."""
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the messages of the topics with these ids in the order of their record time."""
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics that the file's index states, or else
-        ``read``.
+        """Return how many messages of these topics the file contains, according to its index.
 
-        Call it after `blocks`, with the number of messages that were read.
+        Call it after `blocks` with the number of messages that were read, which is returned if the
+        file has no index.
         """
 
 
 def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the records of one type that begin at these byte offsets."""
+    """Return copies of the records, of type ``dtype``, that begin at these byte offsets, (n,)."""
     if not len(start):
         return np.empty(0, dtype)
     anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
@@ -119,7 +115,7 @@ def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArr
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return a mask of the numbers that are in ``ids``, which contains one or two ids."""
+    """Return a mask (n,) of the numbers that are in ``ids``, a collection of few ids."""
     mask = np.zeros(len(numbers), bool)
     for number in ids:
         mask |= numbers == number
@@ -132,21 +128,20 @@ def as_list(payloads: Payloads) -> list[bytes | memoryview]:
 
 
 def normal_type(name: str) -> str:
-    """Return a type in the notation of ROS 2: ``sensor_msgs/Imu`` becomes
-    ``sensor_msgs/msg/Imu``."""
+    """Return a message type in ROS 2 notation: ``sensor_msgs/msg/Imu`` for ``sensor_msgs/Imu``."""
     package, *rest = name.split('/')
     return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
 
 
 def damaged(path: Path, reason: object, remedy: str) -> AllanError:
-    """Return the error for a file with invalid content."""
+    """Return the error for a file that cannot be read; ``remedy`` is the advice to the user."""
     words = ' '.join(str(reason).split())[:160] or type(reason).__name__
     return AllanError(f'{path}: cannot be read ({words}): {remedy}')
 
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Convert exceptions of a library for a damaged file into an `AllanError`."""
+    """Context manager that converts the given exceptions, due to a damaged file, to AllanError."""
     try:
         yield
     except AllanError:
@@ -156,12 +151,11 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
 
 
 DEBIAN_PACKAGES = {name: f' or "apt install python3-{name}"' for name in ('lz4', 'zstandard')}
-"""Packages that a ROS installation on Ubuntu installs with apt, because pip is blocked (PEP
-668)."""
+"""Package -> hint that it can be installed with apt, because Ubuntu blocks pip (PEP 668)."""
 
 
 def optional_package(module: str, purpose: str) -> Any:
-    """Import a module; if it is missing, raise AllanError with the command that installs it."""
+    """Import and return a module; if missing, raise AllanError with the command to install it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -172,19 +166,19 @@ def optional_package(module: str, purpose: str) -> Any:
         ) from None
 
 
-# --- decompression, always with a limit ----------------------------------------------------------
+# --- decompression with a limit ------------------------------------------------------------------
 
 
 def frame_compression(head: bytes | memoryview) -> str:
-    """Return the compression of a file or message by its first bytes: 'zstd', 'lz4' or ''."""
+    """Return how a file or message is compressed, by its first bytes: 'zstd', 'lz4' or ''."""
     return _FRAME_MAGIC.get(bytes(head[:4]), '')
 
 
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
-    """Return the bytes of a chunk or message compressed by 'zstd', 'lz4', 'bz2', 'none' or ''.
+    """Return the decompressed content of a chunk or message.
 
-    Raises ValueError when the compression is unknown, or the data are damaged or exceed the limit,
-    at which decompression stops.
+    ``compression`` is 'zstd', 'lz4', 'bz2', 'none' or ''. Raises ValueError when it is another one,
+    when the data are damaged, or when the content is longer than ``limit`` bytes.
     """
     if compression in ('', 'none'):
         return bytes(data)
@@ -205,12 +199,12 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
 
 
 def _stated_size(head: bytes | memoryview, compression: str) -> int:
-    """Return the decompressed size that the first bytes of zstd data state, or -1."""
+    """Return the decompressed size stated in the header of zstd data, or -1 if there is none."""
     return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 
 def _expanding(file: BinaryIO, compression: str) -> Any:
-    """Return a file with the decompressed content of another file."""
+    """Return a file object that decompresses ``file``."""
     if compression == 'zstd':
         return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
     if compression == 'lz4':
@@ -221,7 +215,7 @@ def _expanding(file: BinaryIO, compression: str) -> Any:
 
 
 def decompress_file(source: Path, compression: str, target: Path) -> None:
-    """Decompress a storage file into another.
+    """Decompress the bag file ``source`` into the file ``target``.
 
     Raises AllanError when it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is
     full.
@@ -253,7 +247,7 @@ def _zstd() -> Any:
 
 @lru_cache(maxsize=1)
 def _zstd_decompressor() -> Any:
-    """Return one decompressor for all messages: creating one costs ten times its use."""
+    """Return the decompressor of all messages; to create one takes longer than to use it."""
     return _zstd().ZstdDecompressor()
 
 
@@ -262,9 +256,9 @@ def _zstd_decompressor() -> Any:
 
 @dataclass(frozen=True, order=True)
 class Chunk:
-    """A stretch of the file that contains messages, the first recorded at ``start_ns``.
+    """A part of a file that contains messages: time of the first one, offset and length in bytes.
 
-    In mcap, the records of ``index_length`` bytes after it list its messages; ``loose`` marks
+    In mcap, an index of ``index_length`` bytes follows the chunk, and ``loose`` marks a sequence of
     messages outside chunks.
     """
 
@@ -276,14 +270,14 @@ class Chunk:
 
     @property
     def end(self) -> int:
-        """Offset of the first byte after the stretch and its index."""
+        """Offset of the first byte after the chunk and its index."""
         return self.offset + self.length + self.index_length
 
 
 class ChunkStorage(ABC):
-    """An open file that consists of chunks; subclasses implement the format.
+    """An open bag file that consists of chunks; subclasses implement the format.
 
-    `DAMAGE` contains the exceptions for a damaged file, `REMEDY` the advice to the user.
+    A damaged file causes one of the exceptions `DAMAGE`; `REMEDY` is the advice to the user.
     """
 
     DAMAGE: ClassVar[tuple[type[Exception], ...]]
@@ -297,7 +291,7 @@ class ChunkStorage(ABC):
         self._counts: Counter[int] = Counter()
         self._stated: Counter[int] = Counter()
         self._chunks: list[Chunk] = []
-        self.cut: Cut | None = None
+        self.truncation: Truncation | None = None
         self._survey()
         self._chunks.sort()
         self.topics = list(self._topics.values())
@@ -305,9 +299,10 @@ class ChunkStorage(ABC):
     @classmethod
     @contextmanager
     def open(cls, path: Path, shown: Path) -> Iterator[Storage]:
-        """Open a file; ``shown`` is the name in messages, which differs for a decompressed copy.
+        """Open the file ``path``.
 
-        Raises AllanError when the file is of another format or damaged.
+        Error messages name it ``shown``, because it may be a decompressed copy. Raises AllanError
+        when the file is of another format or damaged.
         """
         with translated(shown, (OSError,), cls.REMEDY):
             file = open_regular(path)
@@ -321,26 +316,26 @@ class ChunkStorage(ABC):
         return dict(self._counts)
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics that the file states, or ``read``."""
+        """Return how many messages of these topics the index states; ``read`` without an index."""
         if not self._stated:
             return read
         stated = sum(self._stated[number] for number in ids)
-        return max(stated, read) if self.cut else stated  # the index may be truncated as well
+        return max(stated, read) if self.truncation else stated  # the index may be truncated, too
 
-    def blocks(self, ids: set[int]) -> Iterator[Block]:
-        """Yield the messages of these topics in the order of their record time."""
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the messages of the topics with these ids in the order of their record time."""
         with translated(self._path, self.DAMAGE, self.REMEDY):
-            in_order = InOrder()
+            in_order = ChunkSorter()
             ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
             for chunk, until in zip(self._chunks, ends):
                 yield in_order.add(self._messages(chunk, ids), until)
 
     @abstractmethod
     def _survey(self) -> None:
-        """Find the topics, the chunks, the counts, and whether the file is truncated."""
+        """Find the topics, the chunks, the number of messages, and whether data are missing."""
 
     @abstractmethod
-    def _messages(self, chunk: Chunk, ids: set[int]) -> Block:
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
         """Return the messages of these topics in a chunk, in the order of the chunk."""
 
     def _read(self, offset: int, length: int) -> bytes:
@@ -354,8 +349,10 @@ class ChunkStorage(ABC):
     def _unpacked(
         self, offset: int, stored: bytes | memoryview, compression: str, size: int, crc: int = 0
     ) -> bytes:
-        """Return the records of the chunk at ``offset``, decompressed; a CRC-32 of 0 is not
-        checked."""
+        """Decompress a chunk to ``size`` bytes and check its CRC-32 unless ``crc`` is 0.
+
+        ``stored`` is the compressed chunk, and ``offset`` its position for error messages.
+        """
         try:
             data = decompress(stored, compression, min(size, MAX_CHUNK_BYTES))
             if len(data) != size:
@@ -368,37 +365,40 @@ class ChunkStorage(ABC):
         return data
 
 
-class InOrder:
+class ChunkSorter:
     """Sorts the messages of overlapping chunks by record time.
 
-    Add the chunks in the order of their start times. Messages before the start of the next chunk
-    are complete; only the overlap is kept, so memory does not grow with the file.
+    The chunks are added in the order of their start times. Only messages that were recorded after
+    the start of the next chunk are kept in memory.
     """
 
     def __init__(self) -> None:
-        self._held = Block(np.empty(0, np.int64), [])
+        self._pending = Messages(np.empty(0, np.int64), [])
 
-    def add(self, block: Block, until: int | None) -> Block:
-        """Add one chunk, and return all messages recorded before ``until`` (None: all messages)."""
-        held, times = self._held, block.record_ns
+    def add(self, chunk: Messages, until: int | None) -> Messages:
+        """Add the messages of a chunk, and return all messages recorded before ``until``.
+
+        ``until`` is the start of the next chunk in ns, or None after the last chunk.
+        """
+        pending, times = self._pending, chunk.record_ns
         complete = until is None or not len(times) or times[-1] < until
-        if complete and not len(held.record_ns) and (times[1:] >= times[:-1]).all():
-            return block
-        payloads = _joined(held.payloads, block.payloads)
-        times = np.concatenate([held.record_ns, times])
+        if complete and not len(pending.record_ns) and (times[1:] >= times[:-1]).all():
+            return chunk
+        payloads = _joined(pending.payloads, chunk.payloads)
+        times = np.concatenate([pending.record_ns, times])
         order = np.argsort(times, kind='stable')
         times = times[order]
         ready = len(times) if until is None else int(np.searchsorted(times, until))
         later = _copied(payloads, order[ready:])
         size = sum(map(len, later)) if isinstance(later, list) else later.nbytes
-        if size > MAX_HELD_BYTES:
-            raise ValueError(f'chunks overlap by more than {MAX_HELD_BYTES} bytes')
-        self._held = Block(times[ready:], later)
-        return Block(times[:ready], _copied(payloads, order[:ready]))
+        if size > MAX_SORT_BYTES:
+            raise ValueError(f'chunks overlap by more than {MAX_SORT_BYTES} bytes')
+        self._pending = Messages(times[ready:], later)
+        return Messages(times[:ready], _copied(payloads, order[:ready]))
 
 
 def _joined(first: Payloads, second: Payloads) -> Payloads:
-    """Return the messages of both, as one array if all have the same length."""
+    """Concatenate messages: to one array if all have the same length, else to a list."""
     if not len(first):
         return second
     if isinstance(first, list) or isinstance(second, list) or first.dtype != second.dtype:
@@ -407,7 +407,7 @@ def _joined(first: Payloads, second: Payloads) -> Payloads:
 
 
 def _copied(payloads: Payloads, rows: NDArray[np.intp]) -> Payloads:
-    """Return a copy of the messages, so that the memory of their chunk can be released."""
+    """Return a copy of the messages at these positions, which does not refer to their chunk."""
     if isinstance(payloads, np.ndarray):
         return payloads[rows]
     return [bytes(payloads[row]) for row in rows.tolist()]

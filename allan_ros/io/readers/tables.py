@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""CSV and TSV files, read row by row and written without loss of precision.
+"""Reads and writes tables of samples: CSV, TSV, and columns separated by spaces.
 
-The files written here have int64 nanosecond stamps, shortest round-trip floats in SI, and the
-frame_id in a comment::
+Tables are written without loss of precision, with stamps in ns, samples in SI, and the frame_id in
+a comment::
 
     # frame_id: imu_link
     stamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z
@@ -47,28 +47,25 @@ EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
 @dataclass(frozen=True)
 class _Table:
-    """The layout of a table.
-
-    ``delimiter`` is ',', ';', tab, or '' for white space, ``width`` the number of columns of every
-    row. The names are in the line ``header_line``, 0 without a header.
-    """
+    """The layout of a table."""
 
     path: Path
-    delimiter: str
-    width: int
+    delimiter: str  # ',', ';' or tab; '' for white space
+    width: int  # number of columns
     names: tuple[str, ...]
-    header_line: int
+    header_line: int  # number of the line with the names; 0 without a header
     columns: Columns
-    rate_hz: float
+    rate_hz: float  # sample rate if there are no stamps
 
 
 def open_table(path: Path, options: ReadOptions) -> Recording:
-    """Open a table of numbers as a recording.
+    """Open a table of numbers in a text file as a recording.
 
-    Raises AllanError when it has no rows, or its columns are unknown.
+    Raises AllanError when it has no rows, when no column is an axis of a sensor, or when the times
+    are unknown.
     """
     with _text(path) as file:
-        table = _read_form(path, file, options)
+        table = _read_layout(path, file, options)
     info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
     return Recording(
         info,
@@ -79,11 +76,8 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
     )
 
 
-def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
-    """Return the form of a table, from its first lines.
-
-    Raises AllanError when there is no row, no name for the columns, or no sensor among them.
-    """
+def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
+    """Return the layout of a table, from its first lines and the options."""
     comment = ''
     lines = _bounded_lines(path, file)
     number = 0
@@ -100,7 +94,7 @@ def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     try:
         rows = _split(chain([line], lines), delimiter)
         first = tuple(cell.strip() for cell in next(rows))
-        number += getattr(rows, 'line_num', 1) - 1  # a header may have quoted line breaks
+        number += getattr(rows, 'line_num', 1) - 1  # a header may contain quoted line breaks
         above = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
     except (csv.Error, StopIteration) as error:
         raise AllanError(
@@ -138,7 +132,7 @@ def _read_form(path: Path, file: TextIO, options: ReadOptions) -> _Table:
 def _check_complete(
     path: Path, names: tuple[str, ...], columns: Columns, options: ReadOptions
 ) -> None:
-    """Raise AllanError unless all axes of each sensor, and times, are present."""
+    """Raise AllanError if an axis of a sensor, all sensors, or the times are missing."""
     for sensor, place in SENSORS.items():
         have = [AXES[axis] for axis in range(place.start, place.stop) if axis in columns.axes]
         if have and len(have) < 3:
@@ -159,9 +153,10 @@ def _check_complete(
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
-    """Write the batches as described above, and return the number of rows.
+    """Write the batches as a table, and return the number of rows.
 
-    Raises AllanError when only some of the batches have record times.
+    The delimiter is a tab if the suffix is .tsv, else a comma. Raises AllanError when only some of
+    the batches have record times.
     """
     delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
     written = 0
@@ -195,7 +190,7 @@ def _write_frame(file: TextIO, frame_id: str) -> None:
 
 
 def _text(path: Path) -> TextIO:
-    # an invalid byte becomes a cell that is not a number, which is reported with line and column
+    # an invalid byte is replaced, and then reported as a value that is not a number
     return TextIOWrapper(open_regular(path), encoding='utf-8-sig', errors='replace', newline=None)
 
 
@@ -215,7 +210,8 @@ def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
 def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
     """Yield the cells of each row; a quoted cell may contain line breaks.
 
-    Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
+    Without a delimiter, cells are separated by white space. Raises csv.Error when a quote is not
+    closed, or a cell is longer than 128 kB.
     """
     if not delimiter:
         return map(str.split, lines)
@@ -223,10 +219,10 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
 
 
 class _Lines:
-    """The lines of a table after its header, without comments and empty lines.
+    """Iterates over the lines of a table after its header, without comments and empty lines.
 
-    ``number`` is the number of the last line read, from 1, and ``frame_id`` the one in the last
-    comment with a frame_id.
+    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is that in the
+    last comment with a frame_id. ``complete`` is whether the last line has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -248,18 +244,18 @@ class _Lines:
 
 @dataclass
 class _Rows:
-    """Consecutive rows of one frame_id: their line numbers and cells."""
+    """Consecutive rows with one frame_id."""
 
     table: _Table
-    first: int = 0
+    first: int = 0  # index of the first row in the table
     frame_id: str = ''
-    numbers: list[int] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)  # line number of each row
     cells: list[list[str]] = field(default_factory=list)
 
     def batch(self) -> ImuBatch:
-        """Return the rows as samples."""
+        """Convert the rows to samples; raise AllanError when a row or value is invalid."""
         table, n = self.table, len(self.cells)
-        known = table.columns
+        meaning = table.columns
         for number, row in zip(self.numbers, self.cells):
             if len(row) != table.width:
                 raise AllanError(
@@ -268,20 +264,20 @@ class _Rows:
                 )
         columns = list(zip(*self.cells))
         samples = np.full((n, len(AXES)), np.nan)
-        for axis, (column, scale) in known.axes.items():
+        for axis, (column, scale) in meaning.axes.items():
             samples[:, axis] = self._floats(columns[column], column)
             if scale != 1.0:
                 samples[:, axis] *= scale
         stamps, record = (
             sum((self._nanoseconds(columns[c], c, s) for c, s in parts), np.zeros(n, np.int64))
-            for parts in (known.stamp, known.record)
+            for parts in (meaning.stamp, meaning.record)
         )
-        if not known.stamp:
+        if not meaning.stamp:
             stamps = even_stamps(self.first, n, table.rate_hz)
-        return ImuBatch(stamps, samples, record if known.record else None, self.frame_id)
+        return ImuBatch(stamps, samples, record if meaning.record else None, self.frame_id)
 
     def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
-        """Return one column as numbers; an empty cell is a missing value."""
+        """Convert a column to numbers; an empty cell becomes NaN."""
         with suppress(ValueError):
             return np.array(list(map(float, cells)))
         for row, cell in enumerate(cells):
@@ -290,7 +286,7 @@ class _Rows:
         return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
 
     def _nanoseconds(self, cells: tuple[str, ...], column: int, scale: int) -> NDArray[np.int64]:
-        """Return one column of times in ns, exactly (a float has too few digits for a stamp)."""
+        """Convert a column of times exactly to ns; ``scale`` is the size of its unit in ns."""
         if scale == 1:
             with suppress(ValueError, OverflowError):
                 return np.array(list(map(int, cells)), dtype=np.int64)
@@ -321,7 +317,7 @@ class _Rows:
 
 
 def _rows(table: _Table, file: TextIO, report: Report) -> Iterator[_Rows]:
-    """Yield the rows, about `BATCH` at a time; another frame_id in a comment begins a new part.
+    """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
 
     The last line is not used if it has no line end, because its last number may be truncated.
     """
@@ -350,7 +346,7 @@ def _rows(table: _Table, file: TextIO, report: Report) -> Iterator[_Rows]:
 
 
 def _read(table: _Table, report: Report) -> Iterator[ImuBatch]:
-    """Yield the rows as batches."""
+    """Yield the samples of a table."""
     for sensor, name in table.columns.assumed.items():
         unit = SAMPLE_SI[sensor]
         report(finding('unit_assumed', path=table.path, sensor=sensor, unit=unit, name=name))
@@ -360,7 +356,7 @@ def _read(table: _Table, report: Report) -> Iterator[ImuBatch]:
 
 
 def _temperature(table: _Table) -> TemperatureTrace | None:
-    """Return the temperature column, if there is one."""
+    """Return the temperature over time; None if the table has no such column."""
     column = table.columns.temperature
     if column is None:
         return None
@@ -370,7 +366,7 @@ def _temperature(table: _Table) -> TemperatureTrace | None:
             kept.add((row, cells))
     readings = []
     for row, cells in kept:
-        with suppress(ValueError, IndexError, DecimalException):  # a truncated line
+        with suppress(ValueError, IndexError, DecimalException):  # an invalid line
             stamp = round(row * 1e9 / table.rate_hz) if table.rate_hz else 0
             if parts := table.columns.stamp:
                 stamp = sum(round(Decimal(cells[at].strip()) * size) for at, size in parts)

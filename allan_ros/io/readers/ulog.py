@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""PX4 logs (``.ulg``): the topics ``sensor_combined`` and ``vehicle_imu``, read with ``pyulog``.
+"""Reads PX4 logs (``.ulg``) with ``pyulog``: the topic ``sensor_combined`` or ``vehicle_imu``.
 
-``sensor_combined`` has rates of the IMU in use; each instance of ``vehicle_imu`` has the delta
-angles and velocities of one IMU, which are divided by their integration time. Dropouts of the
-logger are gaps in the stamps.
+``sensor_combined`` contains angular rate and acceleration of the IMU in use. Each instance of
+``vehicle_imu`` contains the delta angles and delta velocities of one IMU, which are divided by
+their integration times. Dropouts of the logger cause gaps in the stamps.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from .storage import damaged, optional_package
 TOPICS = ('sensor_combined', 'vehicle_imu')
 
 MAX_BYTES = 4 * 2**30
-"""Largest log that is read: the parser keeps the data of the topics in memory."""
+"""Largest size of a log in bytes; the parser keeps the data of the topics in memory."""
 
 MAX_SEEKS = 50_000
-"""Damaged bytes after which the rest of a log is not read, which take about a second."""
+"""Number of damaged bytes (about a second of processing) after which reading stops."""
 
 INVALID = 0x7FFFFFFF
-"""accelerometer_timestamp_relative of a sample without an accelerometer."""
+"""Value of accelerometer_timestamp_relative in a sample without acceleration."""
 
 MICROSECOND = 1000
 """In ns."""
 
 DECIMATED = 1.5
-"""Ratio of sample period to integration time above which samples were left out."""
+"""Ratio of sample period to integration time above which the logger left out samples."""
 
 REMEDY = 'copy the log again'
 
@@ -49,7 +49,8 @@ REMEDY = 'copy the log again'
 def open_ulog(path: Path, options: ReadOptions) -> Recording:
     """Open a PX4 log as a recording of one IMU.
 
-    Raises AllanError when it cannot be read, has no IMU, or has several and none was chosen.
+    Raises AllanError when it cannot be read or has no IMU, or when it has several and the options
+    select none.
     """
     log = _parsed(path)
     found = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
@@ -89,9 +90,9 @@ def _parsed(path: Path) -> Any:
 
 
 class _Limited:
-    """A file that ends after `MAX_SEEKS`.
+    """A file object whose content ends after `MAX_SEEKS` seeks.
 
-    In a damaged part of a log the parser goes back and continues one byte further on, each time.
+    The parser seeks back once for each byte of a damaged part of the log, which takes very long.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -101,17 +102,17 @@ class _Limited:
         self.close = file.close
 
     def read(self, size: int = -1) -> bytes:
-        """Return the next bytes; no bytes once the limit of seeks is exceeded."""
+        """Return the next bytes, or b'' after too many seeks."""
         return self._file.read(size) if self._seeks <= MAX_SEEKS else b''
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Seek and count the seeks."""
+        """Change the position, and count the call."""
         self._seeks += 1
         return self._file.seek(offset, whence)
 
 
 def _label(data: Any, log: Any) -> str:
-    """Return the name of a topic, with the number of the instance where there are several."""
+    """Return the name of a topic, followed by the number of the instance if there are several."""
     several = sum(other.name == data.name for other in log.data_list) > 1
     return f'{data.name}:{data.multi_id}' if several else str(data.name)
 
@@ -133,7 +134,7 @@ def _chosen(path: Path, names: list[str], wanted: str) -> str:
 
 
 def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]:
-    """Return the samples of a topic, and the median integration time in s (0: unknown)."""
+    """Return the samples of a topic, and the median integration time in s; 0 if it is unknown."""
     record = _nanoseconds(data['timestamp'])
     stamps = _nanoseconds(data['timestamp_sample']) if 'timestamp_sample' in data else record
     samples = np.empty((len(AXES), len(record))).T

@@ -13,8 +13,7 @@ import pytest
 
 from allan_ros.core.imu import STANDARD_GRAVITY
 from allan_ros.io.readers import arrays
-from allan_ros.io.readers.open import open_recordings
-from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io.readers.recording import ReadOptions, open_recordings
 
 RNG = np.random.default_rng(3)
 N = 1000

@@ -249,7 +249,7 @@ def limited(path: Path, megabytes: int = 500) -> str:
         'import resource, sys\n'
         'from allan_ros.core.errors import AllanError\n'
         'import allan_ros.io.readers.rosbag2, allan_ros.io.readers.tables, zstandard, yaml\n'
-        'from allan_ros.io.readers.open import open_recordings\n'
+        'from allan_ros.io.readers.recording import open_recordings\n'
         'pages = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()\n'
         f'limit = pages + {megabytes} * 2**20\n'
         'resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\n'

@@ -131,7 +131,7 @@ def test_bad_options_are_refused() -> None:
 READ_ALL = """
 import sys
 from allan_ros.core.errors import AllanError
-from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import open_recordings
 
 for name in {hidden}:
     sys.modules[name] = None

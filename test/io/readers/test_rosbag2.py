@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
-from allan_ros.io.readers.open import open_recordings
+from allan_ros.io.readers.recording import open_recordings
 from allan_ros.io.writing import write_recording
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')

@@ -20,8 +20,7 @@ from allan_ros.io.readers import sqlite3 as bag_sqlite3
 from allan_ros.io.readers import sqlite3_pages
 from allan_ros.io.readers.cdr import IMU_TYPE, decode_imus, encode_imus
 from allan_ros.io.readers.mcap import chunk_messages
-from allan_ros.io.readers.open import open_recordings
-from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io.readers.recording import ReadOptions, open_recordings
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
 highlevel = pytest.importorskip('rosbags.highlevel')
