@@ -15,7 +15,7 @@ EXECUTABLES = {
     'player': ('player', 'main'),
     'watch': ('watch', 'main'),
 }
-"""Name -> module and function."""
+"""Command line argument -> module, and the function in it that runs the node."""
 
 
 def main() -> int:

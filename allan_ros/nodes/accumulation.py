@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One IMU of a node: from messages to running sums, checkpoint and input status."""
+"""Accumulates the Imu messages of one topic: running sums, checkpoint and input status."""
 
 from __future__ import annotations
 
@@ -33,12 +33,9 @@ from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu
 from .shell import LATCHED
 
-LIVE_COUNTERPARTS = frozenset(('gaps',))
-"""Findings of a complete stream that are replaced by findings of the live input."""
 
-
-class Settings:
-    """The parameters of a node that accumulates."""
+class AccumulatorParameters:
+    """The parameter groups of a node that accumulates."""
 
     def __init__(self, node: AllanNode) -> None:
         self.input = node.parameters.group('input', InputSettings)
@@ -47,21 +44,22 @@ class Settings:
         self.checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
 
     def imus(self) -> list[WatchedImu]:
-        """Return the IMUs to watch."""
+        """Return the topic, label, serial number and checkpoint of each IMU."""
         return self.input.value.imus(self.checkpoint.value.path)
 
 
 class ImuWatch(Part):
-    """Accumulates the sums of one IMU and restores them after a restart.
+    """Accumulates the sums of one IMU, and continues them from its checkpoint after a restart.
 
-    The listener is called with the sums when they are due, as an object, without JSON.
+    ``listener`` is called with every snapshot of the sums: periodically, for a new subscriber, and
+    when sums are reset or replaced.
     """
 
     def __init__(
         self,
         node: AllanNode,
         imu: WatchedImu,
-        settings: Settings,
+        settings: AccumulatorParameters,
         listener: Callable[[Snapshot], None] | None = None,
     ) -> None:
         self._node, self._imu, self._settings, self._listener = node, imu, settings, listener
@@ -76,7 +74,7 @@ class ImuWatch(Part):
         self._axes: tuple[str, ...] = ()  # axes with a finite value so far
         self._published: tuple[AllanSums, ...] = ()
         self._published_imu: tuple[str, tuple[str, ...]] = '', ()
-        self._counted = 0  # number of messages received at the last status
+        self._received = 0  # number of messages at the last status
         self._events: tuple[object, ...]
         self._begin(self._checkpoint.last_stamp_ns)
 
@@ -97,7 +95,7 @@ class ImuWatch(Part):
         return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
 
     def tick(self, now: float) -> None:
-        """Run the tasks that are due; called by the node's timer, which drains the queue."""
+        """Fetch the queued messages, and run the tasks that are due."""
         self._input.drain()
         self._health.heard(now, self._input.received)
         if self._update_due.due(now):
@@ -116,7 +114,7 @@ class ImuWatch(Part):
         """Return the status of the input."""
         self._update()
         self._checkpoint.tick()
-        health, stream_findings = self._outlook()
+        health, stream_findings = self._health_and_findings()
         if (self.frame_id, self._axes) != self._published_imu:
             self._publish(self._total())
         statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
@@ -124,7 +122,8 @@ class ImuWatch(Part):
         found = self._health.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph
         )
-        live = {*LIVE_FINDINGS, *LIVE_COUNTERPARTS, *(f.id for f in found)}
+        # the findings of a live input replace those of a complete stream
+        live = {*LIVE_FINDINGS, 'gaps', *(f.id for f in found)}
         stamp_age = None
         if self._last_stamp_ns is not None:
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9
@@ -138,7 +137,7 @@ class ImuWatch(Part):
             segments=max((s.segment_count for s in self._sums), default=0),
             publishers=publishers,
             declared_rate=self._settings.segmenter.value.declared_rate,
-            path='draining' if self._input.lean else 'a plain callback',
+            receiver='a timer' if self._input.polled else 'a callback',
             received_age_s=self._health.silence_s(now) if statistics.received else None,
             stamp_age_s=stamp_age,
             checkpoint=self._checkpoint.path,
@@ -148,67 +147,70 @@ class ImuWatch(Part):
         return [input_status(name, self._imu.hardware_id or one_line(self.frame_id), view)]
 
     def close(self) -> None:
-        """Process the last messages, and write the checkpoint."""
+        """Accumulate the remaining messages, and write the checkpoint."""
         self._input.drain()
         self._update()
         for _, piece in self._splitter.flush():
-            self._take(piece)
+            self._accumulate(piece)
         self._checkpoint.save(self._total())
         self._checkpoint.close()
 
-    def _outlook(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return the health and the findings of the stream, and publish sums that were replaced.
+    def _health_and_findings(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
+        """Return the health and the findings of the stream; publish sums that have lost samples.
 
-        Computing the sums is expensive. They are computed if no message arrived since the last
-        call, or if anything except the addition of data at rest happened since then.
+        Computing the sums takes tens of milliseconds. It is done only if no message arrived since
+        the last call, or if anything except the addition of data at rest happened since then.
         """
-        quiet, self._counted = self._input.received == self._counted, self._input.received
+        quiet, self._received = self._input.received == self._received, self._input.received
         if self._outdated:
-            health, findings = self._stream.outlook(self._known.sums)
+            health, findings = self._stream.outlook(self._result.sums)
             before, self._events = self._events, _events(health)
             if not quiet and self._events == before:
                 return health, findings
             total = self._total()
             if replaced_share(self._published, total[0]) > REPLACED_SHARE:
                 self._publish(total)
-        return self._known.health, self._known.findings
+        return self._result.health, self._result.findings
 
     def _static_s(self, health: StreamHealth) -> float:
-        """Return the time at rest in s: in the sums, and in the samples added since then."""
-        known = max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0)
-        added = health.counts.used - self._known.health.counts.used
-        streams = max(1, len(self._known.sums))
-        return known + max(0, added) / streams / health.rate_hz if health.rate_hz else known
+        """Return the time at rest in s, which includes samples that the sums do not contain yet."""
+        in_sums = max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0)
+        added = health.counts.used - self._result.health.counts.used
+        streams = max(1, len(self._result.sums))
+        return in_sums + max(0, added) / streams / health.rate_hz if health.rate_hz else in_sums
 
     # --- samples in -------------------------------------------------------------------------------
 
     def _begin(self, latest_ns: int | None = None) -> None:
-        """Start new sums; with simulated time, samples up to the latest stamp are a repeated
-        pass."""
+        """Start new sums.
+
+        ``latest_ns`` is the latest stamp of earlier sums: with simulated time, samples up to it
+        repeat a recording.
+        """
         segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
         self._stream = ImuStream(segmenter, hardware_id, with_means=True)
         self._splitter = PassSplitter(latest_ns)
-        self._latest_ns: int | None = None  # health and findings of these sums
-        self._known = self._stream.result()
-        self._sums: tuple[AllanSums, ...] = ()
-        self._outdated = True  # whether samples were added since these were computed
-        self._events = ()  # number of messages at the last status
+        self._latest_ns: int | None = None
+        self._result = self._stream.result()
+        self._sums: tuple[AllanSums, ...] = ()  # with the sums of earlier runs
+        self._outdated = True  # whether samples were added since `_result` was computed
+        self._events = ()
 
     def _update(self) -> None:
-        """Accumulate the drained messages."""
+        """Accumulate the fetched messages."""
         # With simulated time a recording may be looped; its second pass contains no new data. With
         # real time, stamps that go back mean that the clock was set, which only splits the data.
         played = bool(self._node.get_parameter('use_sim_time').value)
         for batch in self._input.batches():
             if not played:
-                self._take(batch)
+                self._accumulate(batch)
                 continue
             for new_pass, piece in self._splitter.split(batch):
                 if new_pass:
                     self._begin_pass()
-                self._take(piece)
+                self._accumulate(piece)
 
-    def _take(self, batch: ImuBatch) -> None:
+    def _accumulate(self, batch: ImuBatch) -> None:
         self._stream.update(batch)
         self._outdated = True
         if len(self._axes) < len(AXES):
@@ -219,7 +221,7 @@ class ImuWatch(Part):
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
 
     def _begin_pass(self) -> None:
-        """Store the sums of the completed pass, and start new ones."""
+        """Keep the sums of the recording that starts again, and start new ones."""
         where = self._checkpoint.start_over(self._total())
         splitter = self._splitter
         self._begin()
@@ -232,10 +234,10 @@ class ImuWatch(Part):
     # --- sums out ---------------------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums as if the input ended now, including earlier runs of the node."""
+        """Return the sums of all samples so far, including earlier runs of the node."""
         if self._outdated:
-            self._known, self._outdated = self._stream.result(), False
-        known, name = self._known, self._node.get_fully_qualified_name()
+            self._result, self._outdated = self._stream.result(), False
+        known, name = self._result, self._node.get_fully_qualified_name()
         provenance = Provenance(
             (SourceInfo(name, self._input.topic, IMU_TYPE, 'live'),),
             known.segments,
@@ -288,7 +290,7 @@ class ImuWatch(Part):
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return the counts that change when anything except data at rest is added to a stream."""
+    """Return values that change when anything except data at rest is added to a stream."""
     c = health.counts
-    began, cuts = c.used > 0, sum(c.cuts.values())
-    return health.state, health.discarded, health.frame_id, health.frame_changes, cuts, began
+    started, splits = c.used > 0, sum(c.cuts.values())
+    return health.state, health.discarded, health.frame_id, health.frame_changes, splits, started

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostic statuses of an input and of an axis, as messages on `/diagnostics`."""
+"""Statuses of an input and of an axis, for `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -38,16 +38,17 @@ LEVELS: Mapping[str, bytes] = {
     'warning': DiagnosticStatus.WARN,
     'error': DiagnosticStatus.ERROR,
 }
-"""Severity of a finding -> level of a status (`bytes` in Python)."""
+"""Severity of a finding -> level of a status, which is `bytes` in Python."""
 
 
 @dataclass(frozen=True)
 class InputView:
     """Content of the status of one input.
 
-    ``noted`` are findings that do not change the level. ``received_age_s`` is None before the
-    first message; ``stamp_age_s`` is the ROS time since the last header stamp; ``path`` is the way
-    in which messages are received.
+    Ages are in s, and None before the first message or save. ``received_age_s`` is the time since
+    the last message, ``stamp_age_s`` the ROS time since its header stamp. ``static_s`` is the time
+    at rest in s. ``noted`` are findings that do not change the level. ``declared_rate`` is in Hz,
+    0 if none. ``receiver`` names what receives the messages: a timer or a callback.
     """
 
     topic: str
@@ -59,7 +60,7 @@ class InputView:
     segments: int
     publishers: tuple[str, ...]
     declared_rate: float
-    path: str
+    receiver: str
     received_age_s: float | None = None
     stamp_age_s: float | None = None
     checkpoint: str = ''
@@ -67,14 +68,14 @@ class InputView:
 
 
 def status_name(node: Node, *words: str) -> str:
-    """Return ``<node>: <words>``, with the namespace if any; control characters are escaped."""
+    """Return ``<namespace>/<node>: <words>`` with control characters escaped."""
     return one_line(
         f'{node.get_fully_qualified_name().strip("/")}: {" ".join(w for w in words if w)}'
     )
 
 
 def key_values(pairs: Iterable[tuple[str, object]]) -> list[KeyValue]:
-    """Return the pairs as strings; None becomes 'unknown'."""
+    """Return pairs of key and value as messages; None becomes 'unknown'."""
     return [KeyValue(key=key, value=_text(value)) for key, value in pairs]
 
 
@@ -93,10 +94,10 @@ def status_of(
     noted: Sequence[Finding] = (),
     hardware_id: str = '',
 ) -> DiagnosticStatus:
-    """Return a status with the level of the most severe finding, and all findings as values.
+    """Return a status with the level of its most severe finding.
 
-    The message is the first warning or error, else ``otherwise``. Findings that are only ``noted``
-    do not change the level.
+    The message is the first warning or error in ``findings``; without one it is ``otherwise``. The
+    values are ``pairs`` and all findings. Findings in ``noted`` change neither level nor message.
     """
     shown = [(f'finding: {f.id}', f) for f in (*findings, *noted)]
     severe = [f for f in findings if f.severity != 'info']
@@ -142,7 +143,7 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('publishers', ', '.join(view.publishers) or 'none'),
         ('publishers of incompatible QoS', r.incompatible_qos),
         ('stamps used', h.stamps),
-        ('messages taken by', view.path),
+        ('messages taken by', view.receiver),
         ('checkpoint', view.checkpoint or 'none'),
         ('checkpoint age [s]', view.checkpoint_age_s),
     ]
@@ -164,19 +165,21 @@ def _state_text(view: InputView) -> str:
 
 
 RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
-"""Averaging times in s at which the recent deviation is compared with the earlier one."""
+"""Averaging times in s at which the recent Allan deviation is compared with the earlier one."""
 
 NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
-"""Findings of the fit that the status of an axis shows."""
+"""Findings of the fit that the status of an axis shows without a change of its level."""
 
 
 @dataclass(frozen=True)
 class AxisView:
     """Content of the status of one axis.
 
-    ``sums`` is None before there are any, ``result`` before the first fit; ``problems`` are a
-    failed fit or a withdrawn model; ``changes`` are the differences of the recent noise from the
-    earlier noise; ``noted`` are findings of the fit that do not change the level.
+    ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
+    fit. ``problems`` are a failed fit or a withdrawn model. ``comparisons`` are those with the
+    datasheet and earlier results, within ``margin`` (a fraction of the limit). ``recent`` is the
+    noise of the recent window, and ``changes`` its differences from the earlier noise. ``noted``
+    are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -196,7 +199,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     """Return the status of one axis."""
     findings = [*view.problems, *_change_findings(view), *_limit_findings(view)]
     static_s = view.sums.elapsed_ns * 1e-9 if view.sums else 0.0
-    upcoming = _next_term(view)
+    next_term = _next_term(view)
     pairs: list[tuple[str, object]] = []
     if view.result is not None:
         noise = view.result.fit.noise
@@ -210,7 +213,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
-            ('next coefficient', upcoming or None),
+            ('next coefficient', next_term or None),
         ]
     pairs += [
         ('evidence [s]', static_s),
@@ -222,7 +225,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
     pairs += _recent_pairs(view)
-    text = _summary(view, static_s, upcoming)
+    text = _summary(view, static_s, next_term)
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
@@ -239,8 +242,7 @@ def _term_pairs(
 
 
 def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, object]]:
-    """Return the ends of the interval as plain numbers, because plotters cannot draw
-    ``low..high``."""
+    """Return the ends of the 95 % interval as numbers, because plotters cannot draw 'low..high'."""
     low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
     ends = {'low': low, 'high': high}
     return [
@@ -251,7 +253,7 @@ def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, 
 
 
 def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
-    """Return the ratios of recent to earlier deviation at a few averaging times."""
+    """Return the ratios of recent to earlier Allan deviation at a few averaging times."""
     pairs: list[tuple[str, object]] = []
     for tau in RECENT_TAUS_S:
         d = _nearest(view.changes, tau)
@@ -262,20 +264,20 @@ def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
 
 
 def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
-    """Return the difference of deviations at the averaging time nearest to ``tau``."""
+    """Return the change of the Allan deviation at the averaging time nearest to ``tau`` (s)."""
     known = [d for d in changes if d.tau and d.ratio]
     return min(known, key=lambda d: abs(math.log((d.tau or tau) / tau)), default=None)
 
 
 def _limit_findings(view: AxisView) -> list[Finding]:
-    """Return a finding for each limit that is exceeded."""
+    """Return a finding for each coefficient that exceeds its limit."""
     noise = view.result.fit.noise if view.result else {}
     beyond = [c for c in view.comparisons if c.verdict == 'beyond' and noise]
     return [beyond_limit(c, noise.get(c.term), view.margin, ()) for c in beyond]
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
-    """Return the finding of a step of the level that is significant and beyond the margin."""
+    """Return a finding if the noise level has a significant step that exceeds the margin."""
     recent = view.recent
     if recent is None or recent.since_s is None:
         return []
@@ -304,15 +306,15 @@ def _change_findings(view: AxisView) -> list[Finding]:
 
 
 def _dominant_term(view: AxisView, tau: float) -> str:
-    """Return the term that contributes most to the fitted curve at tau; '' before a fit."""
+    """Return the term that contributes most to the fitted curve at ``tau`` (s); '' before a fit."""
     if view.result is None or view.sums is None or not view.sums.tau0:
         return ''
     parts = view.result.part_adev(np.array([max(1, round(tau / view.sums.tau0))]))
     return max(parts, key=lambda name: float(parts[name][0]), default='')
 
 
-def _summary(view: AxisView, static_s: float, upcoming: str) -> str:
-    """Return the known coefficients in datasheet units, and the next coefficient to be resolved."""
+def _summary(view: AxisView, static_s: float, next_term: str) -> str:
+    """Return the coefficients in datasheet units, and which ones need more data."""
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU still for a minute'
     static = f'from {duration_text(static_s, 3)} of static data'
@@ -325,11 +327,11 @@ def _summary(view: AxisView, static_s: float, upcoming: str) -> str:
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')
     known = f'{", ".join(shown) or "no coefficient"} {static}'
-    return f'{known}; {upcoming}' if upcoming else known
+    return f'{known}; {next_term}' if next_term else known
 
 
 def _next_term(view: AxisView) -> str:
-    """Return the time at rest that resolves the missing relevant terms; '' if there are none."""
+    """Return the time at rest that resolves the next terms; '' if no relevant term is missing."""
     if view.result is None or view.method != 'gls':
         return ''  # the prediction is valid only for that fit
     limits = {c.term: c.limit for c in view.comparisons if c.tau is None}
@@ -344,5 +346,5 @@ def _next_term(view: AxisView) -> str:
 
 
 def _longest_tau(sums: AllanSums) -> float | None:
-    some = np.flatnonzero(sums.count)
-    return float(sums.m[some[-1]] * sums.tau0) if len(some) and sums.tau0 else None
+    filled = np.flatnonzero(sums.count)
+    return float(sums.m[filled[-1]] * sums.tau0) if len(filled) and sums.tau0 else None

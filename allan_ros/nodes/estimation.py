@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the sums of one IMU to coefficients: when to fit, publish and withdraw them."""
+"""Fits the sums of one IMU, and publishes or withdraws the noise model."""
 
 from __future__ import annotations
 
@@ -35,29 +35,28 @@ from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Largest share of the time in which fits may keep a core busy."""
+"""Largest share of the time for which fits may use a CPU core."""
 
 LONGEST_WAIT_S = 20.0
-"""Longest time in s that the next fit waits for its share. In this time, only short sums grow by 10
-%."""
+"""Longest pause in s between two fits that `FIT_SHARE` causes."""
 
 STALE_PERIODS = 3.0
-"""Number of periods after which sums are reported as missing."""
+"""Number of periods without sums after which they are reported as missing."""
 
 ALONE_S = 5.0
-"""Time in s after which sums without a publisher are reported as missing; discovery takes less."""
+"""Time in s after which sums are reported as missing if no publisher has been discovered."""
 
 
 @dataclass(frozen=True)
 class References:
-    """References for coefficients: a datasheet, and earlier results by name."""
+    """What coefficients are compared with: a datasheet, and earlier results by name."""
 
     datasheet: Datasheet | None
     baselines: Mapping[str, Results]
 
 
 def load_references(settings: EstimatorSettings) -> References:
-    """Return the references; raises AllanError if one of them cannot be read."""
+    """Read the datasheet and the baseline; AllanError if one of them cannot be read."""
     path = settings.baseline and str(Path(settings.baseline).expanduser())
     return References(
         load_sensor(settings.sensor) if settings.sensor else None,
@@ -68,9 +67,9 @@ def load_references(settings: EstimatorSettings) -> References:
 class ImuEstimate(Part):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
-    If sums lose samples, the model becomes invalid. It is withdrawn at once (a noise model without
-    axes is published), a warning replaces the coefficients, and the sums are fitted again. The
-    listener is called with the results of every fit, and with results without axes at a withdrawal.
+    If the sums lose samples, the model is withdrawn: a noise model without axes is published, a
+    warning replaces the coefficients, and the sums are fitted again. ``listener`` is called with
+    every published noise model.
     """
 
     def __init__(
@@ -90,7 +89,7 @@ class ImuEstimate(Part):
         self._failed: Finding | None = None
         self._withdrawn: Finding | None = None
         self._fitting: Future[tuple[Results, float]] | None = None
-        self._outdated = False  # whether the sums of the fit in progress have been replaced
+        self._outdated = False  # whether the sums of the running fit have been replaced
         self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
         self._recent: dict[str, RecentNoise] = {}
@@ -102,7 +101,7 @@ class ImuEstimate(Part):
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def take(self, snapshot: Snapshot) -> None:
-        """Accept the latest sums; fit them if they have grown enough or were replaced."""
+        """Process new sums, and fit them if they have grown enough or were replaced."""
         self._snapshot = snapshot
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
@@ -112,7 +111,7 @@ class ImuEstimate(Part):
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
-        """Collect the result of a fit that has ended, and publish it."""
+        """Publish the result of a fit that has ended."""
         self._plot.tick(now)
         if self._fitting is None or not self._fitting.done():
             return
@@ -132,7 +131,7 @@ class ImuEstimate(Part):
         self._publish(self._results)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return one status per axis, from the first message on."""
+        """Return one status per axis; no status before the first message."""
         if self._snapshot is None:
             return []
         latest = self._snapshot
@@ -142,7 +141,7 @@ class ImuEstimate(Part):
         return [self._axis_status(now, *each) for each in known or waiting]
 
     def _comparisons(self, margin: float) -> tuple[Comparison, ...]:
-        """Return the comparisons of the latest results, computed once for each fit and margin."""
+        """Return the comparisons with the references, computed once per fit and margin."""
         results, references = self._results, self._references
         if results is None:
             return ()
@@ -197,7 +196,7 @@ class ImuEstimate(Part):
         self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
 
     def _fail(self, error: Exception) -> None:
-        """Report a fit that failed; the sums continue to grow and are fitted again."""
+        """Report a fit that failed."""
         if not isinstance(error, AllanError):
             self._node.get_logger().error(''.join(traceback.format_exception(error)))
         reason = str(error) if isinstance(error, AllanError) else repr(error)
@@ -205,7 +204,7 @@ class ImuEstimate(Part):
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _withdraw(self, lost: float) -> None:
-        """Withdraw the model of replaced sums, and fit the present sums as soon as possible."""
+        """Withdraw the model, because a share of its samples is lost, and let a fit start now."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
@@ -228,7 +227,7 @@ class ImuEstimate(Part):
             self._listener(results)
 
     def _compare_recent(self, sums: tuple[AllanSums, ...]) -> None:
-        """Compare the recent window with the time before it."""
+        """Compare the noise of the recent window with the noise before it."""
         window = self._settings.value.recent_window
         self._recent = {axis: one for s in sums for axis, one in recent_noise(s, window).items()}
         before, recent = (
@@ -252,7 +251,7 @@ class ImuEstimate(Part):
 
 
 class SumsInput(Part):
-    """Subscribes to ``sums`` of an accumulator and passes every snapshot to the listener."""
+    """Subscribes to the sums of an accumulator, and passes every snapshot to ``listener``."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
         self._node, self._listener = node, listener
@@ -266,7 +265,7 @@ class SumsInput(Part):
         return str(self._subscription.topic_name)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return the status of the arrival of sums."""
+        """Return a status that reports missing or unreadable sums."""
         age = now - self._last
         patience = STALE_PERIODS * self._node.publish.value.sums_period
         if not self._node.count_publishers(self.topic):
@@ -294,7 +293,7 @@ class SumsInput(Part):
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
-    """Return the results, and the CPU time in s of the fit."""
+    """Return the results of a fit, and its CPU time in s."""
     began = time.thread_time()
     try:
         results = analyse_sums(*total, method)

@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Imu messages without a callback per message: a timer drains the queue of the subscription.
+"""Receives Imu messages without a callback per message: a timer empties the queue.
 
-One Python callback per message costs more than all other processing. Therefore the subscription is
-not in the executor's wait set, and `ImuInput.drain` empties its queue a few times a second with
-``take_message``, an undocumented method that rclpy's executors call. If a client library does not
-have it, a plain raw callback receives the same bytes.
+One Python callback per message costs more than all other processing. Therefore the executor does
+not wait for the subscription, and `ImuInput.drain` empties its queue a few times a second with
+``take_message``, an undocumented method that the executors of rclpy call. If a version of rclpy
+does not have it, a callback receives the same bytes.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ except ImportError:  # Humble
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
 DRAIN_LIMIT = 50_000
-"""Largest number of messages per drain, so that a faster publisher cannot block the node."""
+"""Largest number of messages fetched at once: a fast publisher must not block the node."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
-"""Node name in the graph of an endpoint whose node is unknown or has no name."""
+"""Node name that the ROS graph returns for an endpoint of an unknown node."""
 
 SUGGESTED_TOPICS = 5
 """Number of Imu topics that are named if the given topic has another type."""
@@ -69,28 +69,31 @@ EVENTS = {
     'reported_lost': QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
     'incompatible_qos': QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
 }
-"""Field of `TransportStatistics` -> the event that counts it."""
+"""Field of `TransportStatistics` -> event of the middleware that counts it."""
 
 NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""Keeps rclpy from adding events to the wait set."""
+"""Prevents rclpy from registering callbacks of events, which would wake the executor."""
 
 _EVENT_HANDLE: Any = getattr(
     rclpy_implementation, 'EventHandle', getattr(rclpy_implementation, 'QoSEvent', None)
 )
-"""Name of rclpy's handle of an event; the second name is used in Humble."""
+"""rclpy's handle of an event, which is named `QoSEvent` in Humble; None if there is none."""
 
 
 class DrainedGroup(CallbackGroup):
-    """A callback group that never executes, so its subscription stays out of the wait set."""
+    """A callback group that never allows execution: the executor ignores its subscription.
+
+    The methods are those that rclpy requires of a callback group.
+    """
 
     def can_execute(self, entity: Any) -> bool:
-        """Return False: the queue is drained explicitly."""
+        """Return False."""
         return False
 
     beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing, because nothing is executed."""
+        """Do nothing."""
 
 
 def qos_text(qos: QoSProfile) -> str:
@@ -103,8 +106,8 @@ def qos_text(qos: QoSProfile) -> str:
 def _event_handles(subscription: Subscription) -> dict[str, Any]:
     """Return the handles of the `EVENTS` that the middleware supports, for polling.
 
-    With an event of a reader in its wait set, the executor wakes for every unread message in the
-    queue of that reader (Fast DDS). If a timer drains the queue, this becomes a busy loop.
+    An executor that waits for such an event also wakes for every unread message of the subscription
+    (Fast DDS), which would be a busy loop here.
     """
     handles: dict[str, Any] = {}
     for name, kind in EVENTS.items() if _EVENT_HANDLE is not None else ():
@@ -116,18 +119,34 @@ def _event_handles(subscription: Subscription) -> dict[str, Any]:
     return handles
 
 
-def _take(subscription: Subscription) -> tuple[bytes, dict[str, Any]] | None:
-    taken: tuple[bytes, dict[str, Any]] | None = subscription.handle.take_message(Imu, True)
-    return taken
+def _take(subscription: Subscription) -> Any:
+    """Return the next queued message as bytes and its information, or None."""
+    return subscription.handle.take_message(Imu, True)
 
 
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
 ) -> tuple[Subscription, bool]:
-    """Subscribe Imu as raw bytes; return the subscription, and whether it must be drained.
+    """Subscribe to Imu messages as raw bytes.
 
-    Unless ``plain``, it is not in the executor's wait set if this client library can drain a queue
-    explicitly. A message that is taken to test this is passed to the callback.
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    topic : str
+        May be remapped.
+    callback : callable
+        Called with the bytes and, if the queue is polled, rclpy's information about the message.
+    depth : int
+        Depth of the queue.
+    plain : bool
+        Whether the executor shall call ``callback`` for each message.
+
+    Returns
+    -------
+    subscription : rclpy.subscription.Subscription
+    polled : bool
+        Whether the caller must empty the queue. False if ``plain``, or if this version of rclpy
+        cannot do it.
     """
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(
@@ -146,17 +165,20 @@ def subscribe_raw(
     if plain:
         return subscription, False
     try:
-        taken = _take(subscription)
+        message = _take(subscription)
     except (AttributeError, TypeError):
         node.destroy_subscription(subscription)
         return subscribe_raw(node, topic, callback, depth, True)
-    if taken is not None:
-        callback(*taken)
+    if message is not None:
+        callback(*message)
     return subscription, True
 
 
 class ImuInput:
-    """The Imu messages of one topic (which can be remapped) as batches."""
+    """Subscribes to the Imu messages of one topic (which may be remapped), and decodes them.
+
+    ``polled`` is True if `drain` must be called to fetch messages, False if a callback does it.
+    """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
         self._statistics = TransportStatistics()
@@ -166,18 +188,17 @@ class ImuInput:
         self._last_number: dict[bytes, int | None] = {}
         self._publisher_count, self._alone = 1, True
         self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
-        self._subscription, self.lean = subscribe_raw(
+        self._subscription, self.polled = subscribe_raw(
             node, topic, self._collect, settings.queue_depth, settings.plain_callback
         )
         self.topic = self._subscription.topic_name
         self._events = _event_handles(self._subscription)
 
     def drain(self) -> None:
-        """Empty the queue of the subscription."""
-        if not self.lean:
+        """Fetch all queued messages."""
+        if not self.polled:
             return
-        # The queue may still contain messages of a publisher that is gone, so a change counts until
-        # the next drain.
+        # The queue may still contain messages of a publisher that has left since the last call.
         count = self._node.count_publishers(self.topic)
         self._alone = max(count, self._publisher_count) <= 1
         self._publisher_count = count
@@ -186,36 +207,35 @@ class ImuInput:
         handle = self._subscription.handle
         with handle:
             for _ in range(DRAIN_LIMIT):
-                taken = handle.take_message(Imu, True)
-                if taken is None:
+                message = handle.take_message(Imu, True)
+                if message is None:
                     return
-                self._collect(*taken)
+                self._collect(*message)
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Yield the drained messages in SI units and in order; each batch has one frame_id."""
+        """Yield the fetched messages once, in order, in SI units; a batch has one frame_id."""
         payloads, received = self._payloads, np.array(self._received_ns, np.int64)
         self._payloads, self._received_ns = [], []
         try:
             decoded = decode_imus(payloads, 'cdr')
         except MalformedMessage:
-            well = [is_imu(payload, 'cdr') for payload in payloads]
-            self._statistics.malformed += well.count(False)
-            decoded = decode_imus(list(compress(payloads, well)), 'cdr')
-            received = received[np.array(well, bool)]
+            valid = [is_imu(payload, 'cdr') for payload in payloads]
+            self._statistics.malformed += valid.count(False)
+            decoded = decode_imus(list(compress(payloads, valid)), 'cdr')
+            received = received[np.array(valid, bool)]
         for batch in decoded.batches(received):
             yield replace(batch, samples=batch.samples * self._scale)
 
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-        """Return the node of each publisher on the topic, and findings about publishers whose type
-        or QoS does not match the subscription.
+        """Return the publishers on the topic, as node names and as findings.
+
+        A finding is returned for publishers that cannot reach this subscription: the topic has
+        another type, or their QoS is incompatible.
         """
         known = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(map(full_name, known)), self._mismatches(known)
 
     def _mismatches(self, known: Sequence[Any]) -> tuple[Finding, ...]:
-        """Return the reasons why publishers on the topic do not match this subscription, from the
-        graph.
-        """
         imus = [p for p in known if p.topic_type == IMU_TYPE]
         if known and not imus:
             types = ', '.join(sorted({p.topic_type for p in known}))
@@ -244,11 +264,11 @@ class ImuInput:
 
     @property
     def received(self) -> int:
-        """Number of messages taken so far."""
+        """Number of messages received so far."""
         return self._statistics.received
 
     def statistics(self) -> TransportStatistics:
-        """Return the transport statistics so far."""
+        """Return the counts of received, lost and malformed messages so far."""
         for name, event in self._events.items():
             with event:
                 data = event.take_event()
@@ -257,10 +277,10 @@ class ImuInput:
         return self._statistics
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Store one payload and count the messages missing before it."""
+        """Store one message, and count the messages that were lost before it."""
         self._statistics.received += 1
         self._payloads.append(payload)
-        if info is None:  # used by the plain callback
+        if info is None:  # called by the executor
             self._received_ns.append(time.time_ns())
             return
         self._received_ns.append(info['received_timestamp'])
@@ -268,18 +288,18 @@ class ImuInput:
         if number is None:  # Humble
             return
         gid = info.get('publisher_gid')
-        who = b'' if gid is None else gid['data']
-        if who not in self._last_number:
+        publisher = b'' if gid is None else gid['data']
+        if publisher not in self._last_number:
             self._statistics.sent_before += number - FIRST_NUMBER
-        before = self._last_number.get(who)
-        self._last_number[who] = number
+        before = self._last_number.get(publisher)
+        self._last_number[publisher] = number
         # Before Kilted, messages of two publishers cannot be distinguished.
         if before is not None and (gid is not None or self._alone):
             self._statistics.skipped_numbers += max(0, number - before - 1)
 
 
 def full_name(endpoint: Any) -> str:
-    """Return the full name of the node of an endpoint."""
+    """Return namespace and name of the node that owns a publisher or subscriber."""
     if endpoint.node_name == NAMELESS:
         return 'an unnamed node'
     return one_line(f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}')

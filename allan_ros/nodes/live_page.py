@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The report of a running node as a live page: `allan_watch --web`."""
+"""`allan_watch --web`: an HTTP server that shows the report of running nodes."""
 
 from __future__ import annotations
 
 import threading
 import time
-from functools import partial
+from functools import lru_cache, partial
 from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -21,29 +21,28 @@ from .messages import Snapshot
 from .shell import LATCHED
 
 HOST = '127.0.0.1'
-"""Only this machine can connect; a tunnel or a proxy opens it to others."""
+"""Address of the server: only this machine can connect, unless a tunnel or proxy forwards it."""
 
 REFRESH_S = 10
 """Time in s after which the browser reloads the page."""
 
-SUMS = '/sums'
-"""End of the names of the topics whose sums are shown."""
+SUMS = '/sums', ['std_msgs/msg/String']
+"""End of the name, and types, of topics with sums."""
 
-TYPES = ['std_msgs/msg/String']
+CACHED_PAGES = 8
+"""Number of rendered pages that are kept."""
 
 
 class LivePage:
-    """Subscribes to the sums of all accumulators and serves their reports over HTTP.
+    """Subscribes to the sums of all accumulators, and serves their reports over HTTP.
 
-    A page is rendered only when a browser requests it. ``port`` is a port of the loopback
-    interface, 0 for any free one. Raises AllanError if it is in use.
+    A report is rendered when a browser requests it. ``port`` is the TCP port; 0 selects a free one.
+    Raises AllanError if the port is in use.
     """
 
     def __init__(self, node: Node, port: int) -> None:
         self._node = node
-        self._lock = threading.Lock()
-        self._sums: dict[str, tuple[int, str]] = {}  # topic -> version from 1 on, and document
-        self._pages: dict[str, tuple[int, str]] = {}  # topic -> version, and page
+        self._sums: dict[str, str] = {}  # topic -> latest document
         self._subscriptions: dict[str, Any] = {}
         try:
             self._server = ThreadingHTTPServer((HOST, port), _handler_of(self))
@@ -62,39 +61,29 @@ class LivePage:
         return f'http://{HOST}:{self._server.server_address[1]}/'
 
     def discover(self) -> None:
-        """Subscribe the sums of accumulators that have started since the last call."""
-        for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._subscriptions or not topic.endswith(SUMS) or types != TYPES:
-                continue
-            self._subscriptions[topic] = self._node.create_subscription(
-                String, topic, partial(self._on_sums, topic), LATCHED
-            )
+        """Subscribe to the sums of accumulators that have started since the last call."""
+        end, types = SUMS
+        for topic, found in self._node.get_topic_names_and_types():
+            if topic not in self._subscriptions and topic.endswith(end) and found == types:
+                self._subscriptions[topic] = self._node.create_subscription(
+                    String, topic, partial(self.on_sums, topic), LATCHED
+                )
 
-    def _on_sums(self, topic: str, message: String) -> None:
-        self.take(topic, message.data)
-
-    def take(self, topic: str, text: str) -> None:
+    def on_sums(self, topic: str, message: String) -> None:
         """Store the latest sums of a topic."""
-        with self._lock:
-            self._sums[topic] = (self._sums.get(topic, (0, ''))[0] + 1, text)
+        self._sums[topic] = message.data
 
     def page(self, path: str) -> str | None:
-        """Return the page of a path: the report of one topic, or a list of topics; None if unknown.
+        """Return the HTML page of a URL path, or None if there is none.
 
-        With a single topic, '/' is also its page.
+        The path of a topic is its report. '/' is the list of topics, or the report if there is only
+        one topic.
         """
-        with self._lock:
-            topics = sorted(self._sums)
-            topic = topics[0] if path == '/' and len(topics) == 1 else path
-            version, text = self._sums.get(topic, (0, ''))
-            rendered, page = self._pages.get(topic, (0, ''))
-        if not version:
-            return _index(topics) if path == '/' else None
-        if rendered != version:
-            page = _report(topic, text)
-            with self._lock:
-                self._pages[topic] = version, page
-        return page
+        sums = dict(self._sums)  # another thread adds topics
+        topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path
+        if topic in sums:
+            return _report(topic, sums[topic])
+        return _index(sorted(sums)) if path == '/' else None
 
     def close(self) -> None:
         """Stop serving."""
@@ -103,6 +92,7 @@ class LivePage:
         self._thread.join()
 
 
+@lru_cache(CACHED_PAGES)
 def _report(topic: str, text: str) -> str:
     try:
         snapshot = Snapshot.from_json(text)
@@ -134,8 +124,8 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
         """Answers GET with a page that the browser reloads periodically."""
 
         def do_GET(self) -> None:
-            # prevents pages of other sites from reading it through a name that resolves to this
-            # machine
+            # A web page of another site could read the report through a host name that resolves
+            # to this machine (DNS rebinding).
             if self.headers.get('Host', '').rsplit(':', 1)[0] not in (HOST, 'localhost'):
                 self.send_error(403)
                 return

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Publications of the nodes for one IMU: document of its sums, bias and Allan plots."""
+"""What the nodes publish for each IMU: the document of its sums, its bias, and Allan plots."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
 
 REPLACED_SHARE = 0.1
-"""Largest share of lost samples with which coefficients stay valid. A small loss is normal: the
-last windows before a motion count as rest until the motion is recognized."""
+"""Coefficients are withdrawn if their sums lose a larger share of the samples. A small loss is
+normal: samples from the start of a motion are removed when the motion is detected."""
 
 PLACES = {'gyro': 'angular', 'accel': 'linear'}
-"""Sensor -> vector of the twist that contains its bias."""
+"""Sensor -> vector of the twist message that contains its bias."""
 
 ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
-"""Row of an axis in the covariance of a twist: linear x, y, z, then angular x, y, z."""
+"""Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
 
 UNKNOWN = -1.0
-"""Variance of an axis with unknown bias, as in sensor_msgs/Imu."""
+"""Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
 
 FORMAT = 'png'
 """Format name in `sensor_msgs/CompressedImage`; image_transport decodes it."""
@@ -50,10 +50,12 @@ Pictures = dict[str, bytes]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The sums at one time, and the connected IMU, which can differ from the IMU of the sums.
+    """The sums at one time, and the IMU that is connected at that time.
 
-    ``axes`` are the axes with values in messages, even before there are sums. ``means`` are the
-    latest means of static samples over a second, one value for each sensor.
+    ``total`` contains the sums and their provenance. ``frame_id``, ``hardware_id`` and ``axes``
+    describe the messages that are received, which may come from another IMU than the sums. ``axes``
+    are known before there are sums. ``means`` are the latest means of the samples at rest over 1 s
+    each, one `Means` per group of axes with a common rate.
     """
 
     total: Total
@@ -68,7 +70,7 @@ class Snapshot:
         return self.total[0]
 
     def to_document(self) -> dict[str, Any]:
-        """Return the document of ``~/sums``: a sums file with the connected IMU added."""
+        """Return the document of ``~/sums``: a sums file with the connected IMU and the means."""
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
         means = [
             {
@@ -82,7 +84,7 @@ class Snapshot:
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
-        """Return the snapshot in a message on ``~/sums``; AllanError names an invalid field."""
+        """Return the snapshot in a message on ``~/sums``; AllanError if a field is invalid."""
         document = parse_json(text, 'sums')
         total = sums_file_from_document(document, 'sums')
         imu = Fields(document, 'sums').optional_fields('imu')
@@ -117,10 +119,10 @@ def _means(documents: Any) -> tuple[Means, ...]:
 
 
 def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> float:
-    """Return the largest share of the samples in ``before`` that ``after`` does not contain.
+    """Return the largest share of samples of the earlier sums that are missing in the later sums.
 
-    Sums only grow, unless they are discarded, reset or start again from zero. Growing sums keep
-    the start of each segment; of more than 32 segments the longest are listed.
+    The share is 0 while sums only grow, and 1 if the sums of an IMU are gone. It is computed from
+    the start and length of the segments. Sums list at most 32 segments, the longest.
     """
     shares = [0.0]
     for old in before:
@@ -132,21 +134,19 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
 
 
 def _lost(old: AllanSums, new: AllanSums) -> int:
-    """Return the number of samples of the old sums that are missing in the new sums, as far as
-    segments are listed.
-    """
-    held = _samples_by_start(new)
-    shortest = min(held.values()) if len(new.segments) >= KEPT_SEGMENTS else 0
+    """Return the number of samples of the old sums that are missing in the new sums."""
+    present = _samples_by_start(new)
+    shortest = min(present.values()) if len(new.segments) >= KEPT_SEGMENTS else 0
     lost = sum(
-        samples - min(samples, held[start])
+        samples - min(samples, present[start])
         for start, samples in _samples_by_start(old).items()
-        if start in held or samples > shortest
+        if start in present or samples > shortest  # shorter segments are not listed
     )
     return max(lost, old.samples - new.samples)
 
 
 def _samples_by_start(sums: AllanSums) -> Counter[int]:
-    """Return the samples of the listed segments by their first stamp."""
+    """Return first stamp -> number of samples, of the listed segments."""
     found: Counter[int] = Counter()
     for segment in sums.segments:
         found[segment.start_ns] += segment.samples
@@ -154,10 +154,7 @@ def _samples_by_start(sums: AllanSums) -> Counter[int]:
 
 
 class BiasPublisher:
-    """Publishes the bias whenever there are new means of samples at rest.
-
-    ``home`` is the prefix of the topic.
-    """
+    """Estimates the bias of each axis at rest, and publishes it on ``<home>bias``."""
 
     def __init__(self, node: Node, home: str, settings: EstimatorSettings) -> None:
         tolerance = {'gyro': settings.bias_tolerance_gyro, 'accel': settings.bias_tolerance_accel}
@@ -167,7 +164,7 @@ class BiasPublisher:
         self._turn_on: dict[str, TurnOnBias] = {}
 
     def take(self, snapshot: Snapshot) -> None:
-        """Process the means of a snapshot, and publish the bias if there are new ones."""
+        """Update the bias with new means of samples at rest, and publish it if there are any."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
@@ -178,16 +175,13 @@ class BiasPublisher:
             self._publisher.publish(bias_message(known, snapshot.frame_id))
 
     def use(self, results: Results | None) -> None:
-        """Replace the models by the models of these results."""
+        """Use the noise models of these results; None: use no model until the next results."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.set_models({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
-        """Return the bias of an axis, its interval and scatter as (name, value) for diagnostics.
-
-        The list is empty while the bias is unknown.
-        """
+        """Return keys and values for the status of an axis; empty while its bias is unknown."""
         bias = self._tracker.bias(axis)
         if bias is None:
             return []
@@ -222,8 +216,7 @@ class BiasPublisher:
 
 
 def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
-    """Return the message with these biases: the gyro as angular, the accelerometer as linear
-    part."""
+    """Return the message: gyro biases are its angular, accelerometer biases its linear part."""
     message = TwistWithCovarianceStamped()
     message.header.frame_id = frame_id
     latest = max(bias.end_ns for bias in known.values())
@@ -240,11 +233,11 @@ def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarian
 
 
 class AllanPlot:
-    """Publishes ``<home>allan_plot/<sensor>/compressed``, the plot that `allan analyze` writes.
+    """Publishes the Allan plots of the gyro and the accelerometer as PNG.
 
-    Nothing is drawn, and matplotlib is not loaded, until there is a subscriber. ``period`` returns
-    the shortest time between two plots in s. The worker draws them, because a second of work must
-    not delay a callback.
+    The topics are ``<home>allan_plot/<sensor>/compressed``. ``period`` returns the shortest time
+    between two plots in s. A plot takes a second, so the ``worker`` thread draws it. Without a
+    subscriber, nothing is drawn and matplotlib is not imported.
     """
 
     def __init__(self, node: Node, home: str, period: Callable[[], float], worker: Worker) -> None:
@@ -256,43 +249,43 @@ class AllanPlot:
             for sensor in SENSORS
         }
         self._results: Results | None = None
-        self._shown: dict[str, Results] = {}
+        self._drawn: dict[str, Results] = {}
         self._drawing: Future[Pictures] | None = None
         self._next = 0.0
-        self._able = True
+        self._enabled = True
 
     def take(self, results: Results | None) -> None:
-        """Set the results of the next plot, or None."""
+        """Set the results that the next plot shows; None: no plot."""
         self._results = results
 
     def tick(self, now: float) -> None:
-        """Publish finished plots, and draw new ones for the present subscribers."""
+        """Publish finished plots, and draw new ones if there are subscribers."""
         if self._drawing is not None:
             if self._drawing.done():
                 drawing, self._drawing = self._drawing, None
                 self._publish(drawing)
             return
         results = self._results
-        if results is None or now < self._next or not self._able:
+        if results is None or now < self._next or not self._enabled:
             return
         wanted = [
             sensor
             for sensor, publisher in self._publishers.items()
-            if self._shown.get(sensor) is not results and publisher.get_subscription_count()
+            if self._drawn.get(sensor) is not results and publisher.get_subscription_count()
         ]
         if wanted:
             self._next = now + self._period()
-            self._shown.update(dict.fromkeys(wanted, results))
+            self._drawn.update(dict.fromkeys(wanted, results))
             self._drawing = self._worker.submit(partial(_draw, results, wanted))
 
     def _publish(self, drawing: Future[Pictures]) -> None:
         try:
             pictures = drawing.result()
         except Exception as error:  # a plot that fails must not end the node
-            self._able = False
+            self._enabled = False
             self._node.get_logger().warning(
-                f'no allan_plot until the node is started again: it cannot be drawn ({error!r}); '
-                'if matplotlib is missing, install python3-matplotlib'
+                f'allan_plot is off, because it cannot be drawn ({error!r}): if matplotlib is '
+                'missing, install python3-matplotlib and restart the node'
             )
             return
         for sensor, picture in pictures.items():

@@ -1,23 +1,24 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan_monitor`, and the three nodes it combines: accumulator, estimator and relay.
+"""`allan_monitor`, and the three nodes that it combines: accumulator, estimator and relay.
 
-Each node consists of parts; the monitor has all of them in one process, for one or several IMUs.
+Each node is a list of parts. The monitor has the parts of all three nodes for each of its IMUs.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable, Sequence
 
 from ..core.errors import AllanError
-from .accumulation import ImuWatch, Settings
+from .accumulation import AccumulatorParameters, ImuWatch
 from .estimation import ImuEstimate, SumsInput, load_references
 from .node import AllanNode, Part
 from .parameter_push import ParameterPush
 from .relaying import ImuRelay, RelayTopics
 from .settings import EstimatorSettings, RelaySettings
-from .shell import Worker, ros_parser, run
+from .shell import Worker, run
 
 
 class Accumulator(AllanNode):
@@ -25,12 +26,12 @@ class Accumulator(AllanNode):
 
     def __init__(self) -> None:
         super().__init__('allan_accumulator')
-        settings = Settings(self)
+        settings = AccumulatorParameters(self)
         imus = settings.imus()
         if len(imus) != 1:
             raise AllanError(
-                f'input.topics contains {len(imus)} IMUs, but allan_accumulator takes one: '
-                'use allan_monitor for several'
+                f'input.topics contains {len(imus)} topics, but allan_accumulator takes one: '
+                'use allan_monitor for several IMUs'
             )
         watch = ImuWatch(self, imus[0], settings)
         self.begin([watch], f'accumulates {watch.description}', settings.input.value.drain_period)
@@ -64,7 +65,7 @@ class Monitor(AllanNode):
 
     def __init__(self) -> None:
         super().__init__('allan_monitor')
-        settings = Settings(self)
+        settings = AccumulatorParameters(self)
         estimator = self.parameters.group('estimator', EstimatorSettings)
         references, worker = load_references(estimator.value), Worker()
         relay = self.parameters.group('relay', RelaySettings)
@@ -94,15 +95,22 @@ class Monitor(AllanNode):
                 sink = f'{imu.topic}_with_covariance'
                 topics = RelayTopics(imu.topic, model, sink, imu.label, imu.hardware_id, bias)
                 parts.append(ImuRelay(self, topics, relay))
-        does = f'monitors {", ".join(described)}'
-        self.begin([*parts, push], does, settings.input.value.drain_period)
+        purpose = f'monitors {", ".join(described)}'
+        self.begin([*parts, push], purpose, settings.input.value.drain_period)
 
 
-def _executable(make: Callable[[], AllanNode], name: str, does: str) -> Callable[..., int]:
+def _executable(make: Callable[[], AllanNode], name: str, purpose: str) -> Callable[..., int]:
     """Return the main function of a node that is configured only by ROS arguments."""
 
     def main(args: Sequence[str] | None = None) -> int:
-        return run(name, lambda _stop, _options: make(), ros_parser(name, does), args)
+        parser = argparse.ArgumentParser(
+            prog=name,
+            description=purpose,
+            epilog='Parameters are set by ROS arguments: --ros-args -p NAME:=VALUE, '
+            '--params-file FILE, -r TOPIC:=OTHER. All parameters: config/allan_ros.yaml, or '
+            'ros2 param describe.',
+        )
+        return run(name, lambda _stop, _options: make(), parser, args)
 
     return main
 

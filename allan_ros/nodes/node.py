@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -38,21 +37,24 @@ TICK_S = 0.1
 FAULT_SHOWN_S = 60.0
 """Time in s for which an internal error stays on `/diagnostics` after its last occurrence."""
 
-MAX_INTEGER = 2**63 - 1
-"""ROS integer parameters are int64."""
-
 RCLPY_PARAMETERS = ('use_sim_time', 'start_type_description_service')
 """Parameters that rclpy itself declares, in addition to ``qos_overrides.*``."""
 
 
 class ParameterGroup(Generic[T]):
-    """The settings of one group; ``value`` equals the node's parameters ``<prefix>.<field>``."""
+    """One group of parameters, such as ``input``.
+
+    ``value`` contains the present values of the parameters ``<prefix>.<field>``.
+    """
 
     def __init__(self, prefix: str, value: T) -> None:
         self.prefix, self.value = prefix, value
 
     def changed(self, parameters: Sequence[Parameter]) -> T:
-        """Return the settings with the parameters of this group replaced; AllanError if invalid."""
+        """Return the settings with new values of the parameters that belong to this group.
+
+        Raises AllanError if a value is invalid.
+        """
         start = f'{self.prefix}.'
         own = [p for p in parameters if p.name.startswith(start)]
         if not own:
@@ -65,9 +67,9 @@ class ParameterGroup(Generic[T]):
 class Parameters:
     """The checked parameters of a node.
 
-    An invalid value is rejected with the error message of the settings: at start by an exception,
-    at run time by the result of the service. A set of parameters that is set atomically is applied
-    as a whole or not at all, even across several groups.
+    An invalid value is rejected with a reason: at start by an exception, at run time by the result
+    of the service. Parameters that are set atomically are all accepted or all rejected, also across
+    groups.
     """
 
     def __init__(self, node: Node) -> None:
@@ -76,7 +78,7 @@ class Parameters:
         node.add_on_set_parameters_callback(self._on_set)
 
     def group(self, prefix: str, settings_type: type[T]) -> ParameterGroup[T]:
-        """Declare the parameters of one group and return its settings.
+        """Declare a parameter ``<prefix>.<field>`` for each field of the settings.
 
         Raises
         ------
@@ -102,17 +104,17 @@ class Parameters:
         return group
 
     def unknown(self) -> list[str]:
-        """Return a line for each parameter given at start that no allan_ros node declares."""
+        """Return a warning for each parameter given at start that no allan_ros node declares."""
         known = [f'{prefix}.{name}' for prefix, made in GROUPS.items() for name in describe(made)]
         given: dict[str, Any] = getattr(self._node, '_parameter_overrides', {})
         return [
-            f'parameter {name!r} is unknown{_suggestion(name, known)}'
+            f'parameter {name!r} is unknown and ignored{_suggestion(name, known)}'
             for name in given
             if name not in (*known, *RCLPY_PARAMETERS) and not name.startswith('qos_overrides.')
         ]
 
     def changes(self) -> list[str]:
-        """Return ``name=value`` of the parameters that differ from their defaults."""
+        """Return ``name=value`` for each parameter that differs from its default."""
         return [
             f'{group.prefix}.{f.name}={to_ros(value)}'
             for group in self._groups
@@ -135,27 +137,25 @@ class Parameters:
 
 
 def descriptor(info: ParameterInfo, default: Any) -> ParameterDescriptor:
-    """Return the parameter descriptor of a setting, which ``ros2 param describe`` shows."""
+    """Return the description and range of a parameter, as ``ros2 param describe`` shows them."""
     unit = f' [{info.unit}]' if info.unit else ''
     choices = f'one of {", ".join(info.choices)}' if info.choices else ''
     described = ParameterDescriptor(
         description=f'{info.doc}{unit}', additional_constraints=choices, read_only=info.read_only
     )
-    if info.low is None and info.high is None:
+    if info.low is None or info.high is None:
         return described
     if isinstance(default, int):
-        low = -MAX_INTEGER if info.low is None else int(info.low)
-        high = MAX_INTEGER if info.high is None else int(info.high)
+        low, high = int(info.low), int(info.high)
         described.integer_range = [IntegerRange(from_value=low, to_value=high)]
     else:
-        low_f = -sys.float_info.max if info.low is None else float(info.low)
-        high_f = sys.float_info.max if info.high is None else float(info.high)
-        described.floating_point_range = [FloatingPointRange(from_value=low_f, to_value=high_f)]
+        limits = {'from_value': float(info.low), 'to_value': float(info.high)}
+        described.floating_point_range = [FloatingPointRange(**limits)]
     return described
 
 
 def to_ros(value: Any) -> Any:
-    """Return the value as the value of a ROS parameter (tuples become lists)."""
+    """Return the value in the type of a ROS parameter: a list for a tuple."""
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -164,7 +164,7 @@ def _from_ros(value: Any) -> Any:
 
 
 def _suggestion(name: str, known: list[str]) -> str:
-    """Return '; did you mean ...?' with the known names that are similar to the name, or ''."""
+    """Return '; did you mean ...?' with the known parameters of a similar name, or ''."""
     ends = [full for full in known if full.endswith(f'.{name}')]
     starts = [f'{name}.{field}' for field in ('path', 'enabled', 'node')]
     found = [*ends, *(full for full in starts if full in known)]
@@ -173,20 +173,19 @@ def _suggestion(name: str, known: list[str]) -> str:
 
 
 class Periodic:
-    """A task that is due once per period; the period may change at run time.
+    """Decides when a periodic task is due. ``period`` returns the period in s, which may change.
 
-    One timer that polls several of these costs a third of the same number of timers in the
-    executor.
+    Polling several of these from one ROS timer takes a third of the CPU time of separate timers.
     """
 
     def __init__(self, period: Callable[[], float]) -> None:
         self._period, self._last = period, time.monotonic()
 
     def due(self, now: float) -> bool:
-        """Return whether a period has passed since it was last due (steady clock, s)."""
+        """Return whether the task is due at the time ``now`` of the monotonic clock, in s."""
         if now - self._last < self._period():
             return False
-        # Less than one period late: keep the phase; otherwise restart it.
+        # Up to one period late: keep the original times. Later: count from now.
         self._last = max(self._last + self._period(), now - self._period())
         return True
 
@@ -195,7 +194,7 @@ class Part:
     """One part of a node, such as the input, the estimate or the relay of one IMU."""
 
     def tick(self, now: float) -> None:
-        """Run the tasks that are due; ``now`` is on a steady clock in s."""
+        """Run the tasks that are due; ``now`` is the time of the monotonic clock in s."""
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the diagnostic statuses of this part."""
@@ -206,10 +205,10 @@ class Part:
 
 
 class AllanNode(Node):
-    """A node that consists of parts.
+    """A node that consists of parts, such as the inputs of several IMUs.
 
-    An exception that is not caught elsewhere is logged once with its traceback and reported as
-    ERROR on `/diagnostics`; the node and its other parts continue.
+    An unexpected exception in one part is logged once with its traceback and reported as ERROR on
+    `/diagnostics`; the node and its other parts continue.
     """
 
     def __init__(self, name: str) -> None:
@@ -221,13 +220,13 @@ class AllanNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_due = Periodic(lambda: self.publish.value.diagnostics_period)
 
-    def begin(self, parts: Sequence[Part], does: str, period: float = TICK_S) -> None:
-        """Start the timer that polls the parts, and log the purpose of the node in one line."""
+    def begin(self, parts: Sequence[Part], purpose: str, period: float = TICK_S) -> None:
+        """Start a timer with this period in s that polls the parts, and log the purpose."""
         self._parts = parts
         settings = ', '.join(self.parameters.changes()) or 'all defaults'
-        self.get_logger().info(f'{does}; settings: {settings}')
+        self.get_logger().info(f'{purpose}; settings: {settings}')
         for line in self.parameters.unknown():
-            self.get_logger().warning(f'{line} It is ignored.')
+            self.get_logger().warning(line)
         self.create_timer(period, self._tick, clock=STEADY)
 
     def close(self) -> None:
@@ -239,7 +238,10 @@ class AllanNode(Node):
                 self.fault('close', error)
 
     def fault(self, where: str, error: Exception) -> None:
-        """Log an unexpected exception once per place and kind, and report it on `/diagnostics`."""
+        """Report an unexpected exception on `/diagnostics`, and log it.
+
+        Repeated exceptions of one type at the same place (``where``) are logged once.
+        """
         found = finding('internal_error', where=where, error=repr(error))
         kind = where, type(error).__name__
         if kind not in self._faults:

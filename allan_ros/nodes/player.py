@@ -10,8 +10,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,114 +31,115 @@ from ..core.noise import NoiseTerms
 from ..core.simulate import simulate_imu
 from ..io.readers.cdr import encode_imus
 from ..io.readers.recording import ReadOptions, Recording, open_recordings
-from .imu_input import NAMELESS
+from .imu_input import NAMELESS, full_name
 from .shell import STEADY, run
 
 CLOCK_PERIOD_S = 0.025
 """Period of `/clock` in s of wall time: 40 Hz, as in ``ros2 bag play``."""
 
 POLL_S = 0.05
-"""Period in s at which a wait for subscribers or acknowledgements checks for the end."""
+"""Period in s at which a thread that waits checks whether the node should stop."""
 
 LINGER_S = 0.5
-"""Time in s for which the publisher stays after the last answer, while subscribers empty their
-queues."""
+"""Time in s for which the publisher stays at the end: subscribers still empty their queues."""
 
 SIMULATED = (
     NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
     NoiseTerms(Q=0.0, N=8e-4, B=3e-4, K=2e-5, R=0.0),
 )
-"""Gyro [rad/s] and accelerometer [m/s^2] terms of the simulated IMU, a good MEMS device."""
+"""Noise terms of the simulated gyro (rad/s) and accelerometer (m/s^2), as of a good MEMS IMU."""
 
-ASK_AGAIN_S = 1.0
-"""Period in s of repeated calls: an answer to a client that is not discovered yet is lost."""
+CALL_PERIOD_S = 1.0
+"""Period in s at which a call is repeated: an answer to an undiscovered client is lost."""
 
 PATIENCE_S = 10.0
-"""Time in s after which a subscriber without an answer has no parameter services, or hangs."""
+"""Time in s for which a subscriber that does not answer is waited for."""
 
 
 @dataclass
-class _Asked:
-    """State of the call to the node of one subscriber."""
+class _Subscriber:
+    """A subscriber, and the calls to its node (times of the monotonic clock in s)."""
 
-    since: float
+    first_call: float
     name: str = ''
     client: Client | None = None
-    last: float = float('-inf')
+    last_call: float = float('-inf')
     answered: bool = False
+
+    def on_answer(self, _answer: object) -> None:
+        """Record that the node has answered."""
+        self.answered = True
 
 
 class Handshake:
-    """Waits until every subscriber has discovered a publisher.
+    """Waits until at least ``wanted`` subscribers have discovered a publisher.
 
-    A publisher discovers a subscriber before that subscriber discovers it, and best effort
-    messages in between are lost. Endpoints are announced in order. So a node that answers a client
-    created after the publisher has also discovered the publisher. Create the handshake after the
-    publisher of the same node, and call `update` from the thread that runs the node's executor.
-    There must be at least ``wanted`` subscribers.
+    A publisher can discover a subscriber before the subscriber discovers the publisher; best effort
+    messages are then lost. The handshake calls a service of the subscribing node. Endpoints are
+    announced in the order of their creation, so a node that answers has also discovered all
+    publishers that are older than the service client. Create the handshake after the publisher, in
+    the same node, and call `update` from the thread that runs the executor of that node.
     """
 
     def __init__(self, node: Node, publisher: Publisher, wanted: int = 1) -> None:
         self._node, self._publisher, self._wanted = node, publisher, wanted
-        self._asked: dict[bytes, _Asked] = {}
-        self._round = 0
+        self._subscribers: dict[bytes, _Subscriber] = {}  # by endpoint gid
 
     def update(self) -> bool:
-        """Return True once every subscriber has answered or timed out; call the others again."""
+        """Call subscribers without an answer; return True if all have answered or timed out."""
         now = time.monotonic()
         known = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
         done, gids = True, [bytes(subscriber.endpoint_gid) for subscriber in known]
-        for gone in self._asked.keys() - gids:
+        for gone in self._subscribers.keys() - gids:
             self._remove(gone)
-        for gid, subscriber in zip(gids, known):
-            asked = self._asked.setdefault(gid, _Asked(now))
-            if not asked.answered:
-                if subscriber.node_name != NAMELESS:
-                    asked.name = f'{subscriber.node_namespace.rstrip("/")}/{subscriber.node_name}'
-                    self._ask(asked, now)
-                done = done and now - asked.since > PATIENCE_S
+        for gid, endpoint in zip(gids, known):
+            subscriber = self._subscribers.setdefault(gid, _Subscriber(now))
+            if not subscriber.answered:
+                if endpoint.node_name != NAMELESS:
+                    subscriber.name = full_name(endpoint)
+                    self._call(subscriber, now)
+                done = done and now - subscriber.first_call > PATIENCE_S
         return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
 
     def again(self) -> None:
-        """Call all remaining subscribers again, except those that never answered."""
-        self._wanted, self._round = 0, self._round + 1
-        for asked in self._asked.values():
-            if asked.answered:
-                asked.answered, asked.since, asked.last = False, time.monotonic(), float('-inf')
+        """Require another answer of each remaining subscriber; one that never answered is late."""
+        self._wanted, now = 0, time.monotonic()
+        # new objects, because an answer to an earlier call may still arrive
+        self._subscribers = {
+            gid: _Subscriber(now if s.answered else s.first_call, s.name, s.client)
+            for gid, s in self._subscribers.items()
+        }
 
     def silent(self) -> tuple[str, ...]:
         """Return the subscribing nodes that have not answered."""
-        silent = (a.name or 'a nameless node' for a in self._asked.values() if not a.answered)
-        return tuple(sorted(silent))
+        known = self._subscribers.values()
+        return tuple(sorted(s.name or 'an unnamed node' for s in known if not s.answered))
 
     def close(self) -> None:
         """Destroy the clients."""
-        for gid in list(self._asked):
+        for gid in list(self._subscribers):
             self._remove(gid)
 
     def _remove(self, gid: bytes) -> None:
-        client = self._asked.pop(gid).client
+        client = self._subscribers.pop(gid).client
         if client is not None:
             self._node.destroy_client(client)
 
-    def _ask(self, asked: _Asked, now: float) -> None:
-        if asked.client is None:
-            asked.client = self._node.create_client(GetParameters, f'{asked.name}/get_parameters')
-        if now - asked.last >= ASK_AGAIN_S and asked.client.service_is_ready():
-            asked.last = now
-            answer = asked.client.call_async(GetParameters.Request())
-            answer.add_done_callback(partial(self._on_answer, asked, self._round))
-
-    def _on_answer(self, asked: _Asked, round_asked: int, _: Any) -> None:
-        """Record an answer, unless it belongs to a call before `again`."""
-        asked.answered = asked.answered or round_asked == self._round
+    def _call(self, subscriber: _Subscriber, now: float) -> None:
+        if subscriber.client is None:
+            service = f'{subscriber.name}/get_parameters'
+            subscriber.client = self._node.create_client(GetParameters, service)
+        if now - subscriber.last_call >= CALL_PERIOD_S and subscriber.client.service_is_ready():
+            subscriber.last_call = now
+            answer = subscriber.client.call_async(GetParameters.Request())
+            answer.add_done_callback(subscriber.on_answer)
 
 
 class Player(Node):
     """Publishes the batches of a recording on ``imu/data``.
 
-    The publisher is reliable and keeps all messages until they are acknowledged. With subscribers
-    of the same QoS, a full queue slows the player down instead of losing messages.
+    The publisher is reliable and keeps all messages until they are acknowledged. If the subscribers
+    have the same QoS, a full queue slows the player down, and no message is lost.
     """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
@@ -171,13 +170,13 @@ class Player(Node):
             raise self._error
 
     def _tick(self) -> None:
-        """Run the handshake in the executor, which receives the answers."""
+        """Continue the handshake, in the thread of the executor."""
         if self._asking and self._handshake.update():
             self._asking = False
             self._answered.set()
 
     def _work(self) -> None:
-        """Play to the end in a separate thread, then end the node."""
+        """Play to the end and stop the node; runs in a separate thread."""
         try:
             self._wait_for_answers('has missed the start')
             self._play()
@@ -206,23 +205,25 @@ class Player(Node):
 
     def _play_once(self, start_ns: int | None) -> int:
         """Play the recording with its first stamp shifted to start_ns; return its length in ns."""
-        first_ns = last_ns = count = 0
-        pace = None
+        first_ns = last_ns = origin_ns = count = 0
+        began = time.monotonic()
         for batch in self._batches():
-            if pace is None:
-                pace = Schedule(self._options.rate, batch)
-                first_ns = int(batch.stamps_ns[0])
+            times_ns = batch.stamps_ns if batch.record_ns is None else batch.record_ns
+            if not count:
+                first_ns, origin_ns = int(batch.stamps_ns[0]), int(times_ns[0])
+                began = time.monotonic()
             shift = 0 if start_ns is None else start_ns - first_ns
-            self._publish(replace(batch, stamps_ns=batch.stamps_ns + shift), pace.due(batch))
+            due = due_times(times_ns - origin_ns, began, self._options.rate)
+            self._publish(replace(batch, stamps_ns=batch.stamps_ns + shift), due)
             if self._stop.is_set():
                 return 0
             last_ns, count = int(batch.stamps_ns[-1]), count + len(batch)
-        if pace is None:
+        if not count:
             raise AllanError('the recording contains no Imu message: choose another one')
         return last_ns - first_ns + (last_ns - first_ns) // max(count - 1, 1)
 
     def _publish(self, batch: ImuBatch, due: list[float] | None) -> None:
-        """Publish a batch, each message when it is due."""
+        """Publish each message at its time in ``due`` (monotonic clock, s); None: at once."""
         for i, payload in enumerate(encode_imus(batch, 'cdr')):
             if due is not None:
                 wait = due[i] - time.monotonic()
@@ -238,7 +239,7 @@ class Player(Node):
         while not self._stop.is_set():
             try:
                 self._publisher.publish(payload)
-            except rclpy_implementation.RCLError:  # timeout of the middleware, 0.1 s
+            except rclpy_implementation.RCLError:  # the queue was full for 0.1 s
                 continue
             self._played += 1
             return
@@ -276,23 +277,14 @@ class Player(Node):
             yield from recording.batches()
 
 
-class Schedule:
-    """Times at which samples are due, from record times or, without them, header times."""
+def due_times(elapsed_ns: NDArray[np.int64], began: float, rate: float) -> list[float] | None:
+    """Return the times on the monotonic clock, in s, at which samples are due.
 
-    def __init__(self, rate: float, first: ImuBatch) -> None:
-        self._rate, self._origin, self._began = rate, int(_times(first)[0]), time.monotonic()
-
-    def due(self, batch: ImuBatch) -> list[float] | None:
-        """Return the monotonic times at which the samples are due; None for immediately."""
-        if self._rate == 0.0:
-            return None
-        ahead_s = (_times(batch) - self._origin) * (1e-9 / self._rate)
-        due: list[float] = (self._began + ahead_s).tolist()
-        return due
-
-
-def _times(batch: ImuBatch) -> NDArray[np.int64]:
-    return batch.stamps_ns if batch.record_ns is None else batch.record_ns
+    ``elapsed_ns`` are their times since the first sample, which is due at ``began``. ``rate`` is
+    the speed factor; if it is 0, the result is None: all samples are due at once.
+    """
+    due: list[float] | None = (began + elapsed_ns * (1e-9 / rate)).tolist() if rate else None
+    return due
 
 
 def _open(options: argparse.Namespace) -> list[Recording]:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Republishes one Imu topic with covariances filled in, as raw bytes.
 
-A separate thread waits for messages and republishes each at once. It takes half the CPU of an
-executor's callback, and no other task of the node delays a message. It uses a wait set like
-`wait_for_message` of rclpy. If a client library does not have it, a plain callback is used.
+A separate thread waits for messages and republishes each at once. It needs half the CPU time of an
+executor's callback, and no other task of the node delays a message. It uses a wait set, as
+`wait_for_message` of rclpy does. If this version of rclpy has no wait set, a callback is used.
 """
 
 from __future__ import annotations
@@ -37,24 +37,22 @@ from .settings import RelaySettings
 from .shell import LATCHED
 
 WAIT_NS = 100_000_000
-"""Time in ns for which the thread waits for a message before it checks whether it should end."""
+"""Time in ns after which the waiting thread checks whether it should end."""
 
 POLL_S = 0.005
-"""Period in s at which messages are polled while the wait for them fails."""
+"""Period in s at which messages are fetched if waiting for them fails."""
 
 SWITCH_INTERVAL_S = 0.0005
 """Longest time in s for which other Python threads, such as a fit, delay the relay (Python's
 default is 5 ms)."""
 
 MODEL_GRACE_S = 120.0
-"""Time in s after the start without a warning about a missing noise model: N takes a minute at
-rest."""
+"""Time in s after the start from which a missing noise model is a warning."""
 
 DISCOVERY_S = 5.0
-"""Time in s after the start in which a publisher of the noise model may still be undiscovered."""
+"""Time in s after the start from which a missing publisher of the noise model is a warning."""
 
-SHOWN_UNIT = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
-
+VARIANCE_UNITS = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
 RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
     'received',
@@ -65,11 +63,11 @@ RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
     'not published',
     'gyro bias subtracted',
 )
-"""Numbers of messages, with their names in diagnostics."""
+"""Names of the message counts in diagnostics."""
 
 
 class RelayTopics(NamedTuple):
-    """Input, noise model, output and bias topics, and the name of the IMU in diagnostics."""
+    """Topics of a relay: input, noise model, output and bias; and its IMU in diagnostics."""
 
     source: str
     model: str
@@ -90,7 +88,10 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
 
 
 class ImuRelay(Part):
-    """Republishes the messages of one Imu with covariances, to another topic (else AllanError)."""
+    """Republishes the messages of one Imu topic on another topic, with covariances.
+
+    Raises AllanError if both topics have the same name after remapping.
+    """
 
     def __init__(
         self, node: AllanNode, topics: RelayTopics, settings: ParameterGroup[RelaySettings]
@@ -118,7 +119,7 @@ class ImuRelay(Part):
         self._stop = threading.Event()
         wait_set = None if settings.value.plain_callback else self._wait_set()
         self._subscription, drained = subscribe_raw(
-            node, topics.source, self._hand_on, depth, plain=wait_set is None
+            node, topics.source, self._relay, depth, plain=wait_set is None
         )
         if self._subscription.topic_name == self._publisher.topic_name:
             raise AllanError(
@@ -140,7 +141,7 @@ class ImuRelay(Part):
         )
 
     def tick(self, now: float) -> None:
-        """Apply a changed model or changed parameters."""
+        """Compute the covariances again if the noise model or the parameters have changed."""
         results, settings = self._results, self._settings.value
         if results is None:
             self._variances, self._patch, self._made_of = {}, CovariancePatch({}), None
@@ -158,9 +159,9 @@ class ImuRelay(Part):
             ('to', self._publisher.topic_name),
             *((f'{what} [messages]', count) for what, count in self._counts.items()),
             ('variance', self._settings.value.variance),
-            ('messages taken by', 'a thread' if self._thread else 'a plain callback'),
+            ('messages taken by', 'a thread' if self._thread else 'a callback'),
             *(
-                (f'variance of {sensor} {axis} [{SHOWN_UNIT[sensor]}]', variance)
+                (f'variance of {sensor} {axis} [{VARIANCE_UNITS[sensor]}]', variance)
                 for sensor, variances in self._variances.items()
                 for axis, variance in zip('xyz', variances)
             ),
@@ -180,7 +181,7 @@ class ImuRelay(Part):
 
     # --- the messages -----------------------------------------------------------------------------
 
-    def _hand_on(self, payload: bytes, _info: Any = None) -> None:
+    def _relay(self, payload: bytes, _info: Any = None) -> None:
         """Publish one message with the known covariances filled in."""
         counts = self._counts
         counts[RECEIVED] += 1
@@ -189,23 +190,23 @@ class ImuRelay(Part):
             return
         try:
             unbiased = self._without_bias(payload)
-            handed_on = self._patch.patch(unbiased)
+            patched = self._patch.patch(unbiased)
         except MalformedMessage as error:
             counts[MALFORMED] += 1
             self._last_malformed = str(error)
-            handed_on = unbiased = payload
-        if handed_on is not unbiased:
+            patched = unbiased = payload
+        if patched is not unbiased:
             counts[FILLED] += 1
         else:
             counts[PASSED] += 1
             self._note_frame(payload)
         try:
-            self._publisher.publish(handed_on)
+            self._publisher.publish(patched)
         except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
             counts[UNPUBLISHED] += 1
 
     def _without_bias(self, payload: bytes) -> bytes:
-        """Return the message with the gyro bias subtracted, if this is enabled and allowed."""
+        """Return the message without the gyro bias, or unchanged if it must not be subtracted."""
         settings, bias = self._settings.value, self._bias
         if not settings.subtract_bias or bias is None or bias.twist.covariance[21] < 0.0:
             return payload
@@ -235,15 +236,14 @@ class ImuRelay(Part):
             self._last_frame = frame_id
 
     def _wait_set(self) -> Any:
-        """Return a wait set for one subscription; None if this client library does not support
-        it."""
+        """Return a wait set for one subscription; None if this version of rclpy has none."""
         try:
             return rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._node.context.handle)
         except (AttributeError, TypeError):
             return None
 
     def _work(self, wait_set: Any) -> None:
-        """Republish messages until the node is closed; an error must not end the thread."""
+        """Republish messages until the node is closed. An error does not end the thread."""
         handle = self._subscription.handle
         with handle, wait_set:
             while not self._stop.is_set():
@@ -255,12 +255,12 @@ class ImuRelay(Part):
                     self._pause('relay wait', error)
                 try:
                     while (taken := handle.take_message(Imu, True)) is not None:
-                        self._hand_on(taken[0])
+                        self._relay(taken[0])
                 except Exception as error:
                     self._pause('relay', error)
 
     def _pause(self, where: str, error: Exception) -> None:
-        """Report an error of the thread, and wait: if it persists, messages are polled."""
+        """Report an error of the thread, and wait for `POLL_S`."""
         self._node.fault(where, error)
         self._stop.wait(POLL_S)
 
@@ -279,8 +279,7 @@ class ImuRelay(Part):
         self.tick(time.monotonic())
 
     def _without_model(self, now: float) -> Finding:
-        """Return the reason why there is no noise model, and the treatment of messages
-        meanwhile."""
+        """Return the finding that states why there is no noise model."""
         topic, seconds = self._model.topic_name, now - self._began
         passed = self._settings.value.until_model == 'pass'
         done = 'passed on unchanged' if passed else 'held back'
@@ -293,7 +292,7 @@ class ImuRelay(Part):
         return finding('relay_waits', topic=topic, done=done)
 
     def _findings(self, now: float) -> list[Finding]:
-        """Return the present problems, causes before their effects."""
+        """Return the present problems; the cause comes before its effects."""
         counts, results, found = self._counts, self._results, list(self._problem)
 
         def add(id: str, count: int, **values: Any) -> None:

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the nodes with their defaults; the settings of the data selection are in core.
+"""Settings of the nodes: each field of a class is a ROS parameter ``<group>.<field>``.
 
-Every field becomes a ROS parameter ``<group>.<name>`` (see `parameters`).
+The settings of the data selection (group ``segmenter``) are in `core.settings`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter,
 
 
 class WatchedImu(NamedTuple):
-    """One IMU: topic, label if there are several, serial number and checkpoint if given."""
+    """One IMU of a node. ``label`` is '' for a single IMU; ``checkpoint`` is a path, or ''."""
 
     topic: str
     label: str
@@ -39,14 +39,16 @@ class InputSettings(CheckedSettings):
         ('',), 'One serial number per topic; empty: the frame_id is used.'
     )
     queue_depth: int = fixed_parameter(
-        4000, 'Messages that the middleware may queue between two drains.', 'messages', 1, 1_000_000
+        4000, 'Queue depth of the subscription.', 'messages', 1, 1_000_000
     )
-    drain_period: float = fixed_parameter(0.1, 'How often the queue is emptied.', 's', 0.005, 1.0)
+    drain_period: float = fixed_parameter(
+        0.1, 'Period at which queued messages are fetched.', 's', 0.005, 1.0
+    )
     update_period: float = fixed_parameter(
-        0.5, 'How often the drained messages are decoded and accumulated.', 's', 0.005, 10.0
+        0.5, 'Period at which fetched messages are decoded and accumulated.', 's', 0.005, 10.0
     )
     stale_after: float = parameter(
-        2.0, 'Silence after which the input is reported as an error.', 's', 0.1, 3600.0
+        2.0, 'Time without a message after which the input is in error.', 's', 0.1, 3600.0
     )
     gyro_unit: str = fixed_parameter(
         'rad/s',
@@ -60,7 +62,7 @@ class InputSettings(CheckedSettings):
     )
     plain_callback: bool = fixed_parameter(
         False,
-        'Receive each message in a callback (more CPU) instead of draining the queue.',
+        'Receive each message in a callback instead of fetching queued messages; needs more CPU.',
     )
 
     def __post_init__(self) -> None:
@@ -87,9 +89,10 @@ class InputSettings(CheckedSettings):
             )
 
     def imus(self, checkpoint: str = '') -> list[WatchedImu]:
-        """Return the IMUs; the checkpoints of several IMUs are in one folder, '' for none.
+        """Return one entry per topic; without ``labels``, several IMUs are labelled by topic.
 
-        Missing labels are derived from the topics.
+        ``checkpoint`` is the parameter ``checkpoint.path``: a file for one IMU, a folder for
+        several, or ''.
         """
         count = len(self.topics)
         made = [t.strip('~/').replace('/', '_') if count > 1 else '' for t in self.topics]
@@ -107,13 +110,13 @@ class PublishSettings(CheckedSettings):
 
     sums_period: float = parameter(
         10.0,
-        'How often the running sums are published, and checked for a change.',
-        unit='s',
-        low=0.1,
-        high=3600.0,
+        'Period at which the sums are published, and fitted if they have grown.',
+        's',
+        0.1,
+        3600.0,
     )
     diagnostics_period: float = parameter(
-        1.0, 'How often every diagnostic status is repeated.', 's', 0.1, 60.0
+        1.0, 'Period at which every diagnostic status is published.', 's', 0.1, 60.0
     )
 
 
@@ -126,18 +129,18 @@ class CheckpointSettings(CheckedSettings):
         'Checkpoint file, or a folder for several IMUs (<label>.json in it); missing folders are '
         'created; empty: none.',
     )
-    period: float = parameter(60.0, 'How often the checkpoint is written.', 's', 0.5, 86400.0)
+    period: float = parameter(60.0, 'Period at which the checkpoint is written.', 's', 0.5, 86400.0)
 
 
 @dataclass(frozen=True)
 class EstimatorSettings(CheckedSettings):
-    """How often the sums are fitted, and the reference of comparisons (group ``estimator``)."""
+    """How often the sums are fitted, and references of the results (group ``estimator``)."""
 
     method: str = parameter(
-        'gls', 'Method of the fit of the five terms.', choices=('gls', 'relative', 'paper')
+        'gls', 'Method that fits the five terms.', choices=('gls', 'relative', 'paper')
     )
     growth: float = parameter(
-        0.1, 'Refit when the samples have grown by this fraction.', '', 0.0, 10.0
+        0.1, 'Fit again when the number of samples has grown by this fraction.', '', 0.0, 10.0
     )
     sensor: str = fixed_parameter(
         '', 'Datasheet to compare with: a name in config/sensors or a file; empty: none.'
@@ -147,16 +150,16 @@ class EstimatorSettings(CheckedSettings):
     )
     margin: float = parameter(
         MARGIN,
-        'Warn when the complete interval exceeds the limit by more than this fraction.',
+        'Warn when the entire 95 % interval is above the limit by more than this fraction.',
         low=0.0,
         high=100.0,
     )
     recent_window: float = fixed_parameter(
         3600.0,
         'Length of the recent window, which is compared with all earlier data.',
-        unit='s',
-        low=1.0,
-        high=604800.0,
+        's',
+        1.0,
+        604800.0,
     )
     bias_tolerance_gyro: float = fixed_parameter(
         0.0,
@@ -171,23 +174,23 @@ class EstimatorSettings(CheckedSettings):
     )
     plot_period: float = parameter(
         10.0,
-        'Shortest time between two plots of the curves; none is drawn without a subscriber.',
-        unit='s',
-        low=1.0,
-        high=86400.0,
+        'Shortest time between two Allan plots; none is drawn without a subscriber.',
+        's',
+        1.0,
+        86400.0,
     )
 
 
 @dataclass(frozen=True)
 class RelaySettings(CheckedSettings):
-    """How covariances are filled in by the relay (group ``relay``)."""
+    """How the relay fills in covariances (group ``relay``)."""
 
     enabled: bool = fixed_parameter(
-        False, 'Whether allan_monitor relays each Imu, to <topic>_with_covariance.'
+        False, 'Whether allan_monitor republishes each Imu, on <topic>_with_covariance.'
     )
     until_model: str = parameter(
         'pass',
-        'Messages without a noise model: pass them on unchanged, or hold them back (drop them).',
+        'Before there is a noise model, messages are passed on unchanged (pass) or dropped (hold).',
         choices=('pass', 'hold'),
     )
     variance: str = parameter(
@@ -206,8 +209,8 @@ class RelaySettings(CheckedSettings):
     )
     horizon: float = parameter(
         0.0,
-        'For filters without a state for the bias: the white variance is raised until it covers '
-        'all drift over this time; 0: white noise alone.',
+        'For filters without a bias state: the white variance is raised until it covers all drift '
+        'over this time; 0: white noise alone.',
         unit='s',
         low=0.0,
         high=1e6,
@@ -215,8 +218,8 @@ class RelaySettings(CheckedSettings):
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
     subtract_bias: bool = parameter(
         False,
-        'Subtract the gyro bias on the topic bias from the angular velocity while the IMU is at '
-        'rest and the bias is fresh.',
+        'Subtract the gyro bias, received on the topic bias, from the angular velocity while the '
+        'IMU is at rest and the bias is recent.',
     )
     bias_max_age: float = parameter(
         60.0, 'Largest age of a bias that is subtracted.', 's', 1.0, 86400.0
@@ -230,36 +233,33 @@ class RelaySettings(CheckedSettings):
     )
     overwrite: bool = parameter(False, 'Replace covariances that the driver has set.')
     queue_depth: int = fixed_parameter(
-        1000,
-        'Messages that the middleware may queue at input and output.',
-        unit='messages',
-        low=1,
-        high=1_000_000,
+        1000, 'Queue depth of the subscription and the publisher.', 'messages', 1, 1_000_000
     )
     plain_callback: bool = fixed_parameter(
         False,
-        'Receive each message in a callback of the executor (more CPU) instead of in a thread.',
+        'Receive each message in a callback instead of a thread; needs more CPU.',
     )
 
 
 @dataclass(frozen=True)
 class PushSettings(CheckedSettings):
-    """How parameters of another node are set to measured values (group ``push``)."""
+    """How parameters of another node are set from the noise model (group ``push``)."""
 
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
     filter: str = fixed_parameter('', 'Mapping: a name in config/filters, or a file.')
     enabled: bool = parameter(
-        True, 'Whether parameters are set; ~/restore restores the previous values and turns it off.'
+        True, 'Whether parameters are set; ~/restore undoes all changes and sets this to false.'
     )
     ratio: float = parameter(
         1.5,
-        'A value is set once the ratio of the ends of its 95 % interval is at most this.',
+        'A value is set once the upper end of its 95 % interval is at most this many times the '
+        'lower end.',
         low=1.0,
         high=1000.0,
     )
-    period: float = parameter(300.0, 'Shortest time between two settings.', 's', 0.1, 604800.0)
+    period: float = parameter(300.0, 'Shortest time between two changes.', 's', 0.1, 604800.0)
     change: float = parameter(
-        0.1, 'A value is set again when it differs by more than this fraction.', '', 0.0, 10.0
+        0.1, 'A value is set again when it has changed by more than this fraction.', '', 0.0, 10.0
     )
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from threading import Event
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -29,20 +29,20 @@ from ..core.errors import AllanError, one_line
 T = TypeVar('T')
 
 _TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linux' else None
-"""Returns freed heap memory to the system (glibc only). A fit leaves about 20 MB of free blocks
-below memory that is still in use."""
+"""Function of glibc that returns free heap memory to the system, else None. A fit leaves about
+20 MB of free blocks below memory that is still in use."""
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""QoS of sums and noise model: reliable, and late subscribers receive the last message."""
+"""QoS of sums and noise model: reliable, and a late subscriber receives the last message."""
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Clock of all timers, which neither a paused ``/clock`` nor a wall-clock step stops."""
+"""Clock of all timers. It runs on while ``/clock`` is paused or the system time is changed."""
 
 
 class Worker:
-    """A daemon thread with a task queue; an unfinished task does not delay the end of the node."""
+    """A daemon thread with a task queue. The process can exit while a task is still running."""
 
     def __init__(self) -> None:
         self._tasks: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = queue.SimpleQueue()
@@ -66,43 +66,31 @@ class Worker:
                 _TRIM(0)
 
 
-class Runnable(Protocol):
-    """Methods that `run` requires of a node."""
-
-    def close(self) -> None:
-        """Finish the work before the node is destroyed; called once, not interrupted by signals."""
-
-    def destroy_node(self) -> None:
-        """Destroy the node, as `rclpy.node.Node` does."""
-
-
-def ros_parser(name: str, description: str) -> argparse.ArgumentParser:
-    """Return the command line parser of an executable that is configured only by ROS arguments."""
-    return argparse.ArgumentParser(
-        prog=name,
-        description=description,
-        epilog='Parameters are set by ROS arguments: --ros-args -p NAME:=VALUE, '
-        '--params-file FILE, -r TOPIC:=OTHER. All parameters: config/allan_ros.yaml, or '
-        'ros2 param describe.',
-    )
-
-
 def run(
     name: str,
-    make_node: Callable[[Event, argparse.Namespace], Runnable],
+    make_node: Callable[[Event, argparse.Namespace], Any],
     parser: argparse.ArgumentParser,
     args: Sequence[str] | None = None,
 ) -> int:
-    """Run a node until SIGINT, SIGTERM or its own end, and return the exit code.
+    """Run a node until it receives SIGINT or SIGTERM or stops itself, and return the exit code.
 
-    If the node cannot start (invalid parameters, a missing file), the reason is logged in one line,
-    and the exit code is 1. After any number of signals the node is closed, and the exit code is 0.
-    An exception in a callback of the node is passed to ``node.fault``, if it has one, and the node
-    continues.
+    The exit code is 0, or 1 if the node cannot start (invalid parameters, a missing file); the
+    reason is then logged in one line.
 
-    ``make_node`` gets an event that ends the node when it is set, and the parsed options of the
-    command line without ROS arguments. The node must have a timer, because signals are handled when
-    the executor wakes.
+    Parameters
+    ----------
+    name : str
+        Name of the executable, for the log.
+    make_node : callable
+        Returns the node. Its arguments are an event that stops the node when it is set, and the
+        parsed options. The node needs a timer, because signals are handled when the executor wakes.
+        Its method ``close()`` is called once before the node is destroyed. If it has a method
+        ``fault(where, error)``, exceptions of its callbacks are passed there, and the node
+        continues.
+    parser : argparse.ArgumentParser
+        Parser of the command line without ROS arguments.
+    args : sequence of str, optional
+        Command line without the name of the program; default: ``sys.argv``.
     """
     argv = sys.argv if args is None else [name, *args]
     try:
@@ -142,7 +130,7 @@ def run(
             signal.signal(number, signal.SIG_IGN)
 
 
-def _spin(executor: SingleThreadedExecutor, node: Runnable, stop: Event) -> None:
+def _spin(executor: SingleThreadedExecutor, node: Any, stop: Event) -> None:
     """Execute callbacks until the event is set or the context is shut down."""
     fault: Callable[[str, Exception], None] | None = getattr(node, 'fault', None)
     while not stop.is_set():

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostic statuses as rows, and their display: a live table, lines of text, or JSON."""
+"""Displays of diagnostic statuses: a live table, lines of text, or JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -25,29 +25,32 @@ WORDS = {
     DiagnosticStatus.WARN: 'WARN',
     DiagnosticStatus.ERROR: 'ERROR',
 }
-"""Level -> text."""
+"""Level of a status -> its text in the displays."""
 
 STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
-"""Level -> style in rich, in the order of the table. STALE comes early, because silence may hide an
-error. The text contains the same information without colours, which differ in lightness for
-colour-blind readers."""
+"""Level -> style of rich, in the order of the table. STALE comes early, because a node that stopped
+publishing may have an error. The styles also differ without colour."""
 
 STALE_S = 5.0
-"""Time in s after which a status that was not repeated is shown as stale."""
+"""Age in s from which a status is shown as stale; nodes publish each status once a second."""
 
 SHOWN_TERMS = ('N', 'B', 'K')
-"""Terms with their own columns in a wide terminal; the values contain all five."""
+"""Terms with their own columns in a wide terminal."""
 
 WIDE, NARROW = 120, 60
-"""Terminal widths: from WIDE on terms have columns; below NARROW a list replaces the table."""
+"""Terminal widths in characters: below NARROW a list is shown instead of a table; from WIDE on the
+table has columns for the terms."""
 
 _UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One status as it is displayed; ``terms`` contains value and unit of the known
-    `SHOWN_TERMS`."""
+    """One status as it is displayed.
+
+    ``terms`` maps each of the `SHOWN_TERMS` that is known to its value with unit. ``age_s`` is the
+    time since the status was received, in s.
+    """
 
     level: str
     node: str
@@ -72,12 +75,12 @@ class Row:
 
     @property
     def age(self) -> str:
-        """Age in whole seconds; '' for a status that is repeated in time."""
+        """Age of a stale status, such as '12 s'; else ''."""
         return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
 
 
 def row(status: DiagnosticStatus, age_s: float) -> Row:
-    """Return the row of a status that was received ``age_s`` seconds ago."""
+    """Convert a status that was received ``age_s`` seconds ago; control characters are escaped."""
     values = {one_line(v.key): one_line(v.value) for v in status.values}
     terms = {}
     for key, value in values.items():
@@ -92,15 +95,15 @@ def row(status: DiagnosticStatus, age_s: float) -> Row:
 
 
 def most_severe_first(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows sorted by level, then by name."""
+    """Return the rows sorted by level, then by node and name."""
     return sorted(rows, key=lambda r: (list(STYLES).index(r.level), r.node, r.name))
 
 
 def headline(rows: Sequence[Row]) -> str:
-    """Return the number of statuses per level, and the age of the latest status."""
+    """Return a line with the number of statuses per level, and the age of the latest status."""
     counts = {level: sum(r.level == level for r in rows) for level in STYLES}
-    told = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
-    return f'allan_ros: {told}; last message {min(r.age_s for r in rows):.1f} s ago'
+    numbers = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
+    return f'allan_ros: {numbers}; last message {min(r.age_s for r in rows):.1f} s ago'
 
 
 def plain_line(row: Row) -> str:
@@ -109,7 +112,7 @@ def plain_line(row: Row) -> str:
 
 
 def picture(rows: Sequence[Row], columns: int) -> RenderableType:
-    """Return the rows for rich: a table, or a list in a narrow terminal."""
+    """Return a table for rich, or a list if the terminal has few ``columns`` (characters)."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Group
     from rich.padding import Padding
@@ -140,17 +143,17 @@ def picture(rows: Sequence[Row], columns: int) -> RenderableType:
     return table
 
 
-class Display(Protocol):
-    """Output of the rows; the hint is shown if there are no rows."""
+class Display:
+    """Output of the rows. If there are no rows, ``hint`` is shown instead."""
 
     def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Show the present state."""
+        """Show the present state; called periodically."""
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
         """Show the final state."""
 
 
-class Lines:
+class Lines(Display):
     """Prints a line for every new status and every change of level."""
 
     def __init__(self) -> None:
@@ -175,11 +178,8 @@ class Lines:
             print(hint, file=sys.stderr)
 
 
-class Document:
+class Document(Display):
     """Prints one JSON document at the end."""
-
-    def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Do nothing."""
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
         """Print the document, and the hint to stderr."""
@@ -192,10 +192,10 @@ class Document:
             print(hint, file=sys.stderr)
 
 
-class Screen:
-    """A table redrawn by rich, or drawn once at the end if it is not ``live``.
+class Screen(Display):
+    """Shows a table that is redrawn continuously (``live``), or drawn once at the end.
 
-    It respects NO_COLOR, and the width and the charset of the terminal.
+    Raises ImportError if rich is not installed.
     """
 
     def __init__(self, live: bool) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan_watch`: `/diagnostics` of the allan_ros nodes as a live table in the terminal.
+"""`allan_watch`: show `/diagnostics` of the allan_ros nodes as a live table in the terminal.
 
 The most severe status comes first. If the output is not a terminal, a line is printed whenever
 the level of a status changes.
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 TOPIC = '/diagnostics'
 
 WEB_PORT = 8095
-"""Port of the live page."""
+"""Default port of the live page."""
 
 REFRESH_S = 0.5
+"""Period in s at which the table is redrawn."""
 
 SETTLE_S = 1.5
-"""Time in s after the first status until all are received: each is repeated once a second."""
+"""Time in s from the first status until every node has published once."""
 
 PATIENCE_S = 10.0
-"""Time in s for which ``--once`` waits for a first status."""
+"""Time in s for which ``--once`` waits for the first status."""
 
 HINT_S = 8.0
-"""Silence in s after which the hint is shown: a node started at the same time needs some
-seconds."""
+"""Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
 
 DISCOVERY_S = 5.0
-"""Longest time in s to find nodes with a service, and to get an answer from them."""
+"""Time in s for which a service and its answer are waited for."""
 
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Exit code of ``--check`` by the most severe level."""
@@ -60,7 +60,7 @@ DISCOVERY = (
     'ROS_LOCALHOST_ONLY',
     'RMW_IMPLEMENTATION',
 )
-"""Environment variables that determine which nodes are discovered."""
+"""Environment variables that determine which nodes discover each other."""
 
 TRIGGER = 'std_srvs/srv/Trigger'
 
@@ -124,19 +124,19 @@ class Watch(Node):
         return most_severe_first(row(status, now - at) for at, status in self._latest.values())
 
     def _hint(self) -> str:
-        """Return the hint for the case that no status is received."""
-        speakers = self.get_publishers_info_by_topic(TOPIC)
-        others = f', although {len(speakers)} publish there' if speakers else ''
+        """Return a text that explains what to check if no status is received."""
+        count = len(self.get_publishers_info_by_topic(TOPIC))
+        others = f' (other nodes: {count})' if count else ''
         given = [f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)]
         return (
             f'no allan_ros node publishes on {TOPIC}{others}. Start one: ros2 launch allan_ros '
-            'allan_ros.launch.py imu:=/your/imu. If one runs, compare its discovery settings: '
-            f'here {" ".join(given) or "all variables are at their defaults"}.'
+            'allan_ros.launch.py imu:=/your/imu. If one is running, it must have the same '
+            f'discovery settings; here: {" ".join(given) or "all defaults"}.'
         )
 
 
 def make_display(options: argparse.Namespace) -> Display:
-    """Return the display that the options select, else the best one for the output."""
+    """Return the display that the options select; by default a table if stdout is a terminal."""
     if options.json:
         return Document()
     if not options.plain and sys.stdout.isatty() and os.environ.get('TERM') != 'dumb':
@@ -156,14 +156,14 @@ def make_parser() -> argparse.ArgumentParser:
         'NO_COLOR turns colours off, COLUMNS sets the width.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('--once', action='store_true', help='show the present state and exit')
+    parser.add_argument('--once', action='store_true', help='print the present state and exit')
     parser.add_argument(
         '--json', action='store_true', help='print the present state as one JSON document and exit'
     )
     parser.add_argument(
         '--check',
         action='store_true',
-        help='like --once, with exit code 3 on a warning, 4 on an error',
+        help='like --once; the exit code is 3 for a warning and 4 for an error',
     )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument(
@@ -175,7 +175,7 @@ def make_parser() -> argparse.ArgumentParser:
         nargs='?',
         const=WEB_PORT,
         metavar='PORT',
-        help=f'also serve the report as a live page on this machine (default port {WEB_PORT})',
+        help=f'also serve the report as a web page on this machine (default port {WEB_PORT})',
     )
     parser.add_argument(
         '--seconds', type=float, default=0.0, metavar='S', help='exit after this time'
@@ -202,9 +202,10 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def services_of(node: Node, verb: str, wanted: str) -> list[str]:
-    """Return the services ``.../save`` or ``.../fit`` of the allan_ros nodes in the graph.
+    """Return the full names of a service of all running allan_ros nodes.
 
-    ``wanted`` selects one node or IMU, such as ``/allan_monitor``; '' selects all.
+    ``verb`` is 'save' or 'fit'. ``wanted`` is the name of one node or IMU, such as
+    ``/allan_monitor``, or '' for all.
     """
     known = {name for name, types in node.get_service_names_and_types() if TRIGGER in types}
     homes = [name.rpartition('/')[0] for name in known if name.endswith(f'/{verb}')]
@@ -216,8 +217,11 @@ def services_of(node: Node, verb: str, wanted: str) -> list[str]:
 
 
 def call_services(verb: str, args: Sequence[str]) -> int:
-    """Call ``~/save`` or ``~/fit`` of running nodes; return 0 if there is one and all calls
-    succeed."""
+    """Call ``~/save`` or ``~/fit`` of running nodes, and return the exit code.
+
+    It is 0 if a node with this service is running and all calls succeed. ``args`` is the command
+    line after the verb.
+    """
     doc = {
         'save': 'Write the checkpoint of running nodes now.',
         'fit': 'Fit the sums of running nodes now.',

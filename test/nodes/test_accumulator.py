@@ -95,7 +95,7 @@ def test_it_publishes_its_sums_and_health(graph, still_imu):
     assert status.hardware_id == 'imu'
     assert status.message.startswith('still at 200 Hz')
     assert graph.value('input', 'rate') == '200'
-    assert graph.value('input', 'messages taken by') == 'draining'
+    assert graph.value('input', 'messages taken by') == 'a timer'
 
 
 def test_silence_is_an_error_with_its_age(graph, still_imu):

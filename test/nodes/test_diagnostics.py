@@ -137,7 +137,7 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
 def view(**changes) -> InputView:
     health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'still', 200.0)
     statistics = TransportStatistics(received=9000)
-    given = InputView('/imu', health, statistics, (), (), 0.0, 0, ('/driver',), 0.0, 'draining')
+    given = InputView('/imu', health, statistics, (), (), 0.0, 0, ('/driver',), 0.0, 'a timer')
     return replace(given, **changes)
 
 

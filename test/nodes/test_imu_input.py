@@ -31,7 +31,7 @@ def receive(graph, imu_input: ImuInput, count: int) -> list[ImuBatch]:
 @pytest.mark.parametrize('settings', [LEAN, PLAIN], ids=['lean', 'plain'])
 def test_messages_come_whole_and_in_order(graph, still_imu, settings):
     imu_input = ImuInput(graph.node, 'imu/data', settings)
-    assert imu_input.lean == (settings is LEAN)
+    assert imu_input.polled == (settings is LEAN)
     publisher = graph.publisher()
     sent = still_imu(300)
     graph.send(publisher, sent)
@@ -52,7 +52,7 @@ def test_a_client_library_without_take_gets_the_plain_path(graph, still_imu, mon
 
     monkeypatch.setattr('allan_ros.nodes.imu_input._take', missing)
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
-    assert not imu_input.lean
+    assert not imu_input.polled
     publisher = graph.publisher()
     graph.send(publisher, still_imu(50))
     assert sum(map(len, receive(graph, imu_input, 50))) == 50

@@ -15,6 +15,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from std_msgs.msg import String
 from support.chromium import Chromium
 
 from allan_ros.core.errors import AllanError
@@ -53,13 +54,13 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
     assert 'No accumulator has published' in read(page.address)
     sums, provenance = small_run
     text = to_json(Snapshot(((sums,), provenance)).to_document())
-    page.take(TOPIC, text)
+    page.on_sums(TOPIC, String(data=text))
     first = read(page.address)
     assert 'Noise of unit 7' in first and 'AllanChart' in first
     assert read(page.address) == first  # rendered once
-    page.take(TOPIC, '{"schema": "odd"}')
+    page.on_sums(TOPIC, String(data='{"schema": "odd"}'))
     assert TOPIC in read(page.address)
-    page.take('/other/sums', text)
+    page.on_sums('/other/sums', String(data=text))
     assert 'href="/other/sums"' in read(page.address)
     assert 'Noise of unit 7' in read(page.address + 'other/sums')
 
@@ -86,7 +87,7 @@ def test_a_browser_that_leaves_does_no_harm_and_another_draws(
     page: LivePage, small_run, browser: Chromium
 ) -> None:
     sums, provenance = small_run
-    page.take(TOPIC, to_json(Snapshot(((sums,), provenance)).to_document()))
+    page.on_sums(TOPIC, String(data=to_json(Snapshot(((sums,), provenance)).to_document())))
     port = int(page.address.rsplit(':', 1)[1].strip('/'))
     with socket.create_connection(('127.0.0.1', port)) as leaving:
         leaving.sendall(b'GET / HTTP/1.0\r\nHost: localhost\r\n\r\n')

@@ -111,4 +111,4 @@ def test_an_unknown_parameter_is_named_with_a_suggestion(
             }
         )
     )
-    assert parameters.unknown() == [f'parameter {name!r} is unknown{suggestion}']
+    assert parameters.unknown() == [f'parameter {name!r} is unknown and ignored{suggestion}']

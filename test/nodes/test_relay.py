@@ -106,9 +106,7 @@ def test_only_the_covariances_change_and_no_burst_is_lost(
     model = publish_model(graph, results)
     status = filled(graph)
     assert status.message == 'covariances of gyro and accel are filled'
-    assert graph.value('relay', 'messages taken by') == (
-        'a plain callback' if plain else 'a thread'
-    )
+    assert graph.value('relay', 'messages taken by') == ('a callback' if plain else 'a thread')
     sent: list[bytes] = []
     for burst in range(3):
         batch = still_imu(400, seed=burst)
